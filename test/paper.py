@@ -21,7 +21,7 @@ from places import CONFIG
 from greenroof_ros.common.command_line import Parser
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
@@ -129,10 +129,10 @@ def rain_scaled(run: Run, factor: float) -> Run:
 
 def metrics_of(run: Run, controller: Any = None) -> Metrics:
     """Return the metrics of a run, with its own controller or with the given one."""
-    metrics = Metrics()
-    for _ in closed_loop(run, controller or run.make_controller(), metrics):
+    simulation = Simulation(run, controller)
+    for _ in simulation.ticks():
         pass
-    return metrics
+    return simulation.metrics
 
 
 def deviation_of(run: Run, controller: Any = None) -> float:

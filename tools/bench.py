@@ -138,16 +138,15 @@ def _drain(leader: int) -> None:
 def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
     """Return the time of a tick of ``simulate`` (s), with metrics, and its decision times."""
     from greenroof_ros.common.command_line import Parser
-    from greenroof_ros.experiment.closed_loop import closed_loop
+    from greenroof_ros.experiment.closed_loop import Simulation
     from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
-    from greenroof_ros.model.metrics import Metrics
 
     parser = Parser()
     add_run_arguments(parser, arguments)
     run = run_from_arguments(parser.parse_args(arguments))
     controller = run.make_controller()
     began = time.perf_counter()
-    for _ in closed_loop(run, controller, Metrics()):
+    for _ in Simulation(run, controller).ticks():
         pass
     return (time.perf_counter() - began) / run.steps, controller.statistics() or {}
 

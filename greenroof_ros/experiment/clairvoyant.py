@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.experiment.plan import run_plan
+from greenroof_ros.experiment.plan import find_pumping_ticks, run_plan
 from greenroof_ros.experiment.roof_range import ROUNDING, RoofRange, roof_range
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.plant import maximum_pump_flow
@@ -54,7 +54,8 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     - In a tick the volume changes at most by tau (r a2 - e - q_drain) plus what the pumps can
       lift. That is tau times the largest command times the full flow, Eq. (3e), at the initial
       cistern volume plus all rain until then, since outflow and pumping only lower it. It is 0 in
-      frost, below the pumps' suction level, and if even the roof's minimum volume reaches a2 z_veg.
+      frost and quiet hours, below the pumps' suction level, and if even the roof's minimum volume
+      reaches a2 z_veg.
       A roof that runs dry loses all that it held, which is at least its minimum volume.
     - It changes at least by tau (r a2 - e - q_drain). The range of q_drain, Eq. (4), covers the
       volumes that the roof can have; it is 0 if they are all below z_cap.
@@ -109,9 +110,9 @@ def _limits(run: Run, max_command: float) -> tuple[Values, RoofRange]:
         shape (N,); and the limits of its volume and changes.
     """
     site, tau = run.site, run.site.tau
-    rain, evapotranspiration, frost = (
+    rain, evapotranspiration = (
         np.frombuffer(series[: run.steps])
-        for series in (run.series.precipitation, run.series.evapotranspiration, run.series.frost)
+        for series in (run.series.precipitation, run.series.evapotranspiration)
     )
     still = tau * (rain * site.a2 - evapotranspiration)
     # As if the mains' valve were always open.
@@ -121,7 +122,7 @@ def _limits(run: Run, max_command: float) -> tuple[Values, RoofRange]:
     usable = before - site.a1 * site.suction_level
     full = np.where(usable < -ROUNDING * before, 0, tau * max_command * flow)
     mains = np.where(full > 0, np.minimum(usable + full, received[1:]), 0)
-    pumped = np.where(frost > 0, 0, full)
+    pumped = np.where(find_pumping_ticks(run), full, 0)
 
     roof = roof_range(site, run.x2, rain, evapotranspiration, pumped)
     supplied = _sums(run.x2, roof.unpumped) + np.concatenate([[0], mains])

@@ -1,14 +1,10 @@
-"""The run in one process, without ROS: the same parts in the same order as in the node graph.
-
-:func:`closed_loop` runs with a controller, :func:`open_loop` with commands from outside, and
-:class:`Simulation` from the first tick to the summary.
-"""
+"""The run in one process, without ROS: controller and site in a closed loop."""
 
 from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -19,8 +15,8 @@ from greenroof_ros.controllers.protocol import Controller, set_time
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.plant import Flows, Plant
-from greenroof_ros.model.sensor_and_pump import Pump, RoofSensor
+from greenroof_ros.model.plant import Flows
+from greenroof_ros.model.virtual_site import VirtualSite
 from greenroof_ros.recording.trajectory import RECORDED, Trajectory
 
 # Makes a named tuple from a tuple in half the time of its own class.
@@ -54,66 +50,78 @@ class Tick(NamedTuple):
     """m3/s; not applied in the last tick, since the run ends in its state"""
 
 
-class TickInputs(NamedTuple):
-    """What is known in a tick before its command."""
+class Simulation:
+    """A run that is simulated once, by :meth:`ticks` or step by step by :meth:`advance`.
 
-    k: int
-    """index of 0..N"""
-    cistern_level: float
-    """m"""
-    roof_level: float
-    """m, as the sensor reads it"""
-
-
-def closed_loop(run: Run, controller: Controller, metrics: Metrics) -> Iterator[Tick]:
-    """Run the ticks 0..N, adding to ``metrics``; each tick is yielded before its step."""
-    return _ticks(run, controller, metrics)
-
-
-def open_loop(run: Run, metrics: Metrics) -> Generator[Any, float, None]:
-    """Run the ticks 0..N, adding to ``metrics``, with commands that the caller sends.
-
-    Each tick is yielded twice: a :class:`TickInputs`, for which the caller sends the command,
-    finite and not negative, and the :class:`Tick` that follows, before its step. Where the pump may
-    not run, the command is 0.
+    Attributes:
+        site: the simulated site, in the present tick.
     """
-    return _ticks(run, None, metrics)
 
+    def __init__(self, run: Run, controller: Controller | None = None) -> None:
+        """Begin with tick 0.
 
-def _ticks(
-    run: Run, controller: Controller | None, metrics: Metrics
-) -> Generator[Any, float, None]:
-    site, series, steps, until = run.site, run.series, run.steps, 0
-    plant = Plant(site, run.x1, run.x2)
-    sensor, pump = RoofSensor(run.sensor_and_pump), Pump(run.sensor_and_pump, site.tau)
-    forecast, hours, quiet = run.forecast, site.quiet, False
-    for k in range(steps + 1):
-        if k == until:
-            precipitation, evapotranspiration, frost, until = series.at(k)
-        cistern_level, roof_level = plant.levels()
-        roof_level = sensor.reading(k, roof_level)
-        if hours is not None:
-            quiet = hours.quiet_at(run.time_ns(k))
-            set_time(controller, run.time_ns(k))
+        Args:
+            run: what to simulate.
+            controller: decides instead of a new one of the run's class.
+        """
+        self._run = run
+        self._controller = run.make_controller() if controller is None else controller
+        self.site = VirtualSite(run.site, run.x1, run.x2, run.time_ns(0), run.sensor_and_pump)
+        self._weather = run.series.at(0)
+        self._wall_s = 0.0
+
+    @property
+    def metrics(self) -> Metrics:
+        """The metrics of the ticks so far."""
+        return self.site.metrics
+
+    def ticks(self) -> Iterator[Tick]:
+        """Run the ticks 0..N with the controller, and yield each."""
+        began = time.monotonic()
+        for _ in range(self._run.steps + 1):
+            yield self.advance(self._decide())
+        self._wall_s = time.monotonic() - began
+
+    def _decide(self) -> float:
+        """Return the controller's command for the present tick."""
+        site, forecast, controller = self.site, self._run.forecast, self._controller
+        if self._run.site.quiet is not None:
+            set_time(controller, site.time_ns)
+        return decide(
+            controller, not self._weather.frost, *site.levels,
+            forecast.precipitation(site.tick), forecast.evapotranspiration(site.tick), site.quiet,
+        )
+
+    def advance(self, command: float) -> Tick:
+        """Run the present tick with a command, and go on to the next if there is one.
+
+        Args:
+            command: share of the pumps' maximum flow, finite and not negative. Where the pumps may
+                not run, it acts as 0.
+        """
+        site = self.site
+        k, plant = site.tick, site.plant
+        precipitation, evapotranspiration, frost, until = self._weather
+        if frost or site.quiet:
+            command = 0.0
         x1, x2, layer = plant.x1, plant.x2, plant.layer
-        metrics.observe(site, x1, x2, layer)
-        if controller is None:
-            command = yield TickInputs(k, cistern_level, roof_level)
-            command = 0.0 if frost or quiet else command
-        else:
-            command = decide(
-                controller, not frost, cistern_level, roof_level,
-                forecast.precipitation(k), forecast.evapotranspiration(k), quiet,
-            )
-        pumped = pump.flow(plant, command, frost > 0 or quiet)
-        flows = plant.flows(precipitation, evapotranspiration, pumped)
-        yield _new(Tick, (
+        cistern_level, roof_level = site.levels
+        flows = site.act(precipitation, evapotranspiration, frost, command)
+        if k < self._run.steps:
+            site.step()
+            if k + 1 == until:
+                self._weather = self._run.series.at(k + 1)
+        return _new(Tick, (
             k, x1, x2, layer, cistern_level, roof_level,
             precipitation, evapotranspiration, frost, command, flows,
         ))
-        if k < steps:
-            metrics.step(command, precipitation, evapotranspiration, flows)
-            plant.step(precipitation, flows)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of ``summary.json``, after the last tick."""
+        return summary.build(
+            self._run, self.metrics.results(), self.metrics.weekly_deviations(),
+            wall_s=self._wall_s, solver=statistics_of(self._controller),
+        )
 
 
 def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
@@ -137,32 +145,3 @@ def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
             for column, values in zip(RECORDED, columns, strict=True)
         },
     )
-
-
-class Simulation:
-    """A run that is simulated once; studies, the command and Python all simulate with it."""
-
-    def __init__(self, run: Run, controller: Controller | None = None) -> None:
-        """Begin nothing yet.
-
-        Args:
-            run: what to simulate.
-            controller: decides instead of a new one of the run's class.
-        """
-        self._run = run
-        self._controller = run.make_controller() if controller is None else controller
-        self._metrics = Metrics()
-        self._wall_s = 0.0
-
-    def ticks(self) -> Iterator[Tick]:
-        """Run the ticks 0..N; each is yielded before its step."""
-        began = time.monotonic()
-        yield from closed_loop(self._run, self._controller, self._metrics)
-        self._wall_s = time.monotonic() - began
-
-    def summary(self) -> dict[str, Any]:
-        """Return the content of ``summary.json``, after the last tick."""
-        return summary.build(
-            self._run, self._metrics.results(), self._metrics.weekly_deviations(),
-            wall_s=self._wall_s, solver=statistics_of(self._controller),
-        )

@@ -1,29 +1,32 @@
-"""Plans made with perfect knowledge of the weather, and run in the exact plant."""
+"""Plans made with perfect knowledge of the weather, carried out by controllers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo
+from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.plant import Plant, command_to, maximum_pump_flow
+from greenroof_ros.forecast.resampling import PerfectForecast
+from greenroof_ros.model.plant import command_to, maximum_pump_flow
 from greenroof_ros.model.soil import soil_of
 
 TargetVolume = Callable[[int, float, float], float]
 
-# For the recursion: length of a step (s); largest number of steps, since their levels need memory;
+# For the recursion: length of a step (s); maximum number of steps, since their levels need memory;
 # nodes below and above the target.
-_STEP_S, _MOST_STEPS = 300.0, 10_000
+_STEP_S, _MAX_STEPS = 300.0, 10_000
 _NODES = 3000, 1000
 
 
 class PlanResult(NamedTuple):
-    """A plan that was run through the exact plant."""
+    """A plan that was carried out."""
 
     total_m3: float
     """total deviation (m3, summed over the ticks)"""
@@ -31,33 +34,68 @@ class PlanResult(NamedTuple):
     """volume pumped (m3)"""
 
 
+class _PlanController:
+    """Brings the roof to the volume that a plan has for the end of each tick."""
+
+    def __init__(self, run: Run, target: TargetVolume, max_command: float) -> None:
+        """Begin before tick 0; see :func:`run_plan`."""
+        self._site, self._soil, self._steps = run.site, soil_of(run.site), run.steps
+        self._target, self._max_command = target, max_command
+        self._tick = -1
+
+    def command(
+        self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Return the command for the present tick; the run ends in the state of the last."""
+        self._tick += 1
+        if self._tick == self._steps:
+            return 0.0
+        site = self._site
+        x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
+        command = command_to(
+            site, self._soil, x1, x2, self._target(self._tick, x1, x2), precipitation[0],
+            evapotranspiration[0],
+        )
+        return min(command, self._max_command)
+
+    def skip(self) -> None:
+        """Count the tick, in which the pumps may not run."""
+        self._tick += 1
+
+    def statistics(self) -> None:
+        """Return nothing: it has no solver."""
+
+
 def run_plan(run: Run, target: TargetVolume, max_command: float) -> PlanResult:
-    """Run a plan through the exact plant, without the run's errors of sensor and pumps.
+    """Carry out a plan with an exact sensor and a perfect forecast.
 
     Args:
-        run: weather, site, initial state and length; its controller and forecast do not matter.
+        run: weather, site, pumps, initial state and length; its controller, its forecast and the
+            errors of its sensor do not matter.
         target: returns the volume that the roof shall have at the end of a tick (m3), given the
             tick's index and the volumes in cistern and on roof (m3).
-        max_command: largest command (share of the maximum flow).
+        max_command: maximum command (share of the maximum flow).
     """
-    site, soil, series, n = run.site, soil_of(run.site), run.series, run.steps
-    plant, metrics = Plant(site, run.x1, run.x2), Metrics()
-    weather = series.precipitation[:n], series.evapotranspiration[:n], series.frost[:n]
-    for k, (rain, potential, frost) in enumerate(zip(*weather, strict=True)):
-        command = 0.0
-        if not frost:
-            # As a controller sees them: from levels, which are rounded.
-            cistern, roof = plant.levels()
-            x1, x2 = site.cistern_volume(cistern), site.roof_volume(roof)
-            command = command_to(site, soil, x1, x2, target(k, x1, x2), rain, potential)
-            command = min(command, max_command)
-        moved = plant.flows(rain, potential, plant.pump_flow(command))
-        metrics.observe(site, plant.x1, plant.x2, plant.layer)
-        metrics.step(command, rain, potential, moved)
-        plant.step(rain, moved)
-    metrics.observe(site, plant.x1, plant.x2, plant.layer)
-    results = metrics.results()
+    known = replace(
+        run, forecast=PerfectForecast(run.series, 1),
+        sensor_and_pump=replace(run.sensor_and_pump, roof_noise=0.0, roof_offset=0.0),
+    )
+    simulation = Simulation(known, _PlanController(run, target, max_command))
+    for _ in simulation.ticks():
+        pass
+    results = simulation.metrics.results()
     return PlanResult(results["total_deviation_m3"], results["pumped_m3"])
+
+
+def find_pumping_ticks(run: Run) -> NDArray[np.bool_]:
+    """Return whether frost and quiet hours let the pumps run, for each tick 0..N-1, shape (N,)."""
+    n, hours = run.steps, run.site.quiet
+    may_pump = np.frombuffer(run.series.frost[:n]) == 0
+    if hours is not None:
+        times = range(run.time_ns(0), run.time_ns(n), run.time_ns(1) - run.time_ns(0))
+        may_pump &= ~np.fromiter(map(hours.quiet_at, times), bool, n)
+    return may_pump
 
 
 def recursion_plan(run: Run, max_command: float = 1.0) -> PlanResult:
@@ -69,16 +107,19 @@ def recursion_plan(run: Run, max_command: float = 1.0) -> PlanResult:
 
     Args:
         run: as for :func:`run_plan`.
-        max_command: largest command (share of the maximum flow).
+        max_command: maximum command (share of the maximum flow).
     """
     site, n = run.site, run.steps
-    block = max(1, round(_STEP_S / site.tau), -(-n // _MOST_STEPS))
+    block = max(1, round(_STEP_S / site.tau), -(-n // _MAX_STEPS))
     starts = np.arange(0, n, block)
-    rain, evaporated, frost = (
-        np.add.reduceat(np.frombuffer(series[:n]), starts) / np.diff(starts, append=n)
-        for series in (run.series.precipitation, run.series.evapotranspiration, run.series.frost)
+    rain, evaporated, pumping = (
+        np.add.reduceat(values, starts) / np.diff(starts, append=n)
+        for values in (
+            np.frombuffer(run.series.precipitation[:n]),
+            np.frombuffer(run.series.evapotranspiration[:n]), find_pumping_ticks(run).astype(float),
+        )
     )
-    flow = max_command * maximum_pump_flow(site, run.x1) * (1 - frost)
+    flow = max_command * maximum_pump_flow(site, run.x1) * pumping
     program, edges = OrderUpTo(site, fine=_NODES), site.tau * np.append(starts, n)
     together = np.zeros((1, len(starts)), dtype=np.intp)
     policy = program.solve(edges, run.x1, run.x2, rain[None], evaporated, flow, together)

@@ -21,7 +21,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.model.plant import RUNNING_SHARE, Flows, head_loss, mains_flow, pumps_run
+from greenroof_ros.model.plant import (
+    RUNNING_SHARE,
+    Flows,
+    Plant,
+    head_loss,
+    mains_flow,
+    pumps_run,
+)
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
@@ -433,26 +440,25 @@ _BLOCK_BYTES = 4096 * 8 * len(_TICK)
 class Metrics:
     """The metrics of a run in progress, tick by tick; ``metrics["pumped_m3"]`` is one of them."""
 
-    def __init__(self) -> None:
-        """Start with pumps stopped."""
+    def __init__(self, site: Site, plant: Plant) -> None:
+        """Start with pumps stopped.
+
+        Args:
+            site: its parameters.
+            plant: cistern and roof, always in the state of the present tick.
+        """
+        self._site, self._plant = site, plant
         self._totals: dict[str, Any] = {}
         self._weeks: Values | float = 0.0
         self._done = 0  # ticks that are in the totals
         self._ticks = bytearray()
         self._pumping = False
         self._starts = np.empty(0)
-        self._site: Site
-        self._state = (0.0, 0.0, 0.0)
-
-    def observe(self, site: Site, x1: float, x2: float, layer: float = 0.0) -> None:
-        """Set the state of a tick (m3), for each tick 0..N."""
-        self._site = site
-        self._state = (x1, x2, layer)
 
     def step(
         self, command: float, precipitation: float, potential: float, flows: Flows
     ) -> None:
-        """Add what happens from a tick to the next, for each tick 0..N-1, after :meth:`observe`.
+        """Add what happens from the present tick to the next, for each tick 0..N-1.
 
         Args:
             command: the command given (1).
@@ -460,12 +466,15 @@ class Metrics:
             potential: evapotranspiration of plants that lack no water (m3/s).
             flows: what moves (m3/s).
         """
-        self._ticks += _pack_tick(*self._state, command, precipitation, potential, *flows)
+        plant = self._plant
+        self._ticks += _pack_tick(
+            plant.x1, plant.x2, plant.layer, command, precipitation, potential, *flows
+        )
         if len(self._ticks) == _BLOCK_BYTES:
             self._add_ticks()
 
     def results(self) -> dict[str, float]:
-        """Return each metric by its name, if the run ends in the tick observed last."""
+        """Return each metric by its name, if the run ends in the present tick."""
         end = self._end()
         return totals_of(self._site, end, self._totals)
 
@@ -484,8 +493,9 @@ class Metrics:
         """
         if self._ticks:
             self._add_ticks()
-        state = _pack_tick(*self._state, *[0.0] * (len(_TICK) - len(self._state)))
-        return replace(self._samples(state, max(0, self._done - 1)), mains=np.zeros(1))
+        state = self._plant.x1, self._plant.x2, self._plant.layer
+        last = _pack_tick(*state, *[0.0] * (len(_TICK) - len(state)))
+        return replace(self._samples(last, max(0, self._done - 1)), mains=np.zeros(1))
 
     def __getitem__(self, name: str) -> float:
         """Return the metric of that name."""

@@ -26,10 +26,10 @@ from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.model.initial_state import check_volumes, default_state
-from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.plant import Flows, Plant
-from greenroof_ros.model.sensor_and_pump import PARAMETERS, Pump, RoofSensor, SensorAndPump
+from greenroof_ros.model.plant import Flows
+from greenroof_ros.model.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.virtual_site import VirtualSite
 
 # How far the plant may be ahead of the ticks that the recorder has flushed (ticks).
 _AHEAD = 32
@@ -74,11 +74,9 @@ class PlantNode(SimulationNode):
         """Declare the parameters and open the topics."""
         super().__init__("plant", PLANT)
         site = self.declare_site()
-        self._site = site
         values = declare(self, parameters(site))
         volumes = {key: values[key] for key in ("initial_cistern_volume", "initial_roof_volume")}
         check_volumes(site, *volumes.values(), tuple(volumes))
-        self._plant = Plant(site, *volumes.values())
         self._run_length = values["run_length"]
         self._speed = values["speed"]
         self._external = values["pump"] == "external"
@@ -88,13 +86,11 @@ class PlantNode(SimulationNode):
         self._record = values["record"]
         self._limit = values["peer_limit"]
         self._start_limit = values["start_limit"]
-        self._sensor = RoofSensor(sensor_and_pump)
-        self._pump = Pump(sensor_and_pump, site.tau)
-        self._metrics = Metrics()
-        self._start_ns = epoch_ns(read_start(values["start"]))
-        self._tick_ns = round(site.tau * 1e9)
-        self._tick = 0
-        self._published = 0, *self._levels()  # the tick that was published last, and its levels
+        self._tau = site.tau
+        self._site = VirtualSite(
+            site, *volumes.values(), epoch_ns(read_start(values["start"])), sensor_and_pump
+        )
+        self._published = 0, *self._site.levels  # the tick that was published last, and its levels
         self._written = 0
         self._running = False
         self._paused = False  # the tick waits for the pace or the recorder
@@ -126,7 +122,7 @@ class PlantNode(SimulationNode):
 
     def _behind(self) -> bool:
         """Whether the recorder is as far behind as allowed."""
-        return self._record and self._tick >= self._written + _AHEAD
+        return self._record and self._site.tick >= self._written + _AHEAD
 
     def all_arrived(self) -> bool:
         """Whether all messages have arrived at their readers, and are flushed to the bag."""
@@ -136,26 +132,17 @@ class PlantNode(SimulationNode):
     def _pause(self) -> float:
         if not self._speed:
             return 0.0
-        wait = self._began + self._tick * self._site.tau / self._speed - time.monotonic()
+        wait = self._began + self._site.tick * self._tau / self._speed - time.monotonic()
         if wait < -_LATE_S:
             self._began -= wait  # a real pump's minimum times must not pass faster than real time
         return max(0.0, wait)
 
-    def _levels(self) -> tuple[float, float]:
-        """Return the readings of the level sensors of cistern and roof in the present tick (m)."""
-        cistern, roof = self._plant.levels()
-        return cistern, self._sensor.reading(self._tick, roof)
-
-    @property
-    def _time_ns(self) -> int:
-        """Simulated time of the present tick (ns since 1970)."""
-        return self._start_ns + self._tick * self._tick_ns
-
     def _publish_tick(self) -> None:
-        now = self._time_ns
+        site = self._site
+        now = site.time_ns
         self.publish(CLOCK, now)
-        self._published = self._tick, *self._levels()
-        _, cistern, roof = self._published
+        cistern, roof = site.levels
+        self._published = site.tick, cistern, roof
         self.publish("/cistern/level", cistern)
         self.publish("/roof/level", roof)
         self._paused = False
@@ -166,35 +153,30 @@ class PlantNode(SimulationNode):
         """Step the plant: all inputs of this tick have arrived."""
         if not self._running or self._paused:
             raise OccupiedError(
-                f"answers to tick {self._tick} arrived before it was published: nodes of an "
+                f"answers to tick {self._site.tick} arrived before it was published: nodes of an "
                 "earlier run are still in this graph; end them"
             )
-        if self._tick == 0:
+        site = self._site
+        if site.tick == 0:
             self._began = time.monotonic()  # before, the other nodes were still joining
-        rain = self._rain.value
-        command = self._command.value
-        if self._external:
-            pump = self._flow.value
-        else:
-            frost = self._frost is not None and not (self._frost.good and self._frost.value == 0)
-            quiet = self._site.quiet is not None and self._site.quiet.quiet_at(self._time_ns)
-            pump = self._pump.flow(self._plant, command, frost or quiet)
-        flows = self._plant.flows(rain, self._evapotranspiration.value, pump)
-        plant = self._plant
-        self._metrics.observe(self._site, plant.x1, plant.x2, plant.layer)
-        if self._tick == self._run_length:
+        frost = 0.0
+        if self._frost is not None:
+            frost = self._frost.value if self._frost.good else math.nan
+        flows = site.act(
+            self._rain.value, self._evapotranspiration.value, frost, self._command.value,
+            self._flow.value if self._external else None,
+        )
+        if site.tick == self._run_length:
             self._publish_flows(flows)
             self._wall_s = time.monotonic() - self._began
             self.finish()
-            deviation = self._metrics["total_deviation_m3"]
+            deviation = site.metrics["total_deviation_m3"]
             self.get_logger().info(
                 f"finished {self._run_length} ticks in {self._wall_s:.1f} s; total deviation "
                 f"{deviation:.2f} m3"
             )
             return
-        self._metrics.step(command, rain, self._evapotranspiration.value, flows)
-        self._plant.step(rain, flows)
-        self._tick += 1
+        site.step()
         # Publish the next tick first, if allowed: the other nodes begin it while this node still
         # publishes the flows of the last tick. The order within each topic does not change.
         if not self._behind() and not self._pause():
@@ -249,12 +231,12 @@ class PlantNode(SimulationNode):
             if not self._paused:
                 awaited = [name for name in self.inputs if name in self.lockstep.awaited]
                 missing = self.peers.describe_silent(awaited, self.interface.values())
-            raise LockstepError(f"tick {self._tick}: no message within {limit:g} s on {missing}")
+            raise LockstepError(f"tick {self._site.tick}: no message within {limit:g} s on {missing}")
 
     def limit(self) -> float:
         """Return the longest wait for another node at present (s of wall time)."""
         # Nodes that have not answered yet may still be joining: seconds on a busy machine.
-        answered = self._tick and (self._written or not self._paused)
+        answered = self._site.tick and (self._written or not self._paused)
         return self._limit if answered else max(self._limit, self._start_limit)
 
     def progress(self) -> dict[str, Any]:
@@ -274,7 +256,8 @@ class PlantNode(SimulationNode):
     def summary(self) -> dict[str, Any]:
         """Return the metrics of the run and its weeks, and its duration (s of wall time)."""
         return {
-            "metrics": self._metrics.results(), "weeks": self._metrics.weekly_deviations(),
+            "metrics": self._site.metrics.results(),
+            "weeks": self._site.metrics.weekly_deviations(),
             "wall_s": self._wall_s,
         }
 

@@ -13,10 +13,9 @@ from paper import SLOW, weather_of
 
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.closed_loop import Tick, closed_loop
+from greenroof_ros.experiment.closed_loop import Simulation, Tick
 from greenroof_ros.experiment.run import Run, build_run
 from greenroof_ros.forecast.choice import ForecastChoice
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.site import Site
 
 # The pump may run only from 17:00 to 19:00, as where people use the roof by day.
@@ -49,7 +48,7 @@ def run_of(controller: str, rain: dict[int, float], site: Site = EVENING, **chan
 def ticks_of(run: Run, site: Site | None = None) -> list[Tick]:
     """Run it; a given site is the one that the controller is made for."""
     controller = run.controller.make(site or run.site, run.parameters)
-    return list(closed_loop(run, controller, Metrics()))
+    return list(Simulation(run, controller).ticks())
 
 
 def deviation(ticks: list[Tick]) -> float:
@@ -101,7 +100,7 @@ def test_its_plans_pump_nothing_in_quiet_hours() -> None:
     controller = run.make_controller()
     assert isinstance(controller, Lookahead)
     planned, flows = set(), []
-    for tick in closed_loop(run, controller, Metrics()):
+    for tick in Simulation(run, controller).ticks():
         if not len(controller.plan):
             continue
         planned.add(tick.k)

@@ -17,8 +17,7 @@ from scipy.optimize import lsq_linear, nnls
 
 from greenroof_ros.controllers import mpc as module
 from greenroof_ros.controllers.mpc import Mpc
-from greenroof_ros.experiment.closed_loop import closed_loop
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.model.site import Site
 
 # Weights, each with its run: one until the commands have been 0 for a while, one in a storm.
@@ -38,7 +37,7 @@ def walk(weight: float, *options: str, max_command: float = math.inf) -> tuple[A
     run = paper_run(*options)
     controller = Mpc(run.site, weight, max_command)
     x, w, u, cost = [], [], [], []
-    for tick in closed_loop(run, controller, Metrics()):
+    for tick in Simulation(run, controller).ticks():
         x.append((tick.x1, tick.x2))
         rain = run.forecast.precipitation(tick.k)
         w.append(np.transpose((rain, run.forecast.evapotranspiration(tick.k))))

@@ -14,9 +14,8 @@ from places import CONFIG
 
 from greenroof_ros.controllers.anticipating_onoff import AnticipatingOnOff
 from greenroof_ros.controllers.roof_observer import RoofObserver
-from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.model.look_ahead import growing_steps
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import maximum_pump_flow
 
 STEPS = len(growing_steps(12)) - 1
@@ -30,7 +29,7 @@ def test_estimate_is_the_truth_where_model_and_sensor_are_exact(options: tuple[s
         "--controller", "onoff", "--start", "2021-07-08T05:00", "--hours", "2", *options
     )
     estimate = RoofObserver(run.site, 300.0)
-    for tick in closed_loop(run, run.make_controller(), Metrics()):
+    for tick in Simulation(run).ticks():
         x2 = estimate.correct(tick.roof_level)
         assert x2 == pytest.approx(tick.x2, abs=1e-9)
         estimate.predict(x2, tick.precipitation, tick.evapotranspiration, tick.flows.pump)

@@ -8,11 +8,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from paper import (
     PAPER_SITE,
+    SLOW,
     exact_flows,
     measured_sites,
     metrics_of,
@@ -25,15 +27,17 @@ from paper import (
 from greenroof_ros.commands import bound as module
 from greenroof_ros.commands.bound import main
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
-from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.experiment.plan import recursion_plan
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site
 
 Hours = Sequence[tuple[float, float, bool]]
 """Rain (mm/h), evapotranspiration (mm/day) and whether there is frost, hour by hour."""
 
 DRY_HOUR = [(0.0, 0.0, False)]
+# Quiet hours; a run of hours begins at 01:00 by Toronto's clock.
+TORONTO, ALWAYS = "America/Toronto", ("00:00-23:59",)
 
 
 class Commands:
@@ -103,27 +107,28 @@ def test_no_run_is_below(
 @settings(max_examples=12)
 @given(
     site=st.just(PAPER_SITE) | measured_sites(), hours=HOURS, cistern=st.floats(0, 5),
-    roof=st.floats(0, 1.5),
+    roof=st.floats(0, 1.5), frost=st.booleans(),
 )
-@example(PAPER_SITE, DROUGHT, 3.0, 0.002)
-def test_in_frost_the_bound_is_the_run(
-    site: Site, hours: Hours, cistern: float, roof: float
+@example(PAPER_SITE, DROUGHT, 3.0, 0.002, True)
+@example(PAPER_SITE, DROUGHT, 3.0, 0.002, False)
+def test_without_pumping_the_bound_is_the_run(
+    site: Site, hours: Hours, cistern: float, roof: float, frost: bool
 ) -> None:
-    """In frost only one run is possible: the roof dries out, drains and fills without pumping.
+    """In frost or quiet hours one run is possible: the roof dries, drains and fills by itself.
 
     Only within a rounding of the drainage limit, Eq. (4), does the bound leave open which side
     it is on.
     """
-    site = replace(site, tau=30.0)
-    frozen = [(rain, evapotranspiration, True) for rain, evapotranspiration, _ in hours]
-    run = run_of_hours(frozen, cistern * site.a1, roof * site.z_cap, site)
+    site = replace(site, tau=30.0, quiet_hours=None if frost else ALWAYS, time_zone=TORONTO)
+    still = [(rain, evapotranspiration, frost) for rain, evapotranspiration, _ in hours]
+    run = run_of_hours(still, cistern * site.a1, roof * site.z_cap, site)
     bound = clairvoyant_bound(run, block=1)
-    metrics = Metrics()
-    roofs = [tick.x2 for tick in closed_loop(run, Commands([1.0]), metrics)]
+    simulation = Simulation(run, Commands([1.0]))
+    roofs = [tick.x2 for tick in simulation.ticks()]
     if site.field_capacity is None:
         assume(min(abs(x2 / site.z_cap - 1) for x2 in roofs) > 1e-8)
-    only = metrics["total_deviation_m3"]
-    assert bound.plan_m3 == only
+    only = simulation.metrics["total_deviation_m3"]
+    assert bound.plan_m3 == recursion_plan(run).total_m3 == only
     assert bound.bound_m3 == pytest.approx(only, rel=1e-6, abs=1e-6 * site.x2_star)
     assert bound.pumped_m3 == 0
 
@@ -180,6 +185,34 @@ def test_five_ticks_without_weather(x1: float, max_command: float, expected: flo
     assert bound.bound_m3 * (1 - 1e-6) <= bound.plan_m3 < bound.bound_m3 * (1 + 1e-3)
 
 
+@pytest.mark.parametrize(
+    ("quiet", "min_off", "x2", "pumped"),
+    [
+        # The night ends at 01:01, after three ticks: 3.5 four times, then 2.5, 1.5, 0.5, 0 and 0.
+        ("23:00-01:01", 0.0, 3.5, 18.5),
+        # Three ticks of pumping, a minute's pause: 10.5, 9.5, 8.5, four times 7.5, 6.5 and 5.5.
+        ("01:01-01:02", 0.0, 10.5, 70.5),
+        # The pumps then stay off for four ticks in all, although the pause is over after three.
+        ("01:01-01:02", 80.0, 10.5, 72.5),
+    ],
+)
+def test_eight_ticks_with_quiet_hours(
+    quiet: str, min_off: float, x2: float, pumped: float
+) -> None:
+    """From 01:00 on by Toronto's clock, in ticks of 20 s, in units of a tick's full flow.
+
+    The bound leaves minimum times out; both plans keep them.
+    """
+    site = replace(SLOW, tau=20.0, quiet_hours=(quiet,), time_zone=TORONTO)
+    run = run_of_hours(DRY_HOUR, 75.0, site.x2_star - x2 * 2 * FULL, site, steps=8)
+    run = replace(run, sensor_and_pump=SensorAndPump(pump_min_off=min_off, roof_offset=0.1))
+    bound, recursion = clairvoyant_bound(run, block=1), recursion_plan(run)
+    expected = 70.5 if min_off else pumped
+    assert bound.bound_m3 == pytest.approx(expected * 2 * FULL, rel=1e-6)
+    for total in (bound.plan_m3, recursion.total_m3):
+        assert pumped * 2 * FULL * (1 - 1e-6) <= total < pumped * 2 * FULL * (1 + 1e-3)
+
+
 def test_before_frost_the_roof_is_filled_above_the_target() -> None:
     """Pumping stops at z_veg, but the last tick before it can take the roof above it."""
     hours = [(0.0, 10.0, False)] * 2 + [(0.0, 10.0, True)] * 24
@@ -219,3 +252,22 @@ def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     totals = [f"{result[name]:.2f}" for name in ("bound_m3", "plan_m3", "recursion_m3")]
     for words in (*totals, f"{100 * result['gap']:.4f} %", "HiGHS", "published"):
         assert words in shown
+
+
+def test_quiet_hours_that_cover_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only one total can be reached in the paper's first two hours, computed from its weather.
+
+    2.775 and 3.448 mm/day evaporate, and 0.2 mm of rain fall in the second hour.
+    """
+    file = site_file(tmp_path)
+    file.write_text(f"{file.read_text()}quiet_hours: ['02:00-06:00']\ntime_zone: {TORONTO}\n")
+    assert call(monkeypatch, "--hours", "2", "--site", str(file), "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    rates = np.array([-2.77537901 / 24, 0.2 - 3.44779366 / 24]) * 68.8 / 1000 / 3600
+    changes = np.concatenate(([0.0], np.cumsum(np.repeat(rates, 3600))))
+    only = float(np.abs(68.8 * 0.0457 * (1 / 1.3 - 1) + changes).sum())
+    assert only == pytest.approx(5260.9, abs=0.05)
+    for name in ("bound_m3", "plan_m3", "recursion_m3"):
+        assert result[name] == pytest.approx(only, rel=1e-6), name

@@ -17,10 +17,9 @@ from places import CHECKOUT, CONFIG
 from greenroof_ros.bringup import simulated
 from greenroof_ros.commands import simulate
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.experiment.closed_loop import closed_loop
+from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.experiment.options import run_from_arguments
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.place import kilometres, place_text
 
 BERLIN = (52.52, 13.41)
@@ -157,10 +156,10 @@ def examples() -> list[str]:
 
 
 def pumped(run: Run) -> float:
-    metrics = Metrics()
-    for _ in closed_loop(run, run.make_controller(), metrics):
+    simulation = Simulation(run)
+    for _ in simulation.ticks():
         pass
-    return metrics.results()["pumped_m3"]
+    return simulation.metrics["pumped_m3"]
 
 
 @pytest.mark.parametrize("line", examples())

@@ -8,8 +8,7 @@ from paper import paper_run
 from rich.console import Console
 
 from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.closed_loop import closed_loop, record
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.experiment.closed_loop import Simulation
 
 
 def test_no_raw_data() -> None:
@@ -18,8 +17,10 @@ def test_no_raw_data() -> None:
         "--hours", "0.1", "--forecast", "ensemble", "--roof-noise", "0.001", "--pump-min-on", "60",
         "--weight", "0.01",
     )
-    metrics = Metrics()
-    record(run, closed_loop(run, run.make_controller(), metrics))
+    simulation = Simulation(run)
+    for _ in simulation.ticks():
+        pass
+    metrics = simulation.metrics
     result = summary.build(
         run, metrics.results(), metrics.weekly_deviations(), wall_s=1.0,
         solver={"mean_s": 1e-5, "p99_s": 1e-5, "max_s": 1e-5, "solves": 9, "fallbacks": 1},

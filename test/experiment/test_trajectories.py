@@ -13,8 +13,7 @@ from studies import edited
 
 from greenroof_ros.analysis.study.case_run import run_case, write_inputs
 from greenroof_ros.analysis.study.grid import contents, read_grid
-from greenroof_ros.experiment.closed_loop import closed_loop, record
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.recording.trajectory import read_trajectory
 
 COLUMNS = ("time", "cistern", "roof", "precipitation", "command", "pump_flow", "frost")
@@ -24,8 +23,8 @@ def test_every_so_many_ticks_and_the_last() -> None:
     """Of 1,000 ticks each 300th is kept, and the last."""
     run = paper_run("--controller", "onoff", "--hours", "0.2777777777777778")
     assert run.steps == 1000
-    every_tick = record(run, closed_loop(run, run.make_controller(), Metrics()))
-    thinned = record(run, closed_loop(run, run.make_controller(), Metrics()), 300)
+    every_tick = record(run, Simulation(run).ticks())
+    thinned = record(run, Simulation(run).ticks(), 300)
     assert every_tick.time.tolist() == list(range(1001))
     assert thinned.time.tolist() == [0, 300, 600, 900, 1000]
     for name in COLUMNS:
@@ -43,7 +42,7 @@ def test_csv(tmp_path: Path) -> None:
     rows = list(csv.DictReader((tmp_path / "run.csv").open()))
     assert [float(row["time_s"]) for row in rows] == [0, 60, 120, 180, 198]
     run = paper_run("--controller", "onoff", "--hours", "0.055")
-    roof = record(run, closed_loop(run, run.make_controller(), Metrics())).roof
+    roof = record(run, Simulation(run).ticks()).roof
     assert [float(row["roof_m3"]) for row in rows] == roof[[0, 60, 120, 180, 198]].tolist()
 
 

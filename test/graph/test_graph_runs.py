@@ -24,8 +24,7 @@ from paper import paper_run, site_file
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.controllers.lookahead import Lookahead
-from greenroof_ros.experiment.closed_loop import closed_loop
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.experiment.closed_loop import Simulation
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
@@ -191,7 +190,7 @@ def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None
     topic = read_topics()["/controller/plan"]
     encode = encoder(topic.type, topic.dimensions)
     plans = [(encode(controller.plan), len(controller.plan))
-             for _ in closed_loop(run, controller, Metrics())]
+             for _ in Simulation(run, controller).ticks()]
     assert messages_of(tmp_path / "run")[topic.name] == [plan for plan, _ in plans]
     rows = [number for _, number in plans]
     assert rows[:120] == [1] * 120  # a row of NaN in frost

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, SLOW, exact_flows, measured_sites, run_of_hours, sites
 from places import CONFIG
 
-from greenroof_ros.experiment.closed_loop import closed_loop
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, read_site
 
@@ -102,8 +101,8 @@ def test_any_run_balances(
     hours: list[tuple[float, float, bool]], x1: float, x2: float, v: float, site: Site
 ) -> None:
     """Random hours, from drought to the worst plausible rain, in ticks of 10 s."""
-    run, metrics = run_of_hours(hours, x1, x2, site, fraction=v), Metrics()
-    ticks = list(closed_loop(run, run.make_controller(), metrics))
+    simulation = Simulation(run_of_hours(hours, x1, x2, site, fraction=v))
+    ticks, metrics = list(simulation.ticks()), simulation.metrics
     rain = site.tau * sum(tick.precipitation for tick in ticks[:-1])
     collected = rain * site.a_in * site.runoff_coefficient
     gain_1 = collected - metrics["outflow_m3"] - metrics["pumped_m3"]

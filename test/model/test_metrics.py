@@ -10,7 +10,7 @@ from paper import PAPER_SITE, site_with
 
 from greenroof_ros.model import metrics as metrics_module
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.plant import Flows
+from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
@@ -39,11 +39,11 @@ STILL = Flows(0.0, 0.0, 0.0, 0.0, False)
 
 def metrics_of(site: Site, ticks: Ticks) -> Metrics:
     """Return the metrics of ticks; the last tick is the end of the run."""
-    metrics = Metrics()
-    for x1, x2, command, rain, flows in ticks[:-1]:
-        metrics.observe(site, x1, x2)
+    plant = Plant(site, 0.0, 0.0)
+    metrics = Metrics(site, plant)
+    for plant.x1, plant.x2, command, rain, flows in ticks[:-1]:
         metrics.step(command, rain, rain + flows.evapotranspiration, flows)
-    metrics.observe(site, *ticks[-1][:2])
+    plant.x1, plant.x2 = ticks[-1][:2]
     return metrics
 
 
@@ -91,9 +91,8 @@ def test_sums_by_hand() -> None:
 def test_an_hour_holds_its_first_start_no_more(gap: int, busiest: int) -> None:
     """Twenty starts 180 s apart fill it; the next comes as the first leaves. Ticks of 0.1 s."""
     site = site_with(tau=0.1)
-    metrics = Metrics()
+    metrics = Metrics(site, Plant(site, 75.0, 1.0))
     for tick in range(30 * gap):
-        metrics.observe(site, 75.0, 1.0)
         metrics.step(1.0, 0.0, 0.0, Flows(0.0, 0.004 * (tick % gap == 0), 0.0, 0.0, False))
     assert metrics["pump_starts"] == 30
     assert metrics["busiest_hour_starts"] == busiest
@@ -153,11 +152,11 @@ def test_an_owners_metrics_by_hand() -> None:
     The mean of 0.1, 0.3, 3.14416, 3.14416 and 0.2 m3 is 1.377664 m3, 20.0242 mm on 68.8 m2.
     """
     site, target = site_with(tau=2.0), PAPER_SITE.x2_star
-    metrics = Metrics()
-    for x2, actual in ((target + 0.1, 4e-6), (target - 0.3, 2e-6), (0.0, 1e-6), (0.0, 0.0)):
-        metrics.observe(site, 50.0, x2)
+    plant = Plant(site, 50.0, target + 0.1)
+    metrics = Metrics(site, plant)
+    for after, actual in ((target - 0.3, 4e-6), (0.0, 2e-6), (0.0, 1e-6), (target + 0.2, 0.0)):
         metrics.step(0.0, 0.0, 4e-6, STILL._replace(evapotranspiration=actual))
-    metrics.observe(site, 50.0, target + 0.2)
+        plant.x2 = after
     results = metrics.results()
     assert results["mean_deviation_mm"] == pytest.approx(1377.664 / 68.8, rel=1e-12)
     assert results["stress_hours"] == pytest.approx(4 / 3600, rel=1e-12)

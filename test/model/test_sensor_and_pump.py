@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from paper import PAPER_SITE, paper_run
 
-from greenroof_ros.experiment.closed_loop import closed_loop
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.sensor_and_pump import Pump, RoofSensor, SensorAndPump
 
@@ -129,8 +128,8 @@ def test_frost_switches_off_at_once() -> None:
 def test_the_controller_sees_the_reading_and_the_sums_the_truth() -> None:
     """If the sensor reads 4 mm too high, on/off stops 4 mm too early, 0.2752 m3."""
     run = paper_run("--controller", "onoff", "--hours", "0.2", "--roof-offset", "0.004")
-    site, metrics = run.site, Metrics()
-    ticks = list(closed_loop(run, run.make_controller(), metrics))
+    site, simulation = run.site, Simulation(run)
+    ticks, metrics = list(simulation.ticks()), simulation.metrics
     highest = max(tick.x2 for tick in ticks)
     assert site.x2_star - highest == pytest.approx(0.2752, abs=0.009)
     assert ticks[5].roof_level == ticks[5].x2 / site.a2 + 0.004

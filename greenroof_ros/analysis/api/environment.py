@@ -14,10 +14,9 @@ from greenroof_ros.analysis.api.arguments import make_run
 from greenroof_ros.analysis.api.control import ForecastSteps, FunctionController, SiteState
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import choice_of
-from greenroof_ros.experiment.closed_loop import Tick, open_loop
+from greenroof_ros.experiment.closed_loop import Simulation, Tick
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.metrics import Metrics
 
 
 class Environment:
@@ -83,10 +82,8 @@ class Environment:
             self._run = replace(run, forecast_choice=choice, forecast=make_forecast(
                 run.weather, run.series, self.site, run.start, run.parameters["horizon"], choice
             ))
-        self._metrics = Metrics()
-        self._loop = open_loop(self._run, self._metrics)
-        self.done = False
-        self._next()
+        self._simulation = Simulation(self._run)
+        self._observe()
         return self.state
 
     def step(self, command: float) -> Tick:
@@ -114,16 +111,16 @@ class Environment:
             raise ConfigurationError(
                 "must be a finite number, not negative", key="command", value=command
             )
-        tick: Tick = self._loop.send(share)
-        self._next()
+        tick = self._simulation.advance(share)
+        self._observe()
         return tick
 
-    def _next(self) -> None:
-        """See what the next tick begins with; the last one has only this."""
-        self._k, cistern, roof = next(self._loop)
-        time = self._run.start + timedelta(seconds=self._k * self.site.tau)
-        self.state = SiteState(time, cistern, roof, self.site)
-        self.done = self._k == self._run.steps
+    def _observe(self) -> None:
+        """Set what the present tick begins with; the last one has only this."""
+        site = self._simulation.site
+        time = self._run.start + timedelta(seconds=site.tick * self.site.tau)
+        self.state = SiteState(time, *site.levels, self.site)
+        self.done = site.tick == self._run.steps
 
     @property
     def forecast(self) -> ForecastSteps:
@@ -136,10 +133,10 @@ class Environment:
             >>> print(f"{1000 * forecast.rain @ lengths:.1f} mm of rain in 3 h")
             3.2 mm of rain in 3 h
         """
-        forecast = self._run.forecast
+        forecast, tick = self._run.forecast, self._simulation.site.tick
         return ForecastSteps(
-            np.asarray(forecast.precipitation(self._k)),
-            np.asarray(forecast.evapotranspiration(self._k)), self._ends,
+            np.asarray(forecast.precipitation(tick)),
+            np.asarray(forecast.evapotranspiration(tick)), self._ends,
         )
 
     @property
@@ -153,4 +150,4 @@ class Environment:
             >>> roof.metrics["pump_starts"]
             1
         """
-        return self._metrics.results()
+        return self._simulation.metrics.results()

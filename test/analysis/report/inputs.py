@@ -28,9 +28,8 @@ from greenroof_ros.analysis.report.groups import Assumptions, Report
 from greenroof_ros.analysis.report.page import render
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.experiment import summary
-from greenroof_ros.experiment.closed_loop import closed_loop, record
+from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.recording.trajectory import Trajectory
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
@@ -69,13 +68,13 @@ def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> 
     run = paper_run(
         "--controller", controller, f"--{key}", option, "--initial", initial, "--hours", hours
     )
-    metrics = Metrics()
-    trajectory = record(run, closed_loop(run, run.make_controller(), metrics))
+    simulation = Simulation(run)
+    trajectory = record(run, simulation.ticks())
     return Simulated(trajectory, {
         "site": "site.yaml", "weather": "toronto_2021-07.csv", "start": run.start.isoformat(),
         "hours": hours, "evapotranspiration": "published", "forecast": "perfect",
         "controller": controller, "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2,
-        f"parameter:{key}": option, "status": "done", "error": "", **metrics.results(),
+        f"parameter:{key}": option, "status": "done", "error": "", **simulation.metrics.results(),
         "frost_hours": 0.0,
     }, run)
 

@@ -10,8 +10,7 @@ from inputs import trajectory_of
 from paper import PAPER_SITE, paper_run, site_file
 
 from greenroof_ros.analysis.report.bags import row_of
-from greenroof_ros.experiment.closed_loop import closed_loop, record
-from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.experiment.closed_loop import Simulation, record
 
 TARGET = 68.8 * 0.0457
 
@@ -39,9 +38,9 @@ def test_samples_of_a_real_site() -> None:
 def check_tally(*options: str) -> dict[str, float]:
     """Check a run of on/off against its own tally, and return the tally."""
     run = paper_run("--controller", "onoff", *options)
-    metrics = Metrics()
-    row = row_of({}, run.site, record(run, closed_loop(run, run.make_controller(), metrics)))
-    results = metrics.results()
+    simulation = Simulation(run)
+    row = row_of({}, run.site, record(run, simulation.ticks()))
+    results = simulation.metrics.results()
     if results["limited_steps"]:
         # The losses of a limited roof are derived differently from the trajectory.
         for name in ("evapotranspiration_m3", "evapotranspiration_ratio"):

@@ -1,0 +1,85 @@
+"""A site that is simulated tick by tick: the only place where a tick happens.
+
+The run in one process, the plans of the bound and the plant node of the graph all advance a
+:class:`VirtualSite`. In each tick a controller reads its levels and decides, the site acts on the
+command, and it steps to the next tick.
+"""
+
+from __future__ import annotations
+
+from greenroof_ros.model.metrics import Metrics
+from greenroof_ros.model.plant import Flows, Plant
+from greenroof_ros.model.sensor_and_pump import Pump, RoofSensor, SensorAndPump
+from greenroof_ros.model.site import Site
+
+
+class VirtualSite:
+    """Cistern and roof with their level sensors, the pumps, and the metrics of the run.
+
+    Attributes:
+        plant: the true state of cistern and roof.
+        metrics: of the ticks so far, if the run ends in the present one.
+        tick: number of the present tick.
+        levels: what the sensors of cistern and roof read in it (m).
+        quiet: whether it is in the site's quiet hours.
+    """
+
+    def __init__(
+        self, site: Site, x1: float, x2: float, start_ns: int, sensor_and_pump: SensorAndPump
+    ) -> None:
+        """Begin with tick 0.
+
+        Args:
+            site: its parameters.
+            x1: initial volume in the cistern (m3).
+            x2: initial volume on the roof (m3).
+            start_ns: time of tick 0 (ns since 1970).
+            sensor_and_pump: how level sensor and pumps differ from the paper's.
+        """
+        self.plant = Plant(site, x1, x2)
+        self.metrics = Metrics(site, self.plant)
+        self.tick = 0
+        self._start_ns, self._tick_ns = start_ns, round(site.tau * 1e9)
+        self._sensor = RoofSensor(sensor_and_pump)
+        self._pump = Pump(sensor_and_pump, site.tau)
+        self._quiet_hours = site.quiet
+        self.quiet = False
+        self._observe()
+
+    @property
+    def time_ns(self) -> int:
+        """The time of the present tick (ns since 1970)."""
+        return self._start_ns + self.tick * self._tick_ns
+
+    def act(
+        self, precipitation: float, evapotranspiration: float, frost: float, command: float,
+        pumped: float | None = None,
+    ) -> Flows:
+        """Return what moves in the present tick; call it once in each.
+
+        Args:
+            precipitation: rain (m/s).
+            evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
+            frost: 0 if there is none; anything else, also NaN, stops the pumps.
+            command: to the pumps (share of the maximum flow).
+            pumped: flow (m3/s) of pumps that another program drives; None for the site's own.
+        """
+        if pumped is None:
+            pumped = self._pump.flow(self.plant, command, frost != 0 or self.quiet)
+        flows = self.plant.flows(precipitation, evapotranspiration, pumped)
+        self._acted = command, precipitation, evapotranspiration, flows
+        return flows
+
+    def step(self) -> None:
+        """Move on to the next tick, after :meth:`act`."""
+        command, precipitation, evapotranspiration, flows = self._acted
+        self.metrics.step(command, precipitation, evapotranspiration, flows)
+        self.plant.step(precipitation, flows)
+        self.tick += 1
+        self._observe()
+
+    def _observe(self) -> None:
+        cistern, roof = self.plant.levels()
+        self.levels = cistern, self._sensor.reading(self.tick, roof)
+        if self._quiet_hours is not None:
+            self.quiet = self._quiet_hours.quiet_at(self.time_ns)
