@@ -36,8 +36,6 @@ BUILT_IN = {
     "anticipating_onoff": f"{_HERE}.anticipating_onoff:AnticipatingOnOff",
     "lookahead": f"{_HERE}.lookahead:Lookahead",
 }
-# Names of removed controllers.
-_REPLACED_BY_LOOKAHEAD = ("planning_mpc", "scenario_mpc")
 # The controller that runs unless a user chooses another.
 DEFAULT = "mpc"
 FOR_A_SITE = "lookahead"
@@ -249,8 +247,6 @@ def find_controller(reference: str) -> ControllerChoice:
         path = BUILT_IN.get(reference) or _of_other_packages().get(reference)
         if path is None:
             expected = must_be_one_of(controller_names(), reference, ", or package.module:Class")
-            if reference in _REPLACED_BY_LOOKAHEAD:
-                expected = "was replaced by lookahead"
             raise ConfigurationError(expected, key="controller", value=reference)
         return ControllerChoice(reference, reference, path)
     if not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):

@@ -95,8 +95,7 @@ def _finite(value: float) -> float | None:
 
 
 def controller_help(
-    controller: str | None, *, module: str, purpose: str | None, common: list[Parameter],
-    help_of: Callable[..., str] = node_help,
+    controller: str | None, *, module: str, purpose: str | None, common: list[Parameter]
 ) -> str:
     """Return the help of a controller's node.
 
@@ -105,14 +104,12 @@ def controller_help(
         module: the node's module in this package.
         purpose: what the node does.
         common: the node's own parameters, without the controller's.
-        help_of: returns the help of a node of its kind; see :func:`node_help`.
     """
     choice = None if controller is None else find_controller(controller)
     name, declared = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
     start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
-    return help_of(
-        f"{module} --controller {name}", "controller",
+    return node_help(
+        f"{module} --controller {name}",
         f"{purpose}\nRegistered controllers: {', '.join(controller_names())}.",
         lambda _: [*common, *declared], f"--ros-args {start}",
-        () if choice is None else choice.outputs,
     )

@@ -7,7 +7,7 @@ import math
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NoReturn
 
@@ -21,7 +21,6 @@ from greenroof_ros.common.command_line import (
     exit_code,
 )
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.graph.graph_node import GraphNode
@@ -84,61 +83,29 @@ def node_command(
 
 
 def node_help(
-    module: str,
-    role: str | Collection[str],
-    purpose: str | None,
-    parameters: Callable[[Site], Iterable[Parameter]],
+    module: str, purpose: str | None, parameters: Callable[[Site], Iterable[Parameter]],
     example: str,
-    outputs: Collection[str] = (),
-    interface: Callable[[], Mapping[str, Topic]] = read_topics,
 ) -> str:
     """Return the text of a node's ``--help``.
 
     Args:
         module: its module in this package, and the arguments that it requires.
-        role: its role in the interface, or the roles of all nodes of the process.
         purpose: what it does; a module docstring.
         parameters: returns all parameters that it declares for a site.
         example: the arguments in the example.
-        outputs: the optional topics that it publishes.
-        interface: returns every topic of its graph, by name.
     """
     start = f"python -m greenroof_ros.{module}"
-    topics = interface()
-    own = {role} if isinstance(role, str) else set(role)
-    sections = {
-        "parameters, after --ros-args as -p NAME:=VALUE or by --params-file FILE": [
-            (parameter.name, _about(parameter), parameter.description)
-            for parameter in parameters(default_site())
-        ],
-        **{
-            heading: [
-                (topic.name, f"{topic.type}{topic.unit and ', unit '}{topic.unit}", topic.meaning)
-                for topic in topics.values() if own & {*roles(topic)}
-                and (heading != "publishes" or not topic.optional or topic.name in outputs)
-            ]
-            for heading, roles in {
-                "publishes": lambda topic: topic.publishers,
-                "subscribes to": lambda topic: topic.subscribers,
-            }.items()
-        },
-    }
-    return "\n".join([
+    lines = [
         f"usage: {start} [--help] [--ros-args ...]\n",
         f"{purpose}".strip().replace("``", "`"),
-        *(line for heading in sections for line in _section(heading, sections[heading])),
-        f"\nexample:\n  {start} {example}",
-    ])
-
-
-def _section(heading: str, entries: list[tuple[str, str, str]]) -> Iterator[str]:
-    if entries:
-        yield f"\n{heading}:"
-    for name, about, meaning in entries:
-        yield f"  {name} ({about})"
-        yield textwrap.fill(
-            meaning, 96, initial_indent=" " * 6, subsequent_indent=" " * 6, break_on_hyphens=False
-        )
+        "\nparameters, after --ros-args as -p NAME:=VALUE or by --params-file FILE:",
+    ]
+    for parameter in parameters(default_site()):
+        lines += (f"  {parameter.name} ({_about(parameter)})", textwrap.fill(
+            parameter.description, 96, initial_indent=" " * 6, subsequent_indent=" " * 6,
+            break_on_hyphens=False,
+        ))
+    return "\n".join([*lines, f"\nexample:\n  {start} {example}"])
 
 
 def _about(parameter: Parameter) -> str:

@@ -50,16 +50,15 @@ class Peers:
             f"{self.name_of(role)}" for role, names in missing.items()
         )
 
-    def describe_silent(self, names: Collection[str], interface: Iterable[Topic]) -> str:
-        """Return a text that names the awaited topics of the nodes on which the others wait.
+    def describe_silent(self, names: Collection[str]) -> str:
+        """Return a text that names the topics, and the node, for which the node really waits.
 
         Args:
-            names: the awaited topics.
-            interface: every topic of the graph.
+            names: the awaited topics, in the order of the node's inputs: weather, controller, pump.
+                Each of these waits for those before it.
         """
-        silent = self._by_role(names)
-        causes = root_causes(silent, interface)
-        return self.describe({role: silent[role] for role in silent if role in causes})
+        role, topics = next(iter(self._by_role(names).items()))
+        return self.describe({role: topics})
 
     def name_of(self, role: str) -> str:
         """Return the name of the node of a role: its node name if it publishes an input here."""
@@ -117,20 +116,3 @@ def by_role(
         role = next((role for role in candidates if role not in present), candidates[-1])
         roles.setdefault(role, []).append(name)
     return roles
-
-
-def root_causes(roles: Collection[str], topics: Iterable[Topic]) -> set[str]:
-    """Return the silent roles that do not wait for another silent role; if there are none, all.
-
-    Args:
-        roles: the roles from which nothing comes.
-        topics: the interface's topics, which determine which role waits for which.
-    """
-    waiting = {
-        role
-        for topic in topics
-        for role in roles
-        if topic.per_tick and role in topic.subscribers
-        and any(publisher in roles and publisher != role for publisher in topic.publishers)
-    }
-    return set(roles) - waiting or set(roles)

@@ -38,7 +38,7 @@ from greenroof_ros.graph.controller_parameters import ControllerParameters, cont
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
-from greenroof_ros.live.node import LiveNode, live_command, live_help
+from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.model.plant import pump_flow
 
 # The inputs; without the forecasts, the flow or the gauge it still commands.
@@ -326,8 +326,7 @@ class LiveControllerNode(LiveNode):
 
 
 _help = partial(
-    controller_help, module="live.controller", purpose=__doc__, common=parameters(None),
-    help_of=live_help,
+    controller_help, module="live.controller", purpose=__doc__, common=parameters(None)
 )
 main = live_command(LiveControllerNode, _help, "--controller")
 

@@ -17,7 +17,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import read_live_topics
 from greenroof_ros.common.states import READY
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.graph.executable import node_command, node_help
+from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
 from greenroof_ros.graph.peers import by_role
@@ -201,4 +201,3 @@ def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:
 
 
 live_command = partial(node_command, spin=spin)
-live_help = partial(node_help, interface=read_live_topics)

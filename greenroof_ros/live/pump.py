@@ -35,13 +35,14 @@ from greenroof_ros.common.files import state_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.states import DriveState, PumpState
 from greenroof_ros.common.times import boot_time, suspended_time
+from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S, find_drive_file
 from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
 from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange
 from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
-from greenroof_ros.live.node import LiveNode, live_command, live_help
+from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.pump_reports import PumpReports, second_publisher
 from greenroof_ros.live.pumping.ledger import MOST, Ledger
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
@@ -498,7 +499,7 @@ def _fault(status: DriveStatus | None) -> str:
 
 
 main = live_command(PumpNode, partial(
-    live_help, "live.pump", "pump", __doc__, parameters,
+    node_help, "live.pump", __doc__, parameters,
     "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020",
 ))
 

@@ -24,8 +24,9 @@ from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
-from greenroof_ros.live.node import LiveNode, live_command, live_help
+from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
 
@@ -151,7 +152,7 @@ class LiveRecorderNode(LiveNode):
 
 
 main = live_command(LiveRecorderNode, partial(
-    live_help, "live.recorder", "recorder", __doc__, parameters,
+    node_help, "live.recorder", __doc__, parameters,
     "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0",
 ))
 

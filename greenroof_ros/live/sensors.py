@@ -15,13 +15,14 @@ from typing import Any
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.live.devices.mqtt_sensor import MqttReader
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSensor, read_sensors
 from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.live.live_diagnostics import ERROR, STALE, WARN
-from greenroof_ros.live.node import LiveNode, live_command, live_help
+from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.model.site import Site
 
 # After this many periods without a reading, good or bad, the reader of a device is treated as hung.
@@ -127,9 +128,8 @@ def sensor_nodes(file: str) -> list[SensorNode]:
 
 
 def _help(file: str | None) -> str:
-    return live_help(
-        "live.sensors --sensors FILE", [quantity.node for quantity in QUANTITIES.values()],
-        __doc__, parameters, "--ros-args -p level_limit:=4.0",
+    return node_help(
+        "live.sensors --sensors FILE", __doc__, parameters, "--ros-args -p level_limit:=4.0"
     )
 
 

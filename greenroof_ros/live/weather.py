@@ -34,12 +34,13 @@ from greenroof_ros.forecast.service import (
     Service,
 )
 from greenroof_ros.formats.records import Issue
+from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.live.engine import live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput
-from greenroof_ros.live.node import LiveNode, live_command, live_help
+from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 
@@ -279,7 +280,7 @@ class LiveWeatherNode(LiveNode):
 
 
 main = live_command(LiveWeatherNode, partial(
-    live_help, "live.weather", "weather", __doc__, parameters,
+    node_help, "live.weather", __doc__, parameters,
     "--ros-args -p forecast:=forecast.csv",
 ))
 

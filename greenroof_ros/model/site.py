@@ -50,8 +50,6 @@ _OF_CLOCK = {
 }
 # Key of the file that has what a site file omits.
 _EXTENDS = "extends"
-# Parameters of earlier versions, without effect: site files kept by older runs have them.
-_WITHOUT_EFFECT = ("pumps_in_series", "pumps_in_parallel")
 PLACE = (
     "latitude", "longitude", "elevation", "utc_offset", "albedo", "k_Rs", "wind_height",
     "crop_coefficient",
@@ -486,7 +484,7 @@ def read_site(path: Path) -> Site:
 
     by_name = {key.name: key for key in keys(Site)}
     for name, (file, line, _) in entries.items():
-        if name not in by_name and name not in _WITHOUT_EFFECT:
+        if name not in by_name:
             raise ConfigurationError(
                 f"is not a parameter of a site; {did_you_mean(name, by_name)}",
                 file=file, line=line, key=name,

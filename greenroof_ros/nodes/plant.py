@@ -230,7 +230,7 @@ class PlantNode(SimulationNode):
             missing = "/recorder/written from recorder"
             if not self._paused:
                 awaited = [name for name in self.inputs if name in self.lockstep.awaited]
-                missing = self.peers.describe_silent(awaited, self.interface.values())
+                missing = self.peers.describe_silent(awaited)
             raise LockstepError(f"tick {self._site.tick}: no message within {limit:g} s on {missing}")
 
     def limit(self) -> float:
@@ -263,7 +263,7 @@ class PlantNode(SimulationNode):
 
 
 main = node_command(PlantNode, partial(
-    node_help, "nodes.plant", "plant", __doc__, parameters,
+    node_help, "nodes.plant", __doc__, parameters,
     "--ros-args -p record:=true -p run_length:=3600",
 ))
 

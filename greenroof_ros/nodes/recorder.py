@@ -172,7 +172,7 @@ class RecorderNode(SimulationNode):
 
 
 main = node_command(RecorderNode, partial(
-    node_help, "nodes.recorder", "recorder", __doc__, parameters,
+    node_help, "nodes.recorder", __doc__, parameters,
     "--ros-args -p directory:=my_bag -p controller:=mpc",
 ))
 

@@ -155,7 +155,7 @@ class WeatherNode(SimulationNode):
 
 
 main = node_command(WeatherNode, partial(
-    node_help, "nodes.weather", "weather", __doc__, parameters,
+    node_help, "nodes.weather", __doc__, parameters,
     "--ros-args -p forecast:=persistence",
 ))
 

@@ -62,7 +62,6 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
     [
         ("onof", r"is unknown; did you mean onoff\?$"),
         ("pid", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
-        ("planning_mpc", "was replaced by lookahead"),
         ("a b:C", "must be of the form package.module:Class"),
         ("package:Plant", "its node would have the name of another node, plant"),
         ("package:Mpc", "its node would have the name of another node, mpc"),

@@ -30,7 +30,6 @@ from greenroof_ros.graph.messages import (  # noqa: E402
     encoder,
     lacks,
 )
-from greenroof_ros.graph.peers import root_causes  # noqa: E402
 from greenroof_ros.graph.publishers import display_name  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = (
@@ -215,16 +214,3 @@ def test_what_a_subscriber_takes_of_a_plan() -> None:
         assert entry.good and np.asarray(entry.value).size == value.size
     entry.receive(encode(topic.undecided))
     assert not entry.good and list(entry.value) == [0.0] * 4
-
-
-@pytest.mark.parametrize(
-    ("silent", "cause"),
-    [
-        ({"weather", "controller", "pump"}, "weather"),
-        ({"controller", "pump"}, "controller"),
-        ({"pump"}, "pump"),
-    ],
-)
-def test_root_causes_of_the_interface(silent: set[str], cause: str) -> None:
-    """Which node the plant is really waiting for."""
-    assert root_causes(silent, read_topics().values()) == {cause}

@@ -175,12 +175,6 @@ def test_what_follows_is_computed(tmp_path: Path) -> None:
     assert (larger.x2_star, larger.z_cap) == pytest.approx((120 * 0.0457, 60.0), rel=1e-15)
 
 
-def test_what_earlier_versions_had(tmp_path: Path) -> None:
-    """The sites kept by older runs can still be read; these two keys changed no number."""
-    older = write(tmp_path, pumps_in_series=1, pumps_in_parallel=2)
-    assert read_site(older) == read_site(write(tmp_path))
-
-
 def test_a_mistyped_key(tmp_path: Path) -> None:
     """The error suggests similar keys, and lists all only if none is similar."""
     path = write(tmp_path, a2=None, a3=68.8)
