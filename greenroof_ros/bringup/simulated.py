@@ -31,7 +31,7 @@ from greenroof_ros.experiment.parameter_file import node_parameter_files
 from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
+from greenroof_ros.graph.domain import importing_ros, lock_namespace, refuse_other_nodes
 from greenroof_ros.recording.bag_reader import count_ticks
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
     }
     user_files = node_parameter_files(arguments, modules, run.controller)
-    with only_bringup(arguments.namespace):
+    with lock_namespace(arguments.namespace):
         refuse_other_nodes(
             arguments.namespace,
             {*modules, RECORDER, *([] if is_external else controller_names())}, signals.check,

@@ -17,7 +17,7 @@ from greenroof_ros.experiment.run import Run, count_ticks
 from greenroof_ros.experiment.summary import setting
 from greenroof_ros.experiment.summary_table import grid, print_notes, setting_rows
 
-_LARGEST_COMMAND = 100.0
+_MAX_COMMAND = 100.0
 
 
 def _result(
@@ -100,8 +100,8 @@ def make_parser() -> Parser:
         f"and takes a minute for 12 h (default: {_BLOCK_S:g}, or one tick if that is longer)",
     )
     group.add_argument(
-        "--max-command", type=within(1e-9, _LARGEST_COMMAND), default=1.0, metavar="U",
-        help="largest command, a share of the maximum flow (default: %(default)g)",
+        "--max-command", type=within(1e-9, _MAX_COMMAND), default=1.0, metavar="U",
+        help="maximum command, a share of the maximum flow (default: %(default)g)",
     )
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")
     return parser

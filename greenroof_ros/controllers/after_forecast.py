@@ -19,7 +19,7 @@ _DAY_S = 86_400.0
 # mean over Toronto's seasons (May to October) of 2015 to 2025, and 0.04 to 0.55 in single seasons.
 _NET_DRYING = 0.3
 
-# Longest horizon at which a service's forecasts pay (h): doc/results.md.
+# Maximum horizon at which a service's forecasts pay (h): doc/results.md.
 _PAYS, _PAYS_MEASURED = 120.0, 48.0
 HORIZON = Parameter(
     "horizon", _PAYS, "h", 0.1, MAX_HORIZON,
@@ -69,27 +69,28 @@ class AfterForecast:
         self.mean = 0.0
         self._begun = False
 
-    def checked(
-        self, rain: Sequence[Any], evapotranspiration: Sequence[float], most: int
+    def check(
+        self, rain: Sequence[Any], evapotranspiration: Sequence[float], max_members: int
     ) -> tuple[Array, Array]:
         """Return the forecasts as arrays of shape (members, steps) and (steps,), not copied.
 
         Args:
             rain: (m/s), of all members or of one.
             evapotranspiration: (m3/s).
-            most: largest number of members.
+            max_members: maximum number of members.
 
         Raises:
             ConfigurationError: they have another shape, or too many members.
         """
         rains = np.atleast_2d(np.asarray(rain, dtype=float, order="C"))
         evaporated = np.asarray(evapotranspiration, dtype=float)
-        if (rains.shape[1], *evaporated.shape) != (self.steps, self.steps) or len(rains) > most:
+        fits = (rains.shape[1], *evaporated.shape) == (self.steps, self.steps)
+        if not fits or len(rains) > max_members:
             raise ConfigurationError(
                 f"the forecasts of rain have {len(rains)} members of {rains.shape[1]} entries, "
                 f"evapotranspiration has {len(evaporated)}; the horizon has {self.steps} "
-                f"steps, and at most {most} members are allowed; give weather and controller the "
-                "same horizon; only lookahead takes all members"
+                f"steps, and at most {max_members} members are allowed; give weather and "
+                "controller the same horizon; only lookahead takes all members"
             )
         return rains, evaporated
 

@@ -121,7 +121,7 @@ class AnticipatingOnOff:
         :func:`greenroof_ros.model.look_ahead.growing_steps`.
         """
         site = self._site
-        rain, evaporated = self._after.checked(precipitation, evapotranspiration, most=1)
+        rain, evaporated = self._after.check(precipitation, evapotranspiration, max_members=1)
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level + float(rain.sum() + evaporated.sum())):
             self.skip()
@@ -151,11 +151,11 @@ class AnticipatingOnOff:
         """
         (rain,), evaporated = self._after.lengthen(rain, evaporated)
         weather = rain, evaporated, self._lengths
-        changes = self._soil.free_changes(x2, *weather)
+        changes = self._soil.predict_changes(x2, *weather)
         # At the middle of each step, where the course equals the step's mean.
         course = x2 + np.cumsum(changes) - changes / 2
         dry_s = np.where(course < self._site.x2_star, self._lengths, -self._lengths)
-        dry_s = dry_s * self._soil.lasting_share(x2, changes, *weather)
+        dry_s = dry_s * self._soil.predict_lasting_share(x2, changes, *weather)
         if np.cumsum(dry_s).min() > 0:
             return True
         self._waited = 0.0

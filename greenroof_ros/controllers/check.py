@@ -14,11 +14,11 @@ import numpy as np
 from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
-from greenroof_ros.controllers.failure import raised
+from greenroof_ros.controllers.failure import locate_error
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.controllers.tick_times import TickTimes
-from greenroof_ros.model.look_ahead import growing_steps
+from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 
 # Levels, as shares of the cistern's outlet level and of the roof's target; rates of rain (m/s) and
@@ -49,8 +49,8 @@ class _Trial:
     @property
     def steps(self) -> int:
         """Number of entries of a forecast."""
-        horizon = self.choice.defaults(self.site).get("horizon")
-        return self.site.M if horizon is None else len(growing_steps(horizon)) - 1
+        horizon = self.choice.defaults(self.site).get("horizon", 0.0)
+        return len(look_ahead_ends(self.site, horizon)) - 1
 
     def forecast(self, rate: float, members: int = 1) -> Any:
         """Return a forecast of rain from the second step on, in the shape that it takes."""
@@ -97,7 +97,7 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
             problem = str(error)
         except Exception as error:  # anything that a user's class raises
             known = isinstance(error, ConfigurationError)
-            problem = str(error if known else raised(choice.kind, error))
+            problem = str(error if known else locate_error(choice.kind, error))
             if problem in reported:  # one fault mostly fails many checks
                 problem = "fails as above"
             reported.add(problem)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError, HangError
-from greenroof_ros.controllers.failure import ControllerError, place_of, raised
+from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
 from greenroof_ros.controllers.protocol import Controller, knows_time
 from greenroof_ros.controllers.registry import ControllerChoice
 
@@ -51,10 +51,10 @@ def decide(
     except (ConfigurationError, HangError):
         raise
     except (Exception, SystemExit) as error:
-        raise raised(type(controller), error) from error
+        raise locate_error(type(controller), error) from error
     if isinstance(command, (float, int)) and 0 <= command < math.inf:
         return 0.0 if quiet else command
-    file, line = place_of(type(controller), "command")
+    file, line = find_place(type(controller), "command")
     raise ControllerError(
         "must be a finite number, not negative (greenroof check-controller finds this before a "
         "run)", file=file, line=line,
@@ -62,7 +62,7 @@ def decide(
     )
 
 
-def statistics_of(controller: Controller) -> dict[str, float] | None:
+def read_statistics(controller: Controller) -> dict[str, float] | None:
     """Return the figures of a controller's solver; None if it has none.
 
     Raises:
@@ -71,10 +71,10 @@ def statistics_of(controller: Controller) -> dict[str, float] | None:
     try:
         return controller.statistics()
     except Exception as error:
-        raise raised(type(controller), error) from error
+        raise locate_error(type(controller), error) from error
 
 
-def rain_forecast(choice: ControllerChoice, rain: Any, topic: str) -> Any:
+def shape_rain(choice: ControllerChoice, rain: Any, topic: str) -> Any:
     """Return a forecast of rain in the shape that a controller takes.
 
     Args:

@@ -16,7 +16,7 @@ class ControllerError(ConfigurationError):
     """A controller is broken: its code raised an error, or its command is invalid."""
 
 
-def raised(kind: Any, error: BaseException) -> ControllerError:
+def locate_error(kind: Any, error: BaseException) -> ControllerError:
     """Return an error that a controller's code raised, with file and line.
 
     They are the last place in the file where a user's code was entered. If it was not entered, as
@@ -33,14 +33,14 @@ def raised(kind: Any, error: BaseException) -> ControllerError:
     else:
         for method in ("__init__", "command", "skip", "statistics"):
             if f"{method}()" in str(error):
-                file, line = place_of(kind, method)
+                file, line = find_place(kind, method)
                 name = f"{name}.{method}"
     return ControllerError(
         f"raises {type(error).__name__}: {error}", file=file, line=line, key=name
     )
 
 
-def place_of(kind: Any, method: str) -> tuple[str | None, int | None]:
+def find_place(kind: Any, method: str) -> tuple[str | None, int | None]:
     """Return the file and line of a method; None for what is not a function in a file."""
     code = getattr(getattr(kind, method), "__code__", None)
     return (None, None) if code is None else (code.co_filename, code.co_firstlineno)

@@ -17,7 +17,7 @@ from greenroof_ros.controllers.order_up_to import (
     BELOW_M3,
     OrderUpTo,
     Policy,
-    halved_by_rain,
+    halve_by_rain,
 )
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
@@ -29,8 +29,8 @@ from greenroof_ros.model.soil import soil_of
 
 _HOUR_S = 3600.0
 # A plan is followed for at most this long (s), and at most this share of the horizon.
-_LONGEST_PLAN_S = 3600.0
-_LONGEST_SHARE = 1 / 48
+_MAX_PLAN_S = 3600.0
+_MAX_PLAN_SHARE = 1 / 48
 # Interval (s) at which it checks whether a member's forecast rain, plus the rain since the plan,
 # has changed by more than this (m). Rain that only shifts in time waits for the next plan.
 _CHECK_S = 60.0
@@ -53,7 +53,7 @@ class Lookahead:
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` finds the level, for all members of an
     ensemble of forecasts or for a single forecast, over growing steps and the days after the
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
-    :func:`~greenroof_ros.controllers.order_up_to.halved_by_rain` assumes when it becomes known
+    :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` assumes when it becomes known
     which members are wrong. Without a forecast it fills the roof to its target and holds it there,
     which is best if no rain comes. A short loss of the forecast does not end a wait for rain: the
     last plan is followed until it is old. Meanwhile the present rain is the gauge's, and
@@ -65,7 +65,7 @@ class Lookahead:
     plans it follows the levels of the last plan, which it has for every volume on the roof. The
     steps of a plan for an ensemble are longer than the steps of its forecasts.
 
-    During quiet hours it plans to pump nothing: a step's largest flow is reduced by the share of
+    During quiet hours it plans to pump nothing: a step's maximum flow is reduced by the share of
     the step that is quiet. It makes a new plan when quiet hours begin and end.
 
     Between two starts of the pumps it waits at least 3600 s / ``starts_per_hour`` of the site, and
@@ -97,7 +97,7 @@ class Lookahead:
         DAYS_AFTER,
         Parameter(
             "max_command", 1.0, "1", _MIN_COMMAND, math.inf,
-            "largest command; 1 is the most that a real pump can do",
+            "maximum command; 1 is the most that a real pump can do",
         ),
         Parameter(
             "recourse", 48.0, "h", 1.0, MAX_HORIZON, "time for which one level serves all "
@@ -144,7 +144,7 @@ class Lookahead:
         self._recourse = recourse * _HOUR_S
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
-        self._longest = min(_LONGEST_PLAN_S, _LONGEST_SHARE * horizon * _HOUR_S)
+        self._max_age = min(_MAX_PLAN_S, _MAX_PLAN_SHARE * horizon * _HOUR_S)
         edges = self._after.edges
         forecast_edges, days = (
             edges[: self._after.steps + 1], range(self._after.steps + 1, len(edges))
@@ -164,7 +164,7 @@ class Lookahead:
         self._fallen = 0.0  # rain since the plan (m)
         self._flow = 0.0  # commanded in the last tick (m3/s)
         self._since_start = math.inf  # of the pumps (s)
-        self._steady = math.inf  # largest command for ``min_on`` after a start
+        self._steady = math.inf  # maximum command for ``min_on`` after a start
         self._quiet_when_planned = False
         self.time_ns = 0
         self.gauge_rain = 0.0
@@ -209,7 +209,7 @@ class Lookahead:
         rain, evaporated = np.empty((1, 0)), np.empty(0)
         if np.size(precipitation) or np.size(evapotranspiration):
             forecast = precipitation, evapotranspiration
-            rain, evaporated = self._after.checked(*forecast, MAX_MEMBERS)
+            rain, evaporated = self._after.check(*forecast, MAX_MEMBERS)
         x1 = site.cistern_volume(cistern_level)
         if not math.isfinite(x1 + roof_level):
             self.skip()
@@ -232,7 +232,7 @@ class Lookahead:
                 if not rain_counts:
                     rain = np.hstack((rain[:, :1], np.zeros_like(rain[:, 1:])))
                 self._plan(x1, x2, *self._after.lengthen(rain, evaporated))
-        elif self._age >= self._longest or rain_counts != self._rain_counts:
+        elif self._age >= self._max_age or rain_counts != self._rain_counts:
             self._policy = None
         self._fallen += now[0] * site.tau
         level = -1.0 if quiet else self._level(x1, x2)
@@ -264,7 +264,7 @@ class Lookahead:
 
     def _must_plan(self, rain: Array, rain_counts: bool) -> bool:
         """Whether the plan is too old, or the forecast has changed."""
-        if self._policy is None or self._age >= self._longest:
+        if self._policy is None or self._age >= self._max_age:
             return True
         if rain_counts != self._rain_counts or len(rain) != len(self._planned_rain):
             return True
@@ -284,10 +284,10 @@ class Lookahead:
         edges = self._after.edges[chosen]
         rain = self._means(rain[np.lexsort(rain.T[::-1])], chosen)
         evaporated = self._means(evaporated, chosen)
-        flow = np.full(len(edges) - 1, self._most_flow(x1))
+        flow = np.full(len(edges) - 1, self._max_flow(x1))
         if self._site.quiet is not None:
             flow *= self._site.quiet.pumping_shares(self.time_ns, edges)
-        groups = halved_by_rain(rain, edges, self._recourse)
+        groups = halve_by_rain(rain, edges, self._recourse)
         self._policy = self._program.solve(edges, x1, x2, rain, evaporated, flow, groups)
         self._age = self._fallen = 0.0
         self.solves += 1
@@ -299,10 +299,10 @@ class Lookahead:
         self, policy: Policy, inputs: tuple[float, float, Array, Array, Array]
     ) -> Array:
         x1, x2, rain, evaporated, flow = inputs
-        flows, roofs, _ = self._program.follow(policy, *inputs)
+        flows, roofs, _ = self._program.simulate(policy, *inputs)
         driest = int((rain @ np.diff(policy.edges)).argmin())
         dry = x1, x2, np.zeros_like(rain[:1]), evaporated, flow
-        _, _, (aims,) = self._program.follow(policy, *dry, driest)
+        _, _, (aims,) = self._program.simulate(policy, *dry, driest)
         depths = roofs.mean(axis=0) / self._site.a2, aims / self._site.a2
         rows = policy.edges[1:], flows.mean(axis=0), *depths
         horizon = self._after.edges[self._after.steps]
@@ -313,8 +313,8 @@ class Lookahead:
         amounts = np.add.reduceat(rates * self._lengths, chosen[:-1], axis=-1)
         return np.asarray(amounts / np.diff(self._after.edges[chosen]))
 
-    def _most_flow(self, x1: float) -> float:
-        """Return the largest pump flow (m3/s) from a cistern that holds x1 (m3)."""
+    def _max_flow(self, x1: float) -> float:
+        """Return the maximum pump flow (m3/s) from a cistern that holds x1 (m3)."""
         # If commands have no bound: a flow that fills the whole soil in a second.
         full = maximum_pump_flow(self._site, x1)
         return min(self._max_command * full, self._site.z_cap) if full else 0.0
@@ -376,17 +376,17 @@ def _are_numbers(rain: Array, evaporated: Array, all_of_them: bool) -> bool:
     return math.isfinite(float(rain[0, 0]) + float(evaporated[0]))
 
 
-def _merge_steps(edges: Array, shortest: float, share: float) -> list[int]:
+def _merge_steps(edges: Array, min_length: float, share: float) -> list[int]:
     """Return which step ends remain when short steps are merged; the first and last always do.
 
     Args:
         edges: ends of all steps (s from now).
-        shortest: minimum length of a step (s).
+        min_length: minimum length of a step (s).
         share: minimum length as a share of the time until the step begins (1).
     """
     chosen, last = [0], len(edges) - 1
     for index, edge in enumerate(edges):
         begin = edges[chosen[-1]]
-        if edge - begin >= max(shortest, share * begin):
+        if edge - begin >= max(min_length, share * begin):
             chosen.append(index)
     return [*(chosen[:-1] or chosen), last]

@@ -69,7 +69,7 @@ class Mpc:
         ),
         Parameter(
             "max_command", math.inf, "1", 1e-9, math.inf,
-            "largest command; unlimited as in the paper; at most 1 for a real pump",
+            "maximum command; unlimited as in the paper; at most 1 for a real pump",
         ),
     )
     outputs: ClassVar[Mapping[str, str]] = {

@@ -1,6 +1,6 @@
 """How far to fill the roof, for every volume on it and every step: a dynamic program.
 
-:func:`halved_by_rain` assumes when the members of an ensemble can be distinguished.
+:func:`halve_by_rain` assumes when the members of an ensemble can be distinguished.
 """
 
 from __future__ import annotations
@@ -78,29 +78,29 @@ class Cistern:
     def __init__(self, site: Site) -> None:
         self._site = site
         suction = site.cistern_volume(site.suction_level)
-        self._most = site.cistern_volume(site.z_o) - suction
-        self._low = site.cistern_volume(site.lowest_outlet) - suction
+        self._capacity = site.cistern_volume(site.z_o) - suction
+        self._low = site.cistern_volume(site.min_outlet_level) - suction
         self._mains = site.cistern_volume(site.mains_level or 0.0) - suction
         self._suction = suction
 
     def usable(self, x1: float) -> float:
         """Return the usable part of x1 (m3); water above the outlet, soon gone, does not count."""
-        return min(max(x1 - self._suction, 0.0), self._most)
+        return min(max(x1 - self._suction, 0.0), self._capacity)
 
     def scarce(self, x1: float, demand: float, seconds: float) -> float:
         """Return up to which volume the water counts (m3); 0 if there will always be enough.
 
         Args:
             x1: what the cistern holds (m3).
-            demand: the most that can be asked of it (m3).
+            demand: the maximum demand for its water (m3).
             seconds: within this time.
         """
         supplied = (self._site.mains_flow or 0.0) * seconds
         if min(self.usable(x1), self._low) + supplied >= demand:
             return 0.0
-        return self._most if self._low < self._most else min(demand, self._most)
+        return self._capacity if self._low < self._capacity else min(demand, self._capacity)
 
-    def after(self, water: Array, rain: Array, seconds: float) -> Array:
+    def predict_usable(self, water: Array, rain: Array, seconds: float) -> Array:
         """Return the usable water (m3) after a step of rain (m/s), Eq. (2) without pumping.
 
         Rain and mains come first; then the low outlet drains the cistern, and the square root of
@@ -111,7 +111,7 @@ class Cistern:
         if site.mains_flow is not None:
             topped_up = np.minimum(water + site.mains_flow * seconds, self._mains)
             water = np.maximum(water, topped_up)
-        water = np.minimum(water, self._most)
+        water = np.minimum(water, self._capacity)
         if site.low_outlet_level is None:
             return water
         root = np.sqrt(np.maximum(water - self._low, 0.0) / site.a1)
@@ -167,14 +167,14 @@ class OrderUpTo:
 
     def _place(self, below: int, above: int) -> None:
         """Place the nodes at x* -+ (k / n)^2 of the range."""
-        most = self._soil.above_target
+        room = self._soil.above_target
         self._below = below
         self._nodes = np.concatenate((
             self._target * (1 - (np.arange(below, 0, -1) / below) ** 2),
-            self._target + most * (np.arange(above + 1) / above) ** 2,
+            self._target + room * (np.arange(above + 1) / above) ** 2,
         ))
         self._widths = np.diff(self._nodes)
-        self._per_node = below**2 / self._target, above**2 / most
+        self._per_node = below**2 / self._target, above**2 / room
         self._contents = self._content(self._nodes)
 
     def levels(self, policy: Policy, step: int, group: Any, usable: Any, x2: Any) -> Any:
@@ -198,7 +198,7 @@ class OrderUpTo:
         self, edges: Array, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, groups: Indices,
     ) -> Policy:
-        """Find the plan of least cost.
+        """Find the plan of minimum cost.
 
         Args:
             edges: ends of the steps (s from now), the first 0, shape (n + 1,).
@@ -206,7 +206,7 @@ class OrderUpTo:
             x2: on the roof (m3).
             rain: in each step (m/s), shape (members, n).
             evapotranspiration: off the whole bed (m3/s), shape (n,).
-            flow: largest pump flow in each step (m3/s), can be 0, shape (n,).
+            flow: maximum pump flow in each step (m3/s), can be 0, shape (n,).
             groups: group of each member in each step, by the lowest member index in the group; its
                 members cannot be distinguished yet; groups only split; shape (members, n).
         """
@@ -224,9 +224,9 @@ class OrderUpTo:
         value = np.zeros((1, len(self._water), len(self._nodes)))
         fill_to: list[Array] = []
         group_of: list[Indices] = []
-        most, potential = flow * lengths, evapotranspiration * lengths
+        max_pumped, potential = flow * lengths, evapotranspiration * lengths
         # Neither pumps nor water are a limit: even the driest roof can be filled in the step.
-        filled = self._soil.after(np.zeros(steps), most, potential, lengths)
+        filled = self._soil.predict_volume(np.zeros(steps), max_pumped, potential, lengths)
         strong = np.zeros(steps, dtype=bool) if scarce else filled >= self._target
         for step in reversed(range(steps)):
             if step < wet and len(value) < members:
@@ -251,7 +251,7 @@ class OrderUpTo:
             float(now.mean()) / float(edges[-1]),
         )
 
-    def follow(
+    def simulate(
         self, policy: Policy, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, member: int | None = None,
     ) -> tuple[Array, Array, Array]:
@@ -263,7 +263,7 @@ class OrderUpTo:
             x2: on the roof (m3).
             rain: in each step (m/s), shape (members, n).
             evapotranspiration: off the whole bed (m3/s), shape (n,).
-            flow: largest pump flow in each step (m3/s), shape (n,).
+            flow: maximum pump flow in each step (m3/s), shape (n,).
             member: index of the member whose decisions are followed; None: each follows its own.
 
         Returns:
@@ -277,11 +277,11 @@ class OrderUpTo:
             groups = policy.group_of[step] if member is None else policy.group_of[step][member]
             level = self.levels(policy, step, groups, water, roof)
             aimed[:, step] = np.where(level >= roof, level, 0.0)
-            most = np.minimum(flow[step], water / seconds + mains)
+            max_pumped = np.minimum(flow[step], water / seconds + mains)
             roof, uptake = self._move(
-                level, roof, rain[:, step], float(evapotranspiration[step]), most, seconds
+                level, roof, rain[:, step], float(evapotranspiration[step]), max_pumped, seconds
             )
-            water = self._cistern.after(water - uptake, rain[:, step], seconds)
+            water = self._cistern.predict_usable(water - uptake, rain[:, step], seconds)
             pumped[:, step], volumes[:, step] = uptake / seconds, roof
         return pumped, volumes, aimed
 
@@ -296,20 +296,21 @@ class OrderUpTo:
             roof: volume on each (m3).
             rain: in the step on each (m/s).
             evapotranspiration: off the whole bed (m3/s).
-            flow: largest pump flow for each (m3/s).
+            flow: maximum pump flow for each (m3/s).
             seconds: the step's length.
 
         Returns:
             The volume on each at the end, and the volume pumped onto it (m3).
         """
-        soil, most, potential = self._soil, flow * seconds, evapotranspiration * seconds
-        filled = np.maximum(roof, np.minimum(level, soil.after(roof, most, potential, seconds)))
-        alone = soil.after(filled, rain * self._site.a2 * seconds, potential, seconds)
-        ended = np.minimum(filled, soil.after(filled, most, potential, seconds))
+        soil, max_pumped, potential = self._soil, flow * seconds, evapotranspiration * seconds
+        reached = soil.predict_volume(roof, max_pumped, potential, seconds)
+        filled = np.maximum(roof, np.minimum(level, reached))
+        alone = soil.predict_volume(filled, rain * self._site.a2 * seconds, potential, seconds)
+        ended = np.minimum(filled, soil.predict_volume(filled, max_pumped, potential, seconds))
         ended = np.where(level >= filled, np.maximum(alone, ended), alone)
         uptake = self._content(filled) - self._content(roof)
         uptake += self._content(ended) - self._content(alone)
-        return ended, np.minimum(uptake, most)
+        return ended, np.minimum(uptake, max_pumped)
 
     def _content(self, x2: Any) -> Any:
         """Return the water that fills an empty roof to a volume, or to x* if that is less (m3)."""
@@ -336,15 +337,15 @@ class OrderUpTo:
         soil, cistern, dry = self._soil, self._cistern, slice(self._below + 1)
         nodes, roof = self._nodes, self._nodes[dry]
         scarce = len(self._water) > 1
-        reach = roof if strong else soil.after(roof, flow * seconds, potential, seconds)
+        reach = roof if strong else soil.predict_volume(roof, flow * seconds, potential, seconds)
         # Left alone: computed once if it is the same for all members.
         if not rain.any():
             rain = rain[:1]
-        alone = soil.after(nodes, rain * (self._site.a2 * seconds), potential, seconds)
+        alone = soil.predict_volume(nodes, rain * (self._site.a2 * seconds), potential, seconds)
         stored = remaining = self._water
         if scarce:
             remaining = np.maximum(self._water[:, None] - self._contents, 0.0)
-            stored = cistern.after(remaining, rain, seconds) + self._content(alone)
+            stored = cistern.predict_usable(remaining, rain, seconds) + self._content(alone)
         free = seconds * self._deviation(nodes, alone) + self._at(value, alone, stored)
         # Held.
         alone = alone[..., dry]
@@ -357,19 +358,20 @@ class OrderUpTo:
                 first = self._content(alone)
                 uptake = np.minimum(self._content(held) - first, remaining[..., dry])
                 uptake = np.maximum(uptake, 0.0)
-                held = np.where(uptake > 0, soil.filled_by(first + uptake), alone)
-                stored = cistern.after(remaining[..., dry] - uptake, rain, seconds) + first + uptake
+                held = np.where(uptake > 0, soil.fill_empty(first + uptake), alone)
+                stored = cistern.predict_usable(remaining[..., dry] - uptake, rain, seconds)
+                stored = stored + first + uptake
             holding = seconds * self._deviation(roof, held) + self._at(value, held, stored)
         # Filled.
         within = np.maximum(reach, roof)[None]
         if scarce:
-            within = np.minimum(within, soil.filled_by(self._water)[:, None])
+            within = np.minimum(within, soil.fill_empty(self._water)[:, None])
             within = np.maximum(within, roof)
         levels = np.empty((len(groups), len(self._water), len(roof)))
         result = free
         for index, members in enumerate(groups):
             ours = holding[members]
-            best = _lowest_from_here_up(self._over_members(ours))
+            best = _find_minimum_onward(self._over_members(ours))
             filled = level = roof[best]
             if strong:
                 costs, contents = ours[..., best[0]], self._contents[best]
@@ -439,14 +441,14 @@ def _between(nodes: Array, values: Any) -> tuple[Any, Any]:
     return row, np.clip((values - nodes[row]) / np.diff(nodes)[row], 0.0, 1.0)
 
 
-def _lowest_from_here_up(values: Array) -> Indices:
+def _find_minimum_onward(values: Array) -> Indices:
     """Return the index of the minimum value from each place on; of several, the first."""
     minimum = np.minimum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
     places = np.where(values == minimum, np.arange(values.shape[-1]), values.shape[-1])
     return np.asarray(np.minimum.accumulate(places[..., ::-1], axis=-1)[..., ::-1])
 
 
-def halved_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
+def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
     """Return the group of each member in each step, by the lowest member index in the group.
 
     All members of a group get the same pumping, since nothing distinguishes them yet. At first all

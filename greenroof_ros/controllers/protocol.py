@@ -104,7 +104,7 @@ class ControllerClass(Protocol):
         ...
 
 
-def learned_by(controller: Controller) -> dict[str, float] | None:
+def read_learned(controller: Controller) -> dict[str, float] | None:
     """Return what a controller has learned; None if it learns nothing."""
     learned: dict[str, float] | None = getattr(controller, "learned", None)
     return learned

@@ -21,7 +21,7 @@ from greenroof_ros.common.errors import (
 )
 from greenroof_ros.common.files import YamlMapping, read_ros_parameters
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.failure import raised
+from greenroof_ros.controllers.failure import locate_error
 from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_forecast_ends
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
@@ -153,7 +153,7 @@ class ControllerChoice:
         except (ConfigurationError, HangError):
             raise
         except (Exception, SystemExit) as error:
-            raise raised(kind, error) from error
+            raise locate_error(kind, error) from error
         return controller
 
     def _not_imported(self, error: Exception) -> ConfigurationError:

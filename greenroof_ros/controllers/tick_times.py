@@ -11,16 +11,16 @@ _CAPACITY = 65_536
 
 
 class TickTimes:
-    """Wall times of ticks (s): their number, mean and largest, and the 99th percentile.
+    """Wall times of ticks (s): their number, mean and maximum, and the 99th percentile.
 
-    The percentile covers the last 65,536 ticks; number, mean and largest cover all.
+    The percentile covers the last 65,536 ticks; number, mean and maximum cover all.
     """
 
     def __init__(self) -> None:
         """Start without ticks."""
         self._count = 0
         self._sum = 0.0
-        self._largest = 0.0
+        self._max = 0.0
         self._times: deque[float] = deque(maxlen=_CAPACITY)
 
     def __len__(self) -> int:
@@ -32,7 +32,7 @@ class TickTimes:
         self._times.append(seconds)
         self._count += 1
         self._sum += seconds
-        self._largest = max(self._largest, seconds)
+        self._max = max(self._max, seconds)
 
     def statistics(self, solves: int, fallbacks: int) -> dict[str, float]:
         """Return the figures for a controller's ``statistics``; without ticks the times are 0.
@@ -46,5 +46,5 @@ class TickTimes:
             "fallbacks": fallbacks,
             "mean_s": self._sum / max(1, self._count),
             "p99_s": float(np.percentile(list(self._times) or [0.0], 99)),
-            "max_s": self._largest,
+            "max_s": self._max,
         }

@@ -31,7 +31,7 @@ class Bound:
 
     Attributes:
         bound_m3: no run with these inputs has a smaller total deviation (m3, summed over the
-            ticks), unless a command exceeds the largest one that the bound allows.
+            ticks), unless a command exceeds the maximum that the bound allows.
         plan_m3: total deviation of the plan, run through the exact plant.
         pumped_m3: volume that the plan pumps.
         block: ticks in a block of the linear program.
@@ -52,7 +52,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     plant can make satisfies its constraints, so that the bound is at most the best run's deviation:
 
     - In a tick the volume changes at most by tau (r a2 - e - q_drain) plus what the pumps can
-      lift. That is tau times the largest command times the full flow, Eq. (3e), at the initial
+      lift. That is tau times the maximum command times the full flow, Eq. (3e), at the initial
       cistern volume plus all rain until then, since outflow and pumping only lower it. It is 0 in
       frost and quiet hours, below the pumps' suction level, and if even the roof's minimum volume
       reaches a2 z_veg.
@@ -75,14 +75,14 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     In blocks of n ticks the program has one volume for each: the mean. The sum of \|x - x*\| over
     the block is at least n \|mean - x*\| (Jensen). With G_k the sum of the largest changes before
     tick k, G_k - x_{k,2} never falls, and so neither do its means from block to block: the mean
-    volume rises at most as the mean of G does. The same holds for the smallest changes, and the
+    volume rises at most as the mean of G does. The same holds for the minimum changes, and the
     limits of the volume hold for its mean. So the bound stays valid. On the paper's soil the bound
     never rises if blocks are enlarged to whole multiples. On a measured soil, which has other
     limits for each size of blocks, it can rise by up to 0.4 %.
 
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
-        max_command: largest command (share of the maximum flow), from 1e-9 to 100.
+        max_command: maximum command (share of the maximum flow), from 1e-9 to 100.
         block: number of ticks that share one variable, at least 1; by default a minute's.
 
     Raises:
@@ -204,7 +204,7 @@ def _changes(
     """Return how the mean of each block on a measured soil follows from the one before it.
 
     Returns:
-        A factor, and the smallest and the largest of a block's mean minus that factor times the
+        A factor, and the minimum and the maximum of a block's mean minus that factor times the
         mean before (m3), each of shape (B,). The factor is 0 for blocks that do not follow one of
         the same length; then these are the limits of the volume.
     """
@@ -235,7 +235,7 @@ def _composed(
 ) -> tuple[Values, Values, Values]:
     """Return slope, minimum and maximum of ``ticks`` ticks in a row, from each tick on.
 
-    Slopes are not negative, so that the smallest result comes from the smallest volume.
+    Slopes are not negative, so that the minimum result comes from the minimum volume.
     """
     factor, low, high = slope, minimum, maximum
     for done in range(1, ticks):
@@ -264,6 +264,6 @@ def _targets(
     middles, added = np.append(0, edges + (ticks - 1) / 2), np.append(0, added)
     k = np.arange(run.steps + 1)
     following = np.minimum(np.searchsorted(middles, k), len(edges))
-    most = site.x2_star + np.maximum(np.append(0, deviation), 0)[following]
-    at_once = np.minimum(weather + added[following], most)
+    limit = site.x2_star + np.maximum(np.append(0, deviation), 0)[following]
+    at_once = np.minimum(weather + added[following], limit)
     return np.asarray(np.maximum(weather + np.interp(k, middles, added), at_once))

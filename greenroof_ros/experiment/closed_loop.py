@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greenroof_ros.controllers.decide import decide, statistics_of
+from greenroof_ros.controllers.decide import decide, read_statistics
 from greenroof_ros.controllers.protocol import Controller, set_time
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
@@ -120,7 +120,7 @@ class Simulation:
         """Return the content of ``summary.json``, after the last tick."""
         return summary.build(
             self._run, self.metrics.results(), self.metrics.weekly_deviations(),
-            wall_s=self._wall_s, solver=statistics_of(self._controller),
+            wall_s=self._wall_s, solver=read_statistics(self._controller),
         )
 
 

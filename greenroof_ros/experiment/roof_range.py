@@ -23,13 +23,13 @@ class RoofRange(NamedTuple):
     low: Values
     """minimum volume, shape (N+1,)"""
     high: Values
-    """largest volume, shape (N+1,)"""
+    """maximum volume, shape (N+1,)"""
     minimum: Values
     """minimum of the volume after each tick minus slope times the volume before it, shape (N,)"""
     maximum: Values
-    """largest of the same, shape (N,)"""
+    """maximum of the same, shape (N,)"""
     unpumped: Values
-    """largest change in each tick without pumping, shape (N,)"""
+    """maximum change in each tick without pumping, shape (N,)"""
     slope: Values | None = None
     """from 0 to 1, shape (N,); None means 1 in each tick: limits of the change alone"""
 
@@ -50,11 +50,11 @@ def roof_range(
     target = (1 + ROUNDING) * site.a2 * site.z_veg
     low = high = x2
     ticks = array("d")
-    for fell, potential, most in zip(
+    for fell, potential, max_pumped in zip(
         array("d", rain * site.a2), array("d", evapotranspiration), array("d", pumped), strict=True
     ):
         # Nothing is pumped if even the roof's minimum volume is above its target.
-        tick = low, high, fell, potential, most if low <= target else 0.0
+        tick = low, high, fell, potential, max_pumped if low <= target else 0.0
         if isinstance(soil, PaperSoil):
             after = _of_paper(site, soil, *tick)
         else:
@@ -66,7 +66,8 @@ def roof_range(
 
 
 def _of_paper(
-    site: Site, soil: PaperSoil, low: float, high: float, rain: float, potential: float, most: float
+    site: Site, soil: PaperSoil, low: float, high: float, rain: float, potential: float,
+    max_pumped: float,
 ) -> tuple[float, ...]:
     """Follow the range of the volume on the paper's roof through a tick.
 
@@ -74,10 +75,10 @@ def _of_paper(
         site: its parameters.
         soil: of the site.
         low: minimum volume before the tick (m3).
-        high: largest volume before it (m3).
+        high: maximum volume before it (m3).
         rain: on the roof (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
-        most: the most that the pumps can lift in the tick (m3).
+        max_pumped: the most that the pumps can lift in the tick (m3).
 
     Returns:
         The fields of :class:`RoofRange`, without the slope, which is always 1.
@@ -96,24 +97,24 @@ def _of_paper(
                 drained.append(site.tau * soil.drained(max(x2, site.z_cap), 0.0, site.tau))
                 after.append(x2 - drained[-1])
     wettest = max(after)
-    if most > 0:
-        wettest = max(wettest, min(high, (1 + ROUNDING) * site.a2 * site.z_veg) + most)
+    if max_pumped > 0:
+        wettest = max(wettest, min(high, (1 + ROUNDING) * site.a2 * site.z_veg) + max_pumped)
     unpumped = change - min(drained)
     # A roof that runs dry loses what it held, at least low.
     return (
         max(0.0, min(after) + change), max(0.0, wettest + change), change - max(drained),
-        max(unpumped + most, -low), max(unpumped, -low),
+        max(unpumped + max_pumped, -low), max(unpumped, -low),
     )
 
 
 def _of_measured(
     site: Site, soil: MeasuredSoil, low: float, high: float, rain: float, potential: float,
-    most: float,
+    max_pumped: float,
 ) -> tuple[float, ...]:
     """Follow the range of the volume in the substrate of a measured soil, as :func:`_of_paper`.
 
     The share of arriving water that stays falls with the volume; evaporation and the excess above
-    field capacity rise with it. So the change without pumping is largest at the smallest volume.
+    field capacity rise with it. So the change without pumping is a maximum at the minimum volume.
     The volume after a tick rises with the volume before it, by about the slope of the chord over
     the range. Minus this slope times the volume before, its limits are close together.
     """
@@ -125,9 +126,9 @@ def _of_measured(
     for line in (0.0, slope):
         ends_of_line = _ends(site, soil, low, high, rain, potential, line)
         reached[line] = min(ends_of_line), max(ends_of_line)
-        if most > 0:
+        if max_pumped > 0:
             end = max(low, min(high, site.a2 * site.z_veg))
-            pumped_to = _ends(site, soil, low, end, rain + most / site.tau, potential, line)
+            pumped_to = _ends(site, soil, low, end, rain + max_pumped / site.tau, potential, line)
             reached[line] = reached[line][0], max(reached[line][1], *pumped_to)
     # A roof that runs dry ends at 0, not below.
     return (
@@ -140,29 +141,30 @@ def _ends(
     site: Site, soil: MeasuredSoil, low: float, high: float, arriving: float, potential: float,
     line: float,
 ) -> list[float]:
-    """Return candidates for the smallest and largest volume after a tick, minus a line (m3).
+    """Return candidates for the minimum and maximum volume after a tick, minus a line (m3).
 
     Between the wilting point, the onset of stress and field capacity the volume after a tick is a
     concave parabola of the volume before it, and continuous; to subtract a line changes neither. So
-    the minimum is at an end of these pieces, and the largest at an end or at a parabola's vertex.
+    the minimum is at an end of these pieces, and the maximum at an end or at a parabola's vertex.
 
     Args:
         site: with a measured soil.
         soil: of the site.
         low: minimum volume before the tick (m3).
-        high: largest volume before the tick (m3).
+        high: maximum volume before the tick (m3).
         arriving: rain and pumped water (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
         line: its slope: this many times the volume before the tick is subtracted.
     """
-    dry, most = site.wilting_volume, site.available_volume
-    onset = dry + site.stress_onset * most
+    dry, available = site.wilting_volume, site.available_volume
+    drying = site.stress_onset * available
+    onset = dry + drying
     volumes = [low, high]
     volumes += [x2 for x2 in (dry, onset, site.z_cap) if low < x2 < high]
     if arriving > 0:
         # d/dx2 of x2 - tau (S^2 arriving + K_s potential) - line x2 is 0, for the two pieces.
-        for slope in (1.0 - line, 1.0 - line - site.tau * potential / (site.stress_onset * most)):
-            vertex = dry + most * (slope * most / (2 * site.tau * arriving))
+        for slope in (1.0 - line, 1.0 - line - site.tau * potential / drying):
+            vertex = dry + available * (slope * available / (2 * site.tau * arriving))
             if low < vertex < min(high, site.z_cap):
                 volumes.append(vertex)
     return [roof_after_tick(soil, site.tau, x2, arriving, potential) - line * x2 for x2 in volumes]

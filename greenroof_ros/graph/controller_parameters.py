@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.failure import raised
+from greenroof_ros.controllers.failure import locate_error
 from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
 from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
@@ -77,7 +77,7 @@ class ControllerParameters:
                 if self.controller is not None:
                     setattr(self.controller, name, value)
             except Exception as error:  # anything that a user's class raises
-                reason = str(raised(self._choice.kind, error))
+                reason = str(locate_error(self._choice.kind, error))
                 return SetParametersResult(successful=False, reason=reason)
             before, self._values[name] = self._values[name], value
             self._change_count += 1

@@ -19,9 +19,9 @@ from greenroof_ros.common.states import STARTING
 from greenroof_ros.common.times import iso
 from greenroof_ros.graph.messages import qos_profile
 
-# The longest value on /diagnostics (characters): observers read no value above 20,000, such as the
-# weeks of a run of decades.
-_LONGEST = 16_000
+# Maximum length of a value on /diagnostics (characters): observers read no value above 20,000, such
+# as the weeks of a run of decades.
+_MAX_LENGTH = 16_000
 
 
 class NodeDiagnostics:
@@ -85,7 +85,7 @@ class NodeDiagnostics:
             hardware_id=self.machine,
             values=[
                 KeyValue(key=key, value=text) for key, value in values.items()
-                if len(text := json.dumps(value)) <= _LONGEST
+                if len(text := json.dumps(value)) <= _MAX_LENGTH
             ],
         ), values
 

@@ -125,7 +125,7 @@ def _occupied(reason: str, namespace: str) -> OccupiedError:
 
 
 @contextmanager
-def only_bringup(namespace: str) -> Iterator[None]:
+def lock_namespace(namespace: str) -> Iterator[None]:
     """Lock a namespace of the ROS domain, so that only one bringup of this user runs in it.
 
     Discovery would find another bringup's nodes, too, but not always in time on a busy machine.

@@ -82,7 +82,7 @@ def qos_profile(qos: Qos) -> QoSProfile:
     return profile
 
 
-def lacks(offered: QoSProfile, required: Qos) -> list[str]:
+def find_lacking(offered: QoSProfile, required: Qos) -> list[str]:
     """Return what an endpoint offers below the required policies, each as a verb and its object."""
     lacking = []
     if required.reliability == "reliable" and offered.reliability != ReliabilityPolicy.RELIABLE:
@@ -101,7 +101,7 @@ def lacks(offered: QoSProfile, required: Qos) -> list[str]:
     return lacking
 
 
-def requirements(qos: Qos) -> str:
+def describe_qos(qos: Qos) -> str:
     """Return a profile in words."""
     words = f"{qos.reliability}, {qos.durability}, keep last {qos.depth}".replace("_", " ")
     lease = f", with a liveliness lease of {qos.lease_s:g} s"

@@ -41,7 +41,7 @@ class Peers:
 
     def _by_role(self, names: Collection[str]) -> dict[str, list[str]]:
         topics = {name: publishers.topic for name, publishers in self.publishers.items()}
-        return by_role(self._role, topics, names)
+        return group_by_role(self._role, topics, names)
 
     def describe(self, missing: Mapping[str, Iterable[str]]) -> str:
         """Return a text that names topics, and the nodes that should publish them."""
@@ -96,7 +96,7 @@ class Peers:
                 yield f"{name} {problem}"
 
 
-def by_role(
+def group_by_role(
     own: str, inputs: Mapping[str, Topic], names: Collection[str]
 ) -> dict[str, list[str]]:
     """Return some of a node's inputs, by the role that should publish them.

@@ -9,7 +9,7 @@ from typing import Any
 from rclpy.node import Node
 
 from greenroof_ros.common.interface import Qos, Topic
-from greenroof_ros.graph.messages import lacks, requirements
+from greenroof_ros.graph.messages import describe_qos, find_lacking
 
 # A node's name and its other endpoints are discovered up to this long after its publisher (s).
 DISCOVERY_S = 1.0
@@ -96,18 +96,18 @@ class Publishers:
         if not incompatible:
             return ""
         names = sorted({display_name(info.node_name) for info in incompatible})
-        offered = [lacks(info.qos_profile, self.required) for info in incompatible]
+        offered = [find_lacking(info.qos_profile, self.required) for info in incompatible]
         why = dict.fromkeys(word for words in offered for word in words)
         return (
             f"has a publisher with an incompatible QoS ({list_nodes(names)}): it "
-            f"{' and '.join(why)}, but must be {requirements(self.required)}; change it, or end it"
+            f"{' and '.join(why)}, but must be {describe_qos(self.required)}; change it, or end it"
         )
 
     def _endpoints(self) -> list[Any]:
         return list(self._node.get_publishers_info_by_topic(self.topic.graph_name))
 
     def _incompatible(self) -> list[Any]:
-        return [info for info in self._endpoints() if lacks(info.qos_profile, self.required)]
+        return [info for info in self._endpoints() if find_lacking(info.qos_profile, self.required)]
 
 
 def display_name(name: str) -> str:

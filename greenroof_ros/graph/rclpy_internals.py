@@ -38,7 +38,7 @@ def raw_publish(publisher: Any) -> Callable[[bytes], None]:
     return publish
 
 
-def waiting_messages(subscription: Any) -> Iterator[tuple[bytes, Any]]:
+def take_messages(subscription: Any) -> Iterator[tuple[bytes, Any]]:
     """Yield the waiting messages, each serialised and with its metadata from rclpy.
 
     rclpy passes messages only to callbacks. Its fast executor calls none for messages that waited

@@ -20,7 +20,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.graph.domain import SHUTDOWN_S, choose_transport
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.rclpy_internals import waiting_messages
+from greenroof_ros.graph.rclpy_internals import take_messages
 
 # How often the wall clock, the signals and the ends of the nodes are checked (s).
 _CHECK_S = 0.05
@@ -119,7 +119,7 @@ def start_receiving(executor: Any, node: Any) -> None:
     executor.spin_once(timeout_sec=0.0)  # it begins to listen here, not in add_node
     for subscription in node.subscriptions:
         if subscription.raw:
-            for message, _ in waiting_messages(subscription):
+            for message, _ in take_messages(subscription):
                 subscription.callback(message)
 
 

@@ -23,12 +23,12 @@ from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import time_limit
 from greenroof_ros.common.times import from_epoch_ns, to_people
-from greenroof_ros.controllers.decide import decide, rain_forecast
-from greenroof_ros.controllers.failure import ControllerError, raised
+from greenroof_ros.controllers.decide import decide, shape_rain
+from greenroof_ros.controllers.failure import ControllerError, locate_error
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import (
     knows_time,
-    learned_by,
+    read_learned,
     set_gauge_rain,
     set_learned,
     set_time,
@@ -171,7 +171,7 @@ class LiveControllerNode(LiveNode):
         except (ConfigurationError, HangError) as error:
             self._failure = str(error)
         except (Exception, SystemExit) as error:
-            self._failure = str(raised(self._choice.kind, error))
+            self._failure = str(locate_error(self._choice.kind, error))
         self._failed_at, self._settings.controller = time.monotonic(), None
 
     def _ask(self, allowed: bool) -> tuple[float, bool]:
@@ -193,13 +193,13 @@ class LiveControllerNode(LiveNode):
             self._rain.refuse(str(error))
             decides = allowed and not self._forecast_problem()
             command = self._decide(decides)
-        self._learned = learned_by(self._settings.controller)
+        self._learned = read_learned(self._settings.controller)
         return command, decides
 
     def _make(self) -> None:
         """Make a new controller, which knows what the last one had learned."""
         controller, self._outdated = self._settings.make(), False
-        if self._learned and learned_by(controller) is not None:
+        if self._learned and read_learned(controller) is not None:
             try:
                 set_learned(controller, self._learned)
             except KeyError as error:
@@ -214,7 +214,7 @@ class LiveControllerNode(LiveNode):
         usable = decides and self._rain.good and self._evapotranspiration.good
         return decide(
             controller, decides, self._cistern.value, self._roof.value,
-            rain_forecast(self._choice, self._rain.value, self._rain.name) if usable else (),
+            shape_rain(self._choice, self._rain.value, self._rain.name) if usable else (),
             self._evapotranspiration.value if usable else (), self._quiet,
         )
 

@@ -20,7 +20,7 @@ from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
-from greenroof_ros.graph.peers import by_role
+from greenroof_ros.graph.peers import group_by_role
 from greenroof_ros.graph.publishers import DISCOVERY_S
 from greenroof_ros.graph.spin import start_receiving
 from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
@@ -132,7 +132,7 @@ class LiveNode(GraphNode):
     def absent(self) -> dict[str, list[str]]:
         """Return the required inputs without a compatible publisher, by missing role."""
         topics = {name: entry.topic for name, entry in self.inputs.items()}
-        return by_role(self.role, topics, [
+        return group_by_role(self.role, topics, [
             entry.topic.name for entry in self._engine.required if not entry.publishers.compatible
         ])
 

@@ -37,7 +37,7 @@ from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.parameter_file import node_parameter_files
 from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
-from greenroof_ros.graph.domain import importing_ros, only_bringup, refuse_other_nodes
+from greenroof_ros.graph.domain import importing_ros, lock_namespace, refuse_other_nodes
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
@@ -74,7 +74,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     with importing_ros():
         user_files = node_parameter_files(arguments, modules, site.controller)
     with (
-        only_bringup(arguments.namespace),
+        lock_namespace(arguments.namespace),
         _state_directory(state) as state,
         scratch_directory(IN_MEMORY) as configuration,
     ):

@@ -14,10 +14,10 @@ _LATER = 21_600
 _HOUR = 3600
 
 MAX_HORIZON = 240.0
-"""The longest horizon (h): ten days."""
+"""The maximum horizon (h): ten days."""
 
-# Largest ensemble of forecasts.
 MAX_MEMBERS = 100
+"""The maximum number of members of an ensemble of forecasts."""
 
 
 def growing_steps(horizon: float) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """The metrics of a run, one entry each, for every summary, table and report.
 
 A metric is a function of the samples of a run, which gives a number for each sample, and a way to
-combine these numbers: their sum, the largest, the last; hours are counted in ticks. A ratio comes
+combine these numbers: their sum, the maximum, the last; hours are counted in ticks. A ratio comes
 from two sums, and the share of rain kept from hourly sums. The same function serves a run in
 progress, block by block (:class:`Metrics`), and a recorded run (:func:`totals_of`).
 
@@ -104,7 +104,7 @@ def _count(before: float, values: Values) -> float:
     return int(before) + int(np.count_nonzero(values))
 
 
-def _largest(before: float, values: Values) -> float:
+def _maximum(before: float, values: Values) -> float:
     return max(before, float(values.max()))
 
 
@@ -357,8 +357,8 @@ METRICS = (
         _volume("evapotranspiration"),
     ),
     Metric(
-        "max_command", "1", "largest command", "share of the maximum flow",
-        lambda site, samples: samples.command, _largest, ".6g", max=1,
+        "max_command", "1", "maximum command", "share of the maximum flow",
+        lambda site, samples: samples.command, _maximum, ".6g", max=1,
     ),
     Metric(
         "beyond_hours", "h", "beyond the pump", "with a command above 1",
@@ -374,7 +374,7 @@ METRICS = (
     ),
     Metric(
         "busiest_hour_starts", "1", "starts in an hour", "the most pump starts in 60 minutes",
-        _starts_in_hour, lambda before, values: int(_largest(before, values)), "d",
+        _starts_in_hour, lambda before, values: int(_maximum(before, values)), "d",
     ),
     Metric(
         "excess_starts", "1", "too many starts",

@@ -132,7 +132,7 @@ class Plant:
         self._site = site
         # Looked up once: the time of a tick counts.
         self._a1, self._a2, self._tau = site.a1, site.a2, site.tau
-        self._lowest_outlet, self._catchment = site.lowest_outlet, site.effective_catchment
+        self._min_outlet_level, self._catchment = site.min_outlet_level, site.effective_catchment
         self._soil = soil_of(site)
         self._retains_all_below = self._soil.retains_all_below
         self._has_layer = site.drainage_storage is not None
@@ -164,7 +164,7 @@ class Plant:
             pump: flow from the cistern to the roof (m3/s).
         """
         x1, x2 = self.x1, self.x2
-        outflow = outlet_flow(self._site, x1) if x1 / self._a1 > self._lowest_outlet else 0.0
+        outflow = outlet_flow(self._site, x1) if x1 / self._a1 > self._min_outlet_level else 0.0
         limited = False
         demand = outflow + pump
         available = x1 / self._tau + precipitation * self._catchment

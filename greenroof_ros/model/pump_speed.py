@@ -45,8 +45,8 @@ def speed_for(site: Site, share: float, cistern_level: float) -> float:
         share: of the maximum flow at this level, 0 to 1.
         cistern_level: depth in the cistern (m).
     """
-    most = cistern_level + site.c_hat - site.d
-    if share <= 0 or most <= 0:
+    max_head = cistern_level + site.c_hat - site.d
+    if share <= 0 or max_head <= 0:
         return 0.0
-    squared = (share**2 * most + site.d - cistern_level) / site.c_hat
+    squared = (share**2 * max_head + site.d - cistern_level) / site.c_hat
     return max(math.sqrt(max(squared, 0.0)), math.ulp(0.0))

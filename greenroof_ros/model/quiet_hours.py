@@ -14,7 +14,7 @@ _SECOND_NS = 1_000_000_000
 _MINUTE_NS = 60 * _SECOND_NS
 _DAY_S, _DAY_MINUTES = 86_400, 1440
 # Number of days kept: more than a look-ahead with the days after its forecast.
-_MOST_DAYS = 60
+_MAX_DAYS = 60
 # 24:00 is only an end.
 _INTERVAL = re.compile(
     r"([01][0-9]|2[0-3]):([0-5][0-9])-([01][0-9]|2[0-3]|24(?=:00)):([0-5][0-9])"
@@ -82,7 +82,7 @@ class QuietHours:
         return self._by_clock[_clock(day, self._zone)]
 
 
-@functools.lru_cache(_MOST_DAYS)
+@functools.lru_cache(_MAX_DAYS)
 def _clock(day: int, zone: tzinfo) -> NDArray[np.intp]:
     """Return what the local clock shows in each minute of a day in UTC, in minutes of the day."""
     times = (

@@ -28,7 +28,7 @@ _POSITIVE, _NOT_NEGATIVE, _NEGATIVE = (1e-12, 1e9), (0.0, 1e9), (-1e9, -1e-12)
 _ROUNDING = 1e-6
 # By Eq. (4), water that the soil cannot hold stands on it until it drains. At most this much stands
 # there, the most rain that ever fell in a day: Foc-Foc, La Reunion, 1966 [WMO] (m).
-_MOST_PONDED = 1.825
+_MAX_PONDED = 1.825
 # A cistern reaches up to the roof, or to this multiple of its outlet (Table II) if that is higher.
 _ABOVE_OUTLET = 1.3
 # Products, computed if a file omits them; the paper's roof has no field capacity.
@@ -212,7 +212,7 @@ class Site:
         "includes daylight saving; its standard time is utc_offset", default=None,
     )
     max_dose: float | None = entry(
-        "largest volume of a dose, which a person asks for; without it no dose is given", 0.001,
+        "maximum volume of a dose, which a person asks for; without it no dose is given", 0.001,
         1e6, unit="m3", default=None,
     )
 
@@ -247,7 +247,7 @@ class Site:
         return self.c_d * math.pi * radius**2 * math.sqrt(2 * self.g)
 
     @cached_property
-    def lowest_outlet(self) -> float:
+    def min_outlet_level(self) -> float:
         """Cistern level above which water leaves for the sewer (m)."""
         return self.z_o if self.low_outlet_level is None else self.low_outlet_level
 
@@ -263,7 +263,7 @@ class Site:
 
     @cached_property
     def suction_level(self) -> float:
-        """Lowest cistern level at which the pumps work, z_pump + z_H (m), Eq. (3a)."""
+        """Minimum cistern level at which the pumps work, z_pump + z_H (m), Eq. (3a)."""
         return self.z_pump + self.z_H
 
     @cached_property
@@ -341,11 +341,11 @@ def unheld(site: Site, *volumes: float) -> Iterator[tuple[int, str]]:
     full = site.roof_level(site.z_cap)
     cistern = f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base"
     roof = (
-        f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MOST_PONDED:g} m stand on it"
+        f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MAX_PONDED:g} m stand on it"
     )
     limits = (
         (site.a1, max(site.d, _ABOVE_OUTLET * site.z_o), cistern),
-        (site.a2, full + _MOST_PONDED, roof),
+        (site.a2, full + _MAX_PONDED, roof),
     )
     for place, (volume, (area, level, why)) in enumerate(zip(volumes, limits, strict=True)):
         if volume > level * area:
@@ -586,19 +586,19 @@ def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, 
         offsets = _standard_offsets(site.time_zone)
         if site.utc_offset not in offsets:
             yield _ZONE, _other_zone(site.time_zone, site.utc_offset, offsets)
-    lowest, name, suction = site.lowest_outlet, "z_o", site.suction_level
+    outlet, name, suction = site.min_outlet_level, "z_o", site.suction_level
     if site.low_outlet_level is not None:
         name = "low_outlet_level"
-        if lowest >= site.z_o:
+        if outlet >= site.z_o:
             yield name, f"must be below z_o = {site.z_o:g} m, the outlet above it"
-        if lowest <= suction:
+        if outlet <= suction:
             yield name, (
                 f"must be above z_pump + z_H = {suction:g} m, otherwise it drains all usable water"
             )
-    if site.mains_level is not None and not suction < site.mains_level < lowest:
+    if site.mains_level is not None and not suction < site.mains_level < outlet:
         yield "mains_level", (
             f"must be above z_pump + z_H = {suction:g} m, below which the pumps do not work, and "
-            f"below {name} = {lowest:g} m, otherwise its water flows to the sewer"
+            f"below {name} = {outlet:g} m, otherwise its water flows to the sewer"
         )
     if site.initial_layer > site.layer_storage:
         yield "initial_layer", (

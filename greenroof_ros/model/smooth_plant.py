@@ -118,7 +118,7 @@ def linearise(
         w_r: precipitation (m/s).
         w_e: evapotranspiration (m3/s).
     """
-    tau, soil = site.tau, soil_of(site).linear(x2, q_drain)
+    tau, soil = site.tau, soil_of(site).linearise(x2, q_drain)
     out, out_1 = q_out(site, x1)
     pumped, pumped_1, pumped_2, pumped_u = q_pump(site, x1, x2, u)
     f1, f2 = f(site, x1, w_r, w_e, out, pumped, soil)

@@ -24,10 +24,10 @@ _ABOVE_M = 0.15
 # Only an infinite volume would fill the soil to field capacity: this share of TAW is treated as
 # full.
 _ALMOST_FULL = 1 - 1e-9
-# lasting_share adds at least this share of the water that plants can take (1): smaller differences
-# would be rounding errors.
+# predict_lasting_share adds at least this share of the water that plants can take (1): smaller
+# differences would be rounding errors.
 _MIN_ADDED = 0.005
-# Minimum result of lasting_share (1): a storm that fills the substrate leaves no difference.
+# Minimum result of predict_lasting_share (1): a storm that fills the soil leaves no difference.
 _MIN_LASTING = 1e-3
 
 
@@ -97,7 +97,7 @@ class PaperSoil:
         return 1.0
 
     def tick(
-        self, x2: float, layer: float, most: float, arriving: float, potential: float
+        self, x2: float, layer: float, available: float, arriving: float, potential: float
     ) -> Losses:
         """Return what leaves the roof in a tick: at most what it holds and gets.
 
@@ -106,7 +106,7 @@ class PaperSoil:
         Args:
             x2: what the soil holds (m3).
             layer: what the drainage layer holds (m3).
-            most: that can leave the soil, what it holds and gets (m3/s).
+            available: what can leave the soil, since it holds or gets it (m3/s).
             arriving: rain and pumped water (m3/s).
             potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
 
@@ -115,19 +115,19 @@ class PaperSoil:
         """
         drainage = self._darcy(x2) if x2 >= self.retains_all_below else 0.0
         demand = potential + drainage
-        if demand > most:
-            share = most / demand
+        if demand > available:
+            share = available / demand
             return drainage * share, potential * share, True
         return drainage, potential, False
 
-    def fastest_fall(self, level: float) -> float:
+    def max_fall_rate(self, level: float) -> float:
         """Return the fastest rate at which drainage lowers a level (m), in m/s.
 
         It is Eq. (4), also below the capacity.
         """
         return self._site.K * (level + self._site.z_soil) / self._site.z_soil
 
-    def linear(self, x2: float, q_drain: Drainage) -> SoilSlopes:
+    def linearise(self, x2: float, q_drain: Drainage) -> SoilSlopes:
         """Return what a linear model around x2 (m3) needs.
 
         Args:
@@ -136,7 +136,7 @@ class PaperSoil:
         """
         return SoilSlopes(1.0, 0.0, 1.0, 0.0, *q_drain(self._site, x2))
 
-    def after(
+    def predict_volume(
         self, x2: Values, arriving: Values | float, potential: Values | float,
         seconds: Values | float,
     ) -> Values:
@@ -161,11 +161,13 @@ class PaperSoil:
         """Return the water that fills an empty roof to x2 (m3), of any shape."""
         return x2
 
-    def filled_by(self, arrived: Values) -> Values:
+    def fill_empty(self, arrived: Values) -> Values:
         """Return what an empty roof holds (m3) after this much has arrived (m3)."""
         return arrived
 
-    def free_changes(self, x2: float, rain: Values, potential: Values, lengths: Values) -> Values:
+    def predict_changes(
+        self, x2: float, rain: Values, potential: Values, lengths: Values
+    ) -> Values:
         """Predict by how much the roof's volume changes in steps without pumping (m3).
 
         Args:
@@ -180,12 +182,12 @@ class PaperSoil:
         """
         return np.asarray((rain * self._site.a2 - potential) * lengths)
 
-    def lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
+    def predict_lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
         """Predict the share of water added now that is still on the roof in later steps (1): all.
 
         Args:
             x2: volume on the roof at the beginning (m3).
-            changes: without pumping, as :meth:`free_changes` returns them (m3).
+            changes: without pumping, as :meth:`predict_changes` returns them (m3).
             weather: the arguments rain, potential and lengths of that call.
 
         Returns:
@@ -193,7 +195,7 @@ class PaperSoil:
         """
         return np.ones_like(changes)
 
-    def follow(
+    def reconstruct_losses(
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values | None, durations: Values,
     ) -> RoofSeries:
@@ -276,10 +278,10 @@ class MeasuredSoil:
         """
         if x2 >= self._capacity:
             return arriving + (x2 - self._capacity) / seconds
-        arrived, most, filled = arriving * seconds, self._available, self.filled_share(x2)
+        arrived, available, filled = arriving * seconds, self._available, self.filled_share(x2)
         first = min(arrived, max(0.0, self._wilting - x2))
-        g = math.tanh((arrived - first) / most)
-        retained = first + most * g * (1 - filled * filled) / (1 + filled * g)
+        g = math.tanh((arrived - first) / available)
+        retained = first + available * g * (1 - filled * filled) / (1 + filled * g)
         return max(0.0, arriving - retained / seconds)
 
     def retained_share(self, x2: float) -> float:
@@ -320,21 +322,21 @@ class MeasuredSoil:
         return max(0.0, inflow + (layer - remaining) / seconds)
 
     def tick(
-        self, x2: float, layer: float, most: float, arriving: float, potential: float
+        self, x2: float, layer: float, available: float, arriving: float, potential: float
     ) -> Losses:
         """Return drainage and evapotranspiration; there is always enough water to percolate."""
         percolated = self.drained(x2, arriving, self._tau)
-        evaporated, remaining = potential * self.water_stress(x2), most - percolated
+        evaporated, remaining = potential * self.water_stress(x2), available - percolated
         limited = evaporated > remaining
         if limited:
             evaporated = max(0.0, remaining)
         return self.layer_outflow(layer, percolated, self._tau), evaporated, limited
 
-    def fastest_fall(self, level: float) -> float:
+    def max_fall_rate(self, level: float) -> float:
         """Return the rate that removes the excess within a tick (m/s)."""
         return max(0.0, level - self._site.roof_level(self._capacity)) / self._tau
 
-    def linear(self, x2: float, q_drain: Drainage) -> SoilSlopes:
+    def linearise(self, x2: float, q_drain: Drainage) -> SoilSlopes:
         """Return the slopes of the soil itself, since it is continuous.
 
         At the wilting point, the onset of stress and field capacity the slopes are one-sided.
@@ -348,7 +350,7 @@ class MeasuredSoil:
             excess / self._tau, 1 / self._tau if excess else 0.0,
         )
 
-    def after(
+    def predict_volume(
         self, x2: Values, arriving: Values | float, potential: Values | float,
         seconds: Values | float,
     ) -> Values:
@@ -371,30 +373,32 @@ class MeasuredSoil:
         share = np.clip((x2 - self._wilting) / self._available, 0.0, _ALMOST_FULL)
         return np.minimum(x2, self._wilting) + self._available * np.arctanh(share)
 
-    def filled_by(self, arrived: Values) -> Values:
+    def fill_empty(self, arrived: Values) -> Values:
         """Return the inverse of :meth:`water_to_fill`."""
         more = np.maximum(arrived - self._wilting, 0.0) / self._available
         return np.minimum(arrived, self._wilting) + self._available * np.tanh(more)
 
-    def free_changes(self, x2: float, rain: Values, potential: Values, lengths: Values) -> Values:
-        """Predict the changes in steps that can be long, as in :meth:`after`."""
-        dry, most, drying = self._wilting, self._available, self._drying
+    def predict_changes(
+        self, x2: float, rain: Values, potential: Values, lengths: Values
+    ) -> Values:
+        """Predict the changes in steps that can be long, as in :meth:`predict_volume`."""
+        dry, available, drying = self._wilting, self._available, self._drying
         stressed = dry + drying  # below it evapotranspiration decays
         fallen, demand = rain * self._a2 * lengths, potential * lengths
         # Computed at once, and right for most steps, which begin above the wilting point and are in
         # stress after the rain.
-        steps = fallen, np.tanh(fallen / most), demand, np.expm1(-demand / drying)
+        steps = fallen, np.tanh(fallen / available), demand, np.expm1(-demand / drying)
         volumes = [x2]
         for fell, gained, dried, decay in zip(*(part.tolist() for part in steps), strict=True):
             volume = volumes[-1]
             first = min(fell, max(dry - volume, 0.0))
             if first > 0:
-                gained = float(np.tanh((fell - first) / most))
+                gained = float(np.tanh((fell - first) / available))
             if volume + first < dry:
                 volume += first
             else:
-                filled = min(max((volume - dry) / most, 0.0), 1.0)
-                volume = dry + most * ((filled + gained) / (1 + filled * gained))
+                filled = min(max((volume - dry) / available, 0.0), 1.0)
+                volume = dry + available * ((filled + gained) / (1 + filled * gained))
             easy = min(dried, max(volume - stressed, 0.0))
             if easy == dried:
                 decay = 0.0
@@ -404,20 +408,20 @@ class MeasuredSoil:
             volumes.append(volume + max(volume - dry, 0.0) * decay)
         return np.diff(volumes)
 
-    def lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
+    def predict_lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
         """Predict the share of water added now that is still on the roof in later steps (1).
 
-        :meth:`free_changes` follows two roofs: one without pumping, and one filled to its target
+        :meth:`predict_changes` follows two roofs: one without pumping, and one filled to its target
         now. The share is their difference over their first difference, at least 0.001. It falls:
         the fuller substrate lets more of each rain pass and, if plants lack water, gives more to
         them. A storm that fills both leaves no difference.
         """
         added = max(self._site.x2_star - x2, _MIN_ADDED * self._available)
-        fades = self.free_changes(x2 + added, *weather) - changes
+        fades = self.predict_changes(x2 + added, *weather) - changes
         ends = 1 + np.cumsum(fades) / added
         return np.asarray(np.maximum(ends - fades / added / 2, _MIN_LASTING))
 
-    def follow(
+    def reconstruct_losses(
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values | None, durations: Values,
     ) -> RoofSeries:

@@ -11,7 +11,7 @@ from typing import Any
 
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.decide import decide, rain_forecast, statistics_of
+from greenroof_ros.controllers.decide import decide, read_statistics, shape_rain
 from greenroof_ros.controllers.protocol import knows_time, set_time
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
@@ -69,7 +69,7 @@ class ControllerNode(SimulationNode):
             allowed = allowed and (not quiet or knows_time(controller))
         self.publish("/pump/command", decide(
             controller, allowed, self._cistern.value, self._roof.value,
-            rain_forecast(self._choice, self._rain.value, self._rain.name),
+            shape_rain(self._choice, self._rain.value, self._rain.name),
             self._evapotranspiration.value, quiet,
         ))
         for topic, attribute in self._optional:
@@ -82,7 +82,7 @@ class ControllerNode(SimulationNode):
 
     def summary(self) -> dict[str, Any]:
         """Return the solver's statistics."""
-        return {"solver": statistics_of(self._controller)}
+        return {"solver": read_statistics(self._controller)}
 
 
 _help = partial(

@@ -59,9 +59,9 @@ def parameters(site: Site) -> list[Parameter]:
         ),
         *PARAMETERS.values(),
         Parameter("record", False, meaning="wait for a recorder"),
-        Parameter("peer_limit", 5.0, "", 2, 1e6, "longest wait for another node (s of wall time)"),
+        Parameter("peer_limit", 5.0, "", 2, 1e6, "maximum wait for another node (s of wall time)"),
         Parameter(
-            "start_limit", 30.0, "", 0.1, 1e6, "longest wait for the other nodes to appear (s of "
+            "start_limit", 30.0, "", 0.1, 1e6, "maximum wait for the other nodes to appear (s of "
             "wall time)",
         ),
     ]
@@ -231,10 +231,11 @@ class PlantNode(SimulationNode):
             if not self._paused:
                 awaited = [name for name in self.inputs if name in self.lockstep.awaited]
                 missing = self.peers.describe_silent(awaited)
-            raise LockstepError(f"tick {self._site.tick}: no message within {limit:g} s on {missing}")
+            tick = self._site.tick
+            raise LockstepError(f"tick {tick}: no message within {limit:g} s on {missing}")
 
     def limit(self) -> float:
-        """Return the longest wait for another node at present (s of wall time)."""
+        """Return the maximum wait for another node at present (s of wall time)."""
         # Nodes that have not answered yet may still be joining: seconds on a busy machine.
         answered = self._site.tick and (self._written or not self._paused)
         return self._limit if answered else max(self._limit, self._start_limit)

@@ -29,13 +29,13 @@ def parameters(site: Site | None = None) -> list[Parameter]:
         Parameter(
             "controller", DEFAULT, meaning="the active controller: a name, or package.module:Class",
         ),
-        Parameter("peer_limit", 5.0, "s", 0.1, 1e6, "longest wait for the last messages"),
+        Parameter("peer_limit", 5.0, "s", 0.1, 1e6, "maximum wait for the last messages"),
     ]
 
 
 # How many messages a topic may be ahead of the slowest: the plant is at most 32 ticks ahead of the
 # bag, and a publisher of another package may send its first messages early.
-_MOST_AHEAD = 1000
+_MAX_AHEAD = 1000
 
 
 class RecorderNode(SimulationNode):
@@ -82,7 +82,7 @@ class RecorderNode(SimulationNode):
         """
         queue = self._queues[name]
         queue.append(message)
-        if len(queue) > _MOST_AHEAD:
+        if len(queue) > _MAX_AHEAD:
             late = min(self._queues, key=lambda other: len(self._queues[other]))
             raise LockstepError(
                 f"{name} has {len(queue)} messages more than {late}; a topic must have one message "

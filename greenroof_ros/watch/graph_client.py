@@ -21,7 +21,7 @@ from typing import Any
 
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import SHUTDOWN_S, join
-from greenroof_ros.graph.rclpy_internals import waiting_messages
+from greenroof_ros.graph.rclpy_internals import take_messages
 
 # How many messages of a topic can wait for the next poll: 1 s at 60 times real time.
 _DEPTH = 64
@@ -115,7 +115,7 @@ class GraphClient:
         self._wake.clear()
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
             subscription = self._subscriptions[name]
-            for message, info in islice(waiting_messages(subscription), _DEPTH):
+            for message, info in islice(take_messages(subscription), _DEPTH):
                 if self._wake.is_set():
                     return  # what waits is less urgent
                 number = info["publication_sequence_number"]

@@ -120,7 +120,7 @@ def cistern(store: GraphStore) -> Tile:
             return "low", "too low for the pump: not above the suction level"
         if level > site.z_o:
             return "high", "above its outlet: it overflows to the sewer"
-        drains = "; its low outlet drains it" if level > site.lowest_outlet else ""
+        drains = "; its low outlet drains it" if level > site.min_outlet_level else ""
         usable_text = words.quantity(usable, "m³", 1)
         return "good", f"{usable_text} above the suction level can be pumped{drains}"
 

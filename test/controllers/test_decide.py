@@ -14,7 +14,7 @@ import pytest
 from paper import PAPER_SITE
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers.decide import decide, rain_forecast, statistics_of
+from greenroof_ros.controllers.decide import decide, read_statistics, shape_rain
 from greenroof_ros.controllers.failure import ControllerError
 from greenroof_ros.controllers.registry import find_controller
 
@@ -89,7 +89,7 @@ def line_of(text: str) -> int:
 @pytest.mark.parametrize(("call", "line", "why"), [
     (lambda: find_controller(f"{__name__}:Raising").make(PAPER_SITE, {}), "math.sqrt", "ValueErr"),
     (lambda: decide(Raising(), False, 2.0, 0.03, [], []), "json.loads", "JSONDecodeError"),
-    (lambda: statistics_of(Raising()), "raise SystemError", "SystemError"),
+    (lambda: read_statistics(Raising()), "raise SystemError", "SystemError"),
     (lambda: decide(Deaf(0.0), True, 2.0, 0.03, [], []), "roof: float) -> float", "TypeError"),
     (lambda: decide(Answering(None), True, 2.0, 0.03, [], []), "def command", "= None: must be"),
 ])
@@ -104,8 +104,8 @@ def test_an_error_of_a_class_names_file_and_line(
 def test_a_forecast_has_the_shape_that_the_controller_takes() -> None:
     """All members for lookahead, even if there is one; a row for a controller that takes one."""
     row, members = array("d", [1.0, 2.0]), np.ones((3, 2))
-    assert rain_forecast(find_controller("onoff"), row, "/rain") is row
-    assert np.array_equal(rain_forecast(find_controller("lookahead"), row, "/rain"), [[1.0, 2.0]])
-    assert rain_forecast(find_controller("lookahead"), members, "/rain").shape == (3, 2)
+    assert shape_rain(find_controller("onoff"), row, "/rain") is row
+    assert np.array_equal(shape_rain(find_controller("lookahead"), row, "/rain"), [[1.0, 2.0]])
+    assert shape_rain(find_controller("lookahead"), members, "/rain").shape == (3, 2)
     with pytest.raises(ConfigurationError, match=r"^/rain: has 3 members, but onoff takes one"):
-        rain_forecast(find_controller("onoff"), members, "/rain")
+        shape_rain(find_controller("onoff"), members, "/rain")

@@ -17,7 +17,7 @@ from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.lookahead import Lookahead
-from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halved_by_rain
+from greenroof_ros.controllers.order_up_to import OrderUpTo, Policy, halve_by_rain
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site, read_site
@@ -189,7 +189,7 @@ def test_the_drier_half_parts_from_the_wetter() -> None:
     """
     fallen = [[2, 0, 0, 5, 0, 0, 0, 0], [0, 1, 1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 9, 0, 0, 0],
               [3, 0, 0, 0, 0, 1, 0, 0], [1, 0, 0, 0, 0, 0, 0, 0]]
-    groups = halved_by_rain(np.array(fallen, dtype=float), np.arange(9) * 3600.0, 7200.0)
+    groups = halve_by_rain(np.array(fallen, dtype=float), np.arange(9) * 3600.0, 7200.0)
     assert groups.T.tolist() == (
         [[0, 0, 0, 0, 0]] * 2 + [[0, 0, 2, 0, 2]] * 2 + [[0, 1, 2, 0, 4]] * 2
         + [[0, 1, 2, 3, 4]] * 2

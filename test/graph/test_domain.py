@@ -10,7 +10,7 @@ import pytest
 from places import CONFIG
 
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.graph.domain import only_bringup
+from greenroof_ros.graph.domain import lock_namespace
 
 
 def test_one_bringup_in_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -18,13 +18,13 @@ def test_one_bringup_in_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "84")
     places = [Path("/dev/shm"), Path("/tmp"), Path("/run/lock")]
     before = {file for place in places for file in place.glob("greenroof_ros*")}
-    with only_bringup("/site1"):
+    with lock_namespace("/site1"):
         assert {file for place in places for file in place.glob("greenroof_ros*")} <= before
-        with pytest.raises(OccupiedError), only_bringup("/site1"):
+        with pytest.raises(OccupiedError), lock_namespace("/site1"):
             pass
-        with only_bringup("/site2"):
+        with lock_namespace("/site2"):
             pass
-    with only_bringup("/site1"):
+    with lock_namespace("/site1"):
         pass
 
 

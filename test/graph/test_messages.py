@@ -28,7 +28,7 @@ from greenroof_ros.graph.messages import (  # noqa: E402
     WithFront,
     decoder,
     encoder,
-    lacks,
+    find_lacking,
 )
 from greenroof_ros.graph.publishers import display_name  # noqa: E402
 
@@ -180,7 +180,7 @@ def test_what_a_publisher_offers_less_than_is_required(
     reliability, durability, lease_s = offered
     profile = QoSProfile(depth=1, reliability=reliability, durability=durability)
     profile.liveliness_lease_duration = Infinite if lease_s is None else Duration(seconds=lease_s)
-    assert lacks(profile, required) == lacking
+    assert find_lacking(profile, required) == lacking
 
 
 @pytest.mark.parametrize("rows", [1, 2])

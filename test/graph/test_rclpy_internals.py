@@ -23,7 +23,7 @@ from greenroof_ros.graph.messages import qos_profile  # noqa: E402
 from greenroof_ros.graph.rclpy_internals import (  # noqa: E402
     NoClockSubscription,
     raw_publish,
-    waiting_messages,
+    take_messages,
 )
 from greenroof_ros.graph.spin import start_receiving  # noqa: E402
 
@@ -87,7 +87,7 @@ def test_messages_that_came_before_an_executor_listens(small: Node) -> None:
     assert values == [1.0, 2.0, 3.0]
     publish_all(4.0, 5.0)
     (subscription,) = (entry for entry in small.subscriptions if entry.raw)
-    numbers = [info["publication_sequence_number"] for _, info in waiting_messages(subscription)]
+    numbers = [info["publication_sequence_number"] for _, info in take_messages(subscription)]
     assert numbers == [4, 5]
 
 

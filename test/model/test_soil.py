@@ -68,7 +68,7 @@ def test_water_to_fill(x2: float) -> None:
     """Up to 2 m3 all water stays; then S = tanh(i/4), the solution of dS/dt = (1 - S^2) i / 4."""
     needed = x2 if x2 <= 2 else 2 + 4 * math.atanh((x2 - 2) / 4)
     assert SOIL.water_to_fill(x2) == pytest.approx(needed, rel=1e-9)
-    assert float(SOIL.filled_by(np.array(needed))) == pytest.approx(x2, rel=1e-9)
+    assert float(SOIL.fill_empty(np.array(needed))) == pytest.approx(x2, rel=1e-9)
     assert PAPER_SOIL.water_to_fill(x2) == x2
 
 
@@ -120,9 +120,9 @@ def test_a_layer_by_hand(
 def test_a_long_step_by_hand(x2: float, rain: float, potential: float, left: float) -> None:
     """With rain and evapotranspiration in m3; predicted for a step, and for several roofs."""
     rates = (np.array([amount / 3600]) for amount in (rain / ROOF.a2, potential))
-    (change,) = SOIL.free_changes(x2, *rates, np.array([3600.0]))
+    (change,) = SOIL.predict_changes(x2, *rates, np.array([3600.0]))
     assert x2 + change == pytest.approx(left, rel=1e-9)
-    roofs = SOIL.after(np.full(2, x2), rain, potential, 3600.0)
+    roofs = SOIL.predict_volume(np.full(2, x2), rain, potential, 3600.0)
     assert roofs.tolist() == pytest.approx([left] * 2, rel=1e-9)
 
 
@@ -131,7 +131,7 @@ def lasting(x2: float, rain_m3: list[float], potential_m3: list[float]) -> list[
     rain = np.array(rain_m3) / 3600 / ROOF.a2
     hours = np.full(len(rain_m3), 3600.0)
     weather = rain, np.array(potential_m3) / 3600, hours
-    share = SOIL.lasting_share(x2, SOIL.free_changes(x2, *weather), *weather)
+    share = SOIL.predict_lasting_share(x2, SOIL.predict_changes(x2, *weather), *weather)
     return list(share)
 
 
@@ -154,7 +154,7 @@ def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
     assert lasting(4.4, [0.0] * 2, [0.1] * 2) == pytest.approx([1.0, 1.0], rel=1e-9)
     dry = MeasuredSoil(replace(ROOF, z_veg=0.035, x2_star=3.5))
     weather = np.zeros(1), np.array([2.0 / 3600]), np.array([3600.0])
-    share = dry.lasting_share(2.5, dry.free_changes(2.5, *weather), *weather)
+    share = dry.predict_lasting_share(2.5, dry.predict_changes(2.5, *weather), *weather)
     assert share == pytest.approx([(1 + math.exp(-1)) / 2], rel=1e-9)
 
 
@@ -178,7 +178,7 @@ def test_what_is_followed_is_what_the_plant_did(
         plant.step(rain, flows[-1])
     volumes, layers = zip(*states, strict=True)
     rain, potential = np.array(ticks).T
-    roof = soil_of(site).follow(
+    roof = soil_of(site).reconstruct_losses(
         layers[0], np.array(volumes), rain, np.zeros_like(rain), potential, None,
         np.full_like(rain, site.tau),
     )

@@ -94,11 +94,11 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         self.site = self._roof.site
         self.ends: Values = self._roof.forecast.ends
         steps, topics = len(self.ends) - 1, read_topics()
-        highest = [topics[name].high for name in (
+        maximum = [topics[name].high for name in (
             "/cistern/level", "/roof/level", "/weather/precipitation", "/weather/evapotranspiration"
         )]
         high = np.array([
-            *highest[:2], *[highest[2] * _TO_MM_PER_H] * steps, *[highest[3] * _TO_M3_PER_H] * steps
+            *maximum[:2], *[maximum[2] * _TO_MM_PER_H] * steps, *[maximum[3] * _TO_M3_PER_H] * steps
         ])
         self.observation_space = Box(np.zeros_like(high), high, dtype=np.float64)
         self.action_space = Box(0.0, 1.0, (1,), np.float64)

@@ -67,7 +67,7 @@ def find_runs(record: RoofRecord, site: Site, command: Values, cistern: Values) 
     count = standing // 3 + 1  # levels that are averaged, before and after
     low = max(site.suction_level, site.mains_level or 0.0) + _MARGIN_M
     recent = prolonged(~(record.rain == 0), round(_WET_S / record.step_s) + 1)
-    between = (cistern > low) & (cistern < site.lowest_outlet - _MARGIN_M)
+    between = (cistern > low) & (cistern < site.min_outlet_level - _MARGIN_M)
     quiet: Steps = between & ~recent & ~np.isnan(command)
     near = np.convolve(command > 0, np.ones(2 * standing + 1), "same") > 0
     runs = []

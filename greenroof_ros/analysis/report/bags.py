@@ -191,7 +191,7 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
     }
     # The run ends at the last sample: nothing flows after it.
     flows: dict[str, Any] = {name: np.append(flow[:-1], 0.0) for name, flow in values.items()}
-    followed = soil_of(site).follow(
+    followed = soil_of(site).reconstruct_losses(
         site.initial_layer, trajectory.roof, flows["precipitation"], flows["pump"],
         flows["potential"], flows["drainage"], dt,
     )

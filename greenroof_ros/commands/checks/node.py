@@ -24,7 +24,13 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.graph.domain import choose_transport
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.graph.messages import encoder, lacks, message_class, qos_profile, requirements
+from greenroof_ros.graph.messages import (
+    describe_qos,
+    encoder,
+    find_lacking,
+    message_class,
+    qos_profile,
+)
 from greenroof_ros.graph.publishers import display_name
 from greenroof_ros.graph.spin import make_executor
 
@@ -201,8 +207,8 @@ class NodeCheck(ABC):
             if not is_output:  # only a publisher must have a lease
                 qos = replace(qos, lease_s=math.inf)
             problems += [
-                f"its {end} {' and '.join(lacking)}; it must be {requirements(qos)}"
-                for info in infos if (lacking := lacks(info.qos_profile, qos))
+                f"its {end} {' and '.join(lacking)}; it must be {describe_qos(qos)}"
+                for info in infos if (lacking := find_lacking(info.qos_profile, qos))
             ]
         return "; ".join(problems)
 

@@ -75,7 +75,7 @@ def roof_bounds(site: Site) -> LevelBounds:
     pump, soil = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2, soil_of(site)
 
     def fall(level: float) -> float:
-        return _MARGIN * (_MOST_EVAPOTRANSPIRATION + soil.fastest_fall(level))
+        return _MARGIN * (_MOST_EVAPOTRANSPIRATION + soil.max_fall_rate(level))
 
     return LevelBounds(lambda level: _MARGIN * (_MOST_RAIN + pump), fall, site.max_roof_level)
 
