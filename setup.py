@@ -128,8 +128,7 @@ setup(
         # The graph for Foxglove and Lichtblick: their protocol, from its makers.
         "foxglove": ["foxglove-sdk>=0.30,<0.31"],  # its minor releases change the interface
         "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
-        # The environment GreenRoof-v0, for reinforcement learning; 0.29 has the present interface.
-        "gym": ["gymnasium>=0.29,<2"],
+        "gym": ["gymnasium>=1,<2"],  # the environment GreenRoof-v0, for reinforcement learning
         "test": [
             # With 9.2, pytest-xdist 3.8 keeps no group together: fixtures are made once a worker.
             "pytest>=8,<9.2",
@@ -170,8 +169,6 @@ setup(
         "console_scripts": [
             f"greenroof = {NAME}.__main__:main", *(EXECUTABLES if IN_WORKSPACE else []),
         ],
-        # Gymnasium before 1.0 loads it; __root__ is a name without a namespace.
-        "gymnasium.envs": [f"__root__ = {NAME}.analysis.api:register_in_gymnasium"],
     },
     zip_safe=False,
 )

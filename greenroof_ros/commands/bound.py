@@ -17,8 +17,6 @@ from greenroof_ros.experiment.run import Run, count_ticks
 from greenroof_ros.experiment.summary import setting
 from greenroof_ros.experiment.summary_table import grid, print_notes, setting_rows
 
-_MAX_COMMAND = 100.0
-
 
 def _result(
     run: Run, max_command: float, bound: Bound, recursion: PlanResult
@@ -33,7 +31,6 @@ def _result(
         "recursion_pumped_m3": recursion.pumped_m3,
         "max_command": max_command,
         "block_s": bound.block * run.site.tau,
-        "solver": bound.solver,
         "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2},
         **setting(run),
         "evapotranspiration_method": run.weather.method,
@@ -73,7 +70,6 @@ def _table(result: dict[str, Any]) -> Table:
             f"m3 by the plans, at a command of at most {result['max_command']:g}",
         ),
         ("block", f"{result['block_s']:g} s", "that share one variable"),
-        ("solver", "HiGHS", result["solver"]),
     )
     return grid("Clairvoyant optimum", rows)
 
@@ -100,7 +96,7 @@ def make_parser() -> Parser:
         f"and takes a minute for 12 h (default: {_BLOCK_S:g}, or one tick if that is longer)",
     )
     group.add_argument(
-        "--max-command", type=within(1e-9, _MAX_COMMAND), default=1.0, metavar="U",
+        "--max-command", type=within(1e-9, 100.0), default=1.0, metavar="U",
         help="maximum command, a share of the maximum flow (default: %(default)g)",
     )
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")

@@ -35,14 +35,12 @@ class Bound:
         plan_m3: total deviation of the plan, run through the exact plant.
         pumped_m3: volume that the plan pumps.
         block: ticks in a block of the linear program.
-        solver: the solver's message.
     """
 
     bound_m3: float
     plan_m3: float
     pumped_m3: float
     block: int
-    solver: str
 
 
 def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = None) -> Bound:
@@ -92,10 +90,10 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
         block = max(1, round(_BLOCK_S / run.site.tau))
     still, limits = _limits(run, max_command)
     edges = np.arange(0, run.steps + 1, block)
-    deviation, cost, message = _solve(run, limits, edges)
+    deviation, cost = _solve(run, limits, edges)
     targets = array("d", _targets(run, still, edges, deviation))
     done = run_plan(run, lambda k, x1, x2: targets[k + 1], max_command)
-    return Bound(cost, done.total_m3, done.pumped_m3, block, message)
+    return Bound(cost, done.total_m3, done.pumped_m3, block)
 
 
 def _sums(first: float, changes: Values) -> Values:
@@ -132,7 +130,7 @@ def _limits(run: Run, max_command: float) -> tuple[Values, RoofRange]:
     return still, roof._replace(low=roof.low - slack, high=high)
 
 
-def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Values, float, str]:
+def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Values, float]:
     """Solve the program of :func:`clairvoyant_bound`.
 
     With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it minimises the
@@ -150,8 +148,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
         edges: first tick of each block, shape (B,).
 
     Returns:
-        Mean deviation in each block (m3), shape (B,); a lower bound of the cost (m3); the solver's
-        message.
+        Mean deviation in each block (m3), shape (B,); and a lower bound of the cost (m3).
 
     Raises:
         NoBoundError: the solver found no optimum.
@@ -195,7 +192,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
     cost = unit * float(ticks[0]) * float(np.minimum(prices * lower, prices * upper).sum())
     # Anything less is the rounding error of a sum of zeros.
     cost = cost if cost > ROUNDING * unit * run.steps else 0.0
-    return deviation, cost, str(result.message)
+    return deviation, cost
 
 
 def _changes(

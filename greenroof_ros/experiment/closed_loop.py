@@ -14,7 +14,6 @@ from greenroof_ros.controllers.decide import decide, read_statistics
 from greenroof_ros.controllers.protocol import Controller, set_time
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.metrics import Metrics
 from greenroof_ros.model.plant import Flows
 from greenroof_ros.model.virtual_site import VirtualSite
 from greenroof_ros.recording.trajectory import RECORDED, Trajectory
@@ -55,6 +54,7 @@ class Simulation:
 
     Attributes:
         site: the simulated site, in the present tick.
+        metrics: of the ticks so far.
     """
 
     def __init__(self, run: Run, controller: Controller | None = None) -> None:
@@ -67,13 +67,9 @@ class Simulation:
         self._run = run
         self._controller = run.make_controller() if controller is None else controller
         self.site = VirtualSite(run.site, run.x1, run.x2, run.time_ns(0), run.sensor_and_pump)
+        self.metrics = self.site.metrics
         self._weather = run.series.at(0)
         self._wall_s = 0.0
-
-    @property
-    def metrics(self) -> Metrics:
-        """The metrics of the ticks so far."""
-        return self.site.metrics
 
     def ticks(self) -> Iterator[Tick]:
         """Run the ticks 0..N with the controller, and yield each."""

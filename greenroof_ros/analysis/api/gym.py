@@ -1,6 +1,6 @@
 """The environment ``GreenRoof-v0`` of Gymnasium, the interface of reinforcement learning.
 
-Gymnasium before 1.0 finds it automatically; later versions look for none, so import this module:
+This module registers it, so import it before:
 
     import gymnasium
     import greenroof_ros as gr
@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.api import register_in_gymnasium
 from greenroof_ros.analysis.api.control import SiteState
 from greenroof_ros.analysis.api.environment import Environment
 from greenroof_ros.common.errors import in_extra
@@ -131,4 +130,4 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         ))
 
 
-register_in_gymnasium()
+gymnasium.register("GreenRoof-v0", f"{__name__}:GreenRoofEnv")

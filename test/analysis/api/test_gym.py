@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import csv
 import doctest
-import subprocess
-import sys
 import warnings
 from collections.abc import Callable
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 import pytest
-from places import CHECKOUT, CONFIG
+from places import CONFIG
 
 import greenroof_ros as gr
 
@@ -108,24 +105,6 @@ def test_seeds_draw_the_errors_of_forecasts() -> None:
     drawn = [roof.reset(seed=seed)[0].tolist() for seed in (1, 2, 1, None, None)]
     assert drawn[0] == drawn[2]
     assert len({tuple(each) for each in drawn}) == 4
-
-
-def test_entry_point() -> None:
-    """Of Gymnasium before 1.0: it calls what the entry point names, while it is imported."""
-    (entry,) = [
-        each for each in metadata.entry_points(group="gymnasium.envs")
-        if each.value.startswith("greenroof_ros.")
-    ]
-    assert entry.name == "__root__"
-    code = (
-        "import sys, gymnasium; from greenroof_ros.analysis.api import register_in_gymnasium as r; "
-        f"r(); r(); print({ID!r} in gymnasium.registry, 'greenroof_ros.model.site' in sys.modules)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CHECKOUT
-    )
-    assert done.stdout.split() == ["True", "False"]
-    assert entry.value == "greenroof_ros.analysis.api:register_in_gymnasium"
 
 
 def test_example() -> None:
