@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from greenroof_ros.common.parameter import Parameter
 
@@ -104,39 +101,13 @@ class ControllerClass(Protocol):
         ...
 
 
-def read_learned(controller: Controller) -> dict[str, float] | None:
-    """Return what a controller has learned; None if it learns nothing."""
-    learned: dict[str, float] | None = getattr(controller, "learned", None)
-    return learned
-
-
-def set_learned(controller: Any, learned: Mapping[str, float]) -> None:
-    """Let a controller continue with what another one of its class has learned.
-
-    Raises:
-        KeyError: a value is missing.
-    """
-    controller.learned = learned
-
-
 def knows_time(controller: Controller) -> bool:
     """Whether a controller takes the time, so that it can plan for quiet hours."""
     return hasattr(controller, "time_ns")
 
 
-def set_time(controller: Any, time_ns: int) -> None:
-    """Set the time (ns since 1970) of a controller that takes it."""
-    if knows_time(controller):
-        controller.time_ns = time_ns
-
-
-def set_forecast_ends(controller: Any, ends: NDArray[np.float64]) -> None:
-    """Set the ends of the forecasts' steps (s) in a controller that takes them."""
-    if hasattr(controller, "forecast_ends"):
-        controller.forecast_ends = ends
-
-
-def set_gauge_rain(controller: Any, rain: float) -> None:
-    """Set what the rain gauge measures (m/s) in a controller that takes it."""
-    if hasattr(controller, "gauge_rain"):
-        controller.gauge_rain = rain
+def set_optional(controller: Controller, **values: Any) -> None:
+    """Set those attributes that a controller has, such as ``time_ns`` and ``forecast_ends``."""
+    for name, value in values.items():
+        if hasattr(controller, name):
+            setattr(controller, name, value)

@@ -22,7 +22,7 @@ from greenroof_ros.common.errors import (
 from greenroof_ros.common.files import YamlMapping, read_ros_parameters
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.failure import locate_error
-from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_forecast_ends
+from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_optional
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
@@ -147,7 +147,8 @@ class ControllerChoice:
         kind = self.kind
         try:
             controller = kind(site, **parameters)
-            set_forecast_ends(controller, look_ahead_ends(site, parameters.get("horizon", 0.0)))
+            ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
+            set_optional(controller, forecast_ends=ends)
         except ImportError as error:
             raise self._not_imported(error) from error
         except (ConfigurationError, HangError):

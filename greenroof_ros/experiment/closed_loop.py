@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greenroof_ros.controllers.decide import decide, read_statistics
-from greenroof_ros.controllers.protocol import Controller, set_time
+from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.plant import Flows
@@ -82,7 +82,7 @@ class Simulation:
         """Return the controller's command for the present tick."""
         site, forecast, controller = self.site, self._run.forecast, self._controller
         if self._run.site.quiet is not None:
-            set_time(controller, site.time_ns)
+            set_optional(controller, time_ns=site.time_ns)
         return decide(
             controller, not self._weather.frost, *site.levels,
             forecast.precipitation(site.tick), forecast.evapotranspiration(site.tick), site.quiet,

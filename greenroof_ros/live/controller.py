@@ -26,13 +26,7 @@ from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import decide, shape_rain
 from greenroof_ros.controllers.failure import ControllerError, locate_error
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
-from greenroof_ros.controllers.protocol import (
-    knows_time,
-    read_learned,
-    set_gauge_rain,
-    set_learned,
-    set_time,
-)
+from greenroof_ros.controllers.protocol import knows_time, set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
 from greenroof_ros.graph.parameters import declare, site_file
@@ -193,24 +187,22 @@ class LiveControllerNode(LiveNode):
             self._rain.refuse(str(error))
             decides = allowed and not self._forecast_problem()
             command = self._decide(decides)
-        self._learned = read_learned(self._settings.controller)
+        self._learned = getattr(self._settings.controller, "learned", None)
         return command, decides
 
     def _make(self) -> None:
         """Make a new controller, which knows what the last one had learned."""
         controller, self._outdated = self._settings.make(), False
-        if self._learned and read_learned(controller) is not None:
+        if self._learned and getattr(controller, "learned", None) is not None:
             try:
-                set_learned(controller, self._learned)
+                controller.learned = self._learned
             except KeyError as error:
                 self.get_logger().warning(f"learned values are lost: {error}")
                 self._settings.make()
 
     def _decide(self, decides: bool) -> float:
         controller = self._settings.controller
-        if self._site.quiet is not None:
-            set_time(controller, self._time_ns)
-        set_gauge_rain(controller, self._measured_rain())
+        set_optional(controller, time_ns=self._time_ns, gauge_rain=self._measured_rain())
         usable = decides and self._rain.good and self._evapotranspiration.good
         return decide(
             controller, decides, self._cistern.value, self._roof.value,

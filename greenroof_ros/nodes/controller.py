@@ -12,7 +12,7 @@ from typing import Any
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.decide import decide, read_statistics, shape_rain
-from greenroof_ros.controllers.protocol import knows_time, set_time
+from greenroof_ros.controllers.protocol import knows_time, set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
 from greenroof_ros.graph.executable import node_command
@@ -64,7 +64,7 @@ class ControllerNode(SimulationNode):
         if self._site.quiet is not None:
             time_ns = self._time.value
             self.set_time(time_ns)
-            set_time(controller, time_ns)
+            set_optional(controller, time_ns=time_ns)
             quiet = self._site.quiet.quiet_at(time_ns)
             allowed = allowed and (not quiet or knows_time(controller))
         self.publish("/pump/command", decide(

@@ -19,7 +19,7 @@ from greenroof_ros.analysis.api.control import (
 )
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.times import duration, to_minutes
-from greenroof_ros.controllers.protocol import Controller, set_forecast_ends
+from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.experiment.run import Run
@@ -228,7 +228,7 @@ def simulate(
         instance = run.make_controller()
     else:
         ends = look_ahead_ends(run.site, run.parameters.get("horizon", 0.0))
-        set_forecast_ends(instance, ends)
+        set_optional(instance, forecast_ends=ends)
     if isinstance(instance, FunctionController):
         instance.start = run.start
     simulation = Simulation(run, instance)
