@@ -38,15 +38,11 @@ class Answering:
         return None
 
 
-def test_a_command_is_passed_on() -> None:
-    for answer in (0.0, 7, np.float64(0.5)):
-        controller = Answering(answer)
-        assert decide(controller, True, 2.0, 0.03, [0.0], [0.0]) == answer
-        assert controller.skipped == 0
-
-
-def test_where_pumping_is_not_allowed_the_tick_is_skipped() -> None:
-    controller = Answering(0.3)
+@pytest.mark.parametrize("answer", [0.0, 7, np.float64(0.5)])
+def test_a_command_is_passed_on_unless_the_tick_is_skipped(answer: Any) -> None:
+    controller = Answering(answer)
+    assert decide(controller, True, 2.0, 0.03, [0.0], [0.0]) == answer
+    assert controller.skipped == 0
     assert decide(controller, False, 2.0, 0.03, [0.0], [0.0]) == 0.0
     assert controller.skipped == 1
 
