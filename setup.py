@@ -9,22 +9,16 @@ from setuptools import find_packages, setup
 NAME = "greenroof_ros"
 SHARE = Path("share") / NAME
 
-# What ``ros2 run greenroof_ros NAME`` starts in a workspace: the nodes ...
+# What ``ros2 run greenroof_ros NAME`` starts in a workspace, besides ``greenroof``.
 NODES = {
     **{name: f"nodes.{name}" for name in ("plant", "weather", "controller", "recorder")},
     **{f"live_{name}": f"live.{name}" for name in ("weather", "controller", "recorder")},
     **{name: f"live.{name}" for name in ("sensors", "pump")},
 }
-# ... and the node of one of this package's controllers, without ``--controller``. The commands are
-# those of ``greenroof``, everywhere.
-CONTROLLERS = ("mpc", "onoff", "anticipating_onoff", "lookahead")
 # Colcon calls one of these, and setup.cfg sets where executables go. Pip calls neither, and would
 # put names such as `plant` and `weather` on everybody's PATH.
 IN_WORKSPACE = not {"install", "develop"}.isdisjoint(sys.argv)
-EXECUTABLES = [
-    *(f"{name} = {NAME}.{module}:main" for name, module in NODES.items()),
-    *(f"{name} = {NAME}.nodes.controller:{name}" for name in CONTROLLERS),
-]
+EXECUTABLES = [f"{name} = {NAME}.{module}:main" for name, module in NODES.items()]
 
 
 def version() -> str:

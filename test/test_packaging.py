@@ -19,7 +19,7 @@ from places import CHECKOUT
 import greenroof_ros
 
 NODES = (
-    "plant", "weather", "controller", "mpc", "onoff", "anticipating_onoff", "lookahead",
+    "plant", "weather", "controller",
     "recorder", "live_weather", "live_controller", "live_recorder", "sensors", "pump",
 )
 GREENROOF = "greenroof"

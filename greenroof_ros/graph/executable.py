@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import textwrap
-import time
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NoReturn
@@ -30,9 +28,6 @@ from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_na
 from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.model.site import Site
 
-# How long peers must be missing before this is logged, and how often it is repeated (s).
-_PATIENCE_S, _AGAIN_S = 2.0, 5.0
-
 
 class _Parser(argparse.ArgumentParser):
     """Reads a node's own arguments (other than ROS arguments); prints errors in one line."""
@@ -44,7 +39,6 @@ class _Parser(argparse.ArgumentParser):
 
 def node_command(
     make: Callable[..., Any], help_of: Callable[..., str], option: str = "",
-    choices: Sequence[str] = (), value: str | None = None,
     spin: Callable[[Any, Callable[[], None]], None] | None = None,
 ) -> Callable[[], NoReturn]:
     """Return the executable of a node.
@@ -54,8 +48,6 @@ def node_command(
             if there is an option.
         help_of: returns the text of ``--help``; called likewise, with None if the value is missing.
         option: the option that the node requires, such as ``--of``; empty for none.
-        choices: allowed values of the option; empty for any.
-        value: fixed value of the option; the command line then has no such option.
         spin: runs the nodes and calls its second argument, which can raise, 20 times a second; None
             for a node of a simulated graph.
     """
@@ -64,19 +56,19 @@ def node_command(
     def main() -> int:
         parser = _Parser(add_help=False, allow_abbrev=False)
         parser.add_argument("-h", "--help", action="store_true")
-        if option and value is None:
-            parser.add_argument(option, dest="value", choices=choices or None)
+        if option:
+            parser.add_argument(option, dest="value")
         try:
             argv = remove_ros_args(sys.argv)
         except RuntimeError as error:  # rcl cannot parse the arguments
             parser.error(" ".join(str(error).split()))
-        arguments = parser.parse_args(argv[1:], argparse.Namespace(value=value))
+        arguments = parser.parse_args(argv[1:])
         of = [arguments.value] if option else []
         if arguments.help:
             print(help_of(*of))
             return EXIT_DONE
         if of == [None]:
-            parser.error(": ".join(filter(None, (f"{option} is missing", " or ".join(choices)))))
+            parser.error(f"{option} is missing")
         return run_nodes(partial(make, *of), spin or spin_alone)
 
     return main
@@ -163,38 +155,24 @@ def run_nodes(
 
 
 def spin_alone(nodes: Sequence[SimulationNode], check: Callable[[], None]) -> None:
-    """Run a node of a simulated graph until its run is over; see :func:`node_command`."""
+    """Run a node of a simulated graph until its run is over; see :func:`node_command`.
+
+    Until then it logs for whom it waits, each time that this changes.
+    """
     (node,) = nodes
-    spin(nodes, _Alone(node, check).may_end)
+    missing: list[str] = []
 
-
-class _Alone:
-    """Whether a node that runs alone may end; until its run begins, it logs whom it waits for."""
-
-    def __init__(self, node: SimulationNode, check: Callable[[], None]) -> None:
-        self._node, self._check = node, check
-        self._missing: list[str] = []
-        self._log_at = math.inf
-
-    def may_end(self) -> bool:
-        """Return whether the node may end.
-
-        Raises:
-            InterruptedRun: a signal was received.
-            LockstepError: the plant has ended before the run.
-        """
-        self._check()
-        if not self._node.acted:
-            self._log_missing(time.monotonic())
-        return self._node.may_end
-
-    def _log_missing(self, now: float) -> None:
-        """Log which nodes are missing: after 2 s, then every 5 s."""
-        missing = sorted(map(self._node.peers.name_of, self._node.absent()))
-        if missing != self._missing:
-            self._missing, self._log_at = missing, now + _PATIENCE_S
-        if now > self._log_at:
-            self._node.get_logger().info(
-                f"waiting for {', '.join(missing)}" if missing else "its inputs have publishers"
+    def may_end() -> bool:
+        nonlocal missing
+        check()
+        before = missing
+        if not node.acted:
+            missing = sorted(map(node.peers.name_of, node.absent()))
+        if missing != before:
+            awaited = ", ".join(missing)
+            node.get_logger().info(
+                f"waiting for {awaited}" if missing else "its inputs have publishers"
             )
-            self._log_at = now + _AGAIN_S if missing else math.inf
+        return node.may_end
+
+    spin(nodes, may_end)

@@ -88,13 +88,7 @@ class ControllerNode(SimulationNode):
 _help = partial(
     controller_help, module="nodes.controller", purpose=__doc__, common=parameters(None)
 )
-_executable = partial(node_command, ControllerNode, _help, "--controller")
-main = _executable()
-# The executables of this package's controllers.
-mpc = _executable(value="mpc")
-onoff = _executable(value="onoff")
-anticipating_onoff = _executable(value="anticipating_onoff")
-lookahead = _executable(value="lookahead")
+main = node_command(ControllerNode, _help, "--controller")
 
 
 if __name__ == "__main__":
