@@ -68,7 +68,7 @@ class Simulation:
         self._controller = run.make_controller() if controller is None else controller
         self.site = VirtualSite(run.site, run.x1, run.x2, run.time_ns(0), run.sensor_and_pump)
         self.metrics = self.site.metrics
-        self._weather = run.series.at(0)
+        self._read_weather()
         self._wall_s = 0.0
 
     def ticks(self) -> Iterator[Tick]:
@@ -84,7 +84,7 @@ class Simulation:
         if self._run.site.quiet is not None:
             set_optional(controller, time_ns=site.time_ns)
         return decide(
-            controller, not self._weather.frost, *site.levels,
+            controller, not site.frost, *site.levels,
             forecast.precipitation(site.tick), forecast.evapotranspiration(site.tick), site.quiet,
         )
 
@@ -98,19 +98,24 @@ class Simulation:
         site = self.site
         k, plant = site.tick, site.plant
         precipitation, evapotranspiration, frost, until = self._weather
-        if frost or site.quiet:
+        if not site.may_pump:
             command = 0.0
         x1, x2, layer = plant.x1, plant.x2, plant.layer
         cistern_level, roof_level = site.levels
-        flows = site.act(precipitation, evapotranspiration, frost, command)
+        flows = site.act(precipitation, evapotranspiration, command)
         if k < self._run.steps:
             site.step()
-            if k + 1 == until:
-                self._weather = self._run.series.at(k + 1)
+            if site.tick == until:
+                self._read_weather()
         return _new(Tick, (
             k, x1, x2, layer, cistern_level, roof_level,
             precipitation, evapotranspiration, frost, command, flows,
         ))
+
+    def _read_weather(self) -> None:
+        """Read the weather of the ticks from the present one on that are in the same hour."""
+        self._weather = self._run.series.at(self.site.tick)
+        self.site.frost = self._weather.frost
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``summary.json``, after the last tick."""

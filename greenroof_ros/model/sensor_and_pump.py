@@ -109,24 +109,24 @@ class Pump:
         self._ticks = self._min_off  # since they were switched
         self._passed = 0.0
 
-    def flow(self, plant: Plant, command: float, forbidden: bool) -> float:
+    def flow(self, plant: Plant, command: float, may_run: bool) -> float:
         """Return what the pumps deliver in the present tick (m3/s); call it once a tick.
 
         Args:
             plant: in its present state.
             command: the controller's (share of the maximum flow).
-            forbidden: whether frost or quiet hours forbid pumping.
+            may_run: whether neither frost nor quiet hours forbid pumping.
         """
-        flow = plant.pump_flow(self._switched(command, forbidden))
+        flow = plant.pump_flow(self._switched(command, may_run))
         if (flow > 0) != self._on:
             self._on = flow > 0
             self._ticks = 0
         self._ticks += 1
         return flow
 
-    def _switched(self, command: float, forbidden: bool) -> float:
+    def _switched(self, command: float, may_run: bool) -> float:
         """Return the command that the switch lets through."""
-        if forbidden:
+        if not may_run:
             return 0.0
         if self._on and command == 0 and self._ticks < self._min_on:
             return self._passed

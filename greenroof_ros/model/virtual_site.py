@@ -21,6 +21,7 @@ class VirtualSite:
         metrics: of the ticks so far, if the run ends in the present one.
         tick: number of the present tick.
         levels: what the sensors of cistern and roof read in it (m).
+        frost: 0 if there is none in it; anything else, also NaN, is frost. It is set from outside.
         quiet: whether it is in the site's quiet hours.
     """
 
@@ -43,6 +44,7 @@ class VirtualSite:
         self._sensor = RoofSensor(sensor_and_pump)
         self._pump = Pump(sensor_and_pump, site.tau)
         self._quiet_hours = site.quiet
+        self.frost = 0.0
         self.quiet = False
         self._observe()
 
@@ -51,8 +53,13 @@ class VirtualSite:
         """The time of the present tick (ns since 1970)."""
         return self._start_ns + self.tick * self._tick_ns
 
+    @property
+    def may_pump(self) -> bool:
+        """Whether neither frost nor quiet hours forbid pumping in the present tick."""
+        return self.frost == 0 and not self.quiet
+
     def act(
-        self, precipitation: float, evapotranspiration: float, frost: float, command: float,
+        self, precipitation: float, evapotranspiration: float, command: float,
         pumped: float | None = None,
     ) -> Flows:
         """Return what moves in the present tick; call it once in each.
@@ -60,12 +67,11 @@ class VirtualSite:
         Args:
             precipitation: rain (m/s).
             evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
-            frost: 0 if there is none; anything else, also NaN, stops the pumps.
             command: to the pumps (share of the maximum flow).
             pumped: flow (m3/s) of pumps that another program drives; None for the site's own.
         """
         if pumped is None:
-            pumped = self._pump.flow(self.plant, command, frost != 0 or self.quiet)
+            pumped = self._pump.flow(self.plant, command, self.may_pump)
         flows = self.plant.flows(precipitation, evapotranspiration, pumped)
         self._acted = command, precipitation, evapotranspiration, flows
         return flows

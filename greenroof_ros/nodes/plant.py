@@ -159,11 +159,10 @@ class PlantNode(SimulationNode):
         site = self._site
         if site.tick == 0:
             self._began = time.monotonic()  # before, the other nodes were still joining
-        frost = 0.0
         if self._frost is not None:
-            frost = self._frost.value if self._frost.good else math.nan
+            site.frost = self._frost.value if self._frost.good else math.nan
         flows = site.act(
-            self._rain.value, self._evapotranspiration.value, frost, self._command.value,
+            self._rain.value, self._evapotranspiration.value, self._command.value,
             self._flow.value if self._external else None,
         )
         if site.tick == self._run_length:

@@ -60,13 +60,6 @@ BROKEN: dict[str, tuple[list[tuple[str, str]], dict[str, str]]] = {
         [("        publisher.", '        tick["weather/frost"] == 1 or publisher.')],
         {"answers every tick": "no command within 2 s in tick 2 with 1 on /weather/frost$"},
     ),
-    "dead": (
-        [(PUBLISH, f'        tick["weather/frost"] == 1 and exit()\n{PUBLISH}')],
-        {
-            "answers every tick": "tick 2 with 1 on /weather/frost; it has ended$",
-            "ends when": "it has ended before the plant",
-        },
-    ),
     "doubled": (
         [(PUBLISH, 2 * PUBLISH)],
         {"exactly one command": "2 commands instead of 1 after tick 0"},
@@ -83,10 +76,6 @@ BROKEN: dict[str, tuple[list[tuple[str, str]], dict[str, str]]] = {
         {"topics fit": "its publisher of /pump/command is volatile; it must be reliable, transient "
                        "local, keep last 64, with a liveliness lease of 1 s; its subscription to "
                        "/cistern/level is volatile.*it has no subscription to /weather/frost"},
-    ),
-    "without_lease": (
-        [("qos.liveliness_lease_duration = ", "_ = ")],
-        {"topics fit": "its publisher of /pump/command has no liveliness lease; it must be"},
     ),
 }
 # Good nodes: the example, and this package's lookahead, which has a memory and limits the starts.
