@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.order_up_to import BELOW_M3, OrderUpTo
 from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.experiment.run import Run
@@ -36,6 +37,8 @@ class PlanResult(NamedTuple):
 
 class _PlanController:
     """Brings the roof to the volume that a plan has for the end of each tick."""
+
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
 
     def __init__(self, run: Run, target: TargetVolume, max_command: float) -> None:
         """Begin before tick 0; see :func:`run_plan`."""
@@ -91,7 +94,7 @@ def run_plan(run: Run, target: TargetVolume, max_command: float) -> PlanResult:
 def find_pumping_ticks(run: Run) -> NDArray[np.bool_]:
     """Return whether frost and quiet hours let the pumps run, for each tick 0..N-1, shape (N,)."""
     n, hours = run.steps, run.site.quiet
-    may_pump = np.frombuffer(run.series.frost[:n]) == 0
+    may_pump = np.asarray(np.frombuffer(run.series.frost[:n]) == 0)
     if hours is not None:
         times = range(run.time_ns(0), run.time_ns(n), run.time_ns(1) - run.time_ns(0))
         may_pump &= ~np.fromiter(map(hours.quiet_at, times), bool, n)

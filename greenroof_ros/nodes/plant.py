@@ -75,8 +75,9 @@ class PlantNode(SimulationNode):
         super().__init__("plant", PLANT)
         site = self.declare_site()
         values = declare(self, parameters(site))
-        volumes = {key: values[key] for key in ("initial_cistern_volume", "initial_roof_volume")}
-        check_volumes(site, *volumes.values(), tuple(volumes))
+        keys = "initial_cistern_volume", "initial_roof_volume"
+        x1, x2 = (values[key] for key in keys)
+        check_volumes(site, x1, x2, keys)
         self._run_length = values["run_length"]
         self._speed = values["speed"]
         self._external = values["pump"] == "external"
@@ -88,7 +89,7 @@ class PlantNode(SimulationNode):
         self._start_limit = values["start_limit"]
         self._tau = site.tau
         self._site = VirtualSite(
-            site, *volumes.values(), epoch_ns(read_start(values["start"])), sensor_and_pump
+            site, x1, x2, epoch_ns(read_start(values["start"])), sensor_and_pump
         )
         self._published = 0, *self._site.levels  # the tick that was published last, and its levels
         self._written = 0
