@@ -59,7 +59,7 @@ def test_what_follows_from_results(tmp_path: Path) -> None:
     # A single run has a row for each quantity; what no real pump achieves is marked.
     shown = {cell[""]: cell["value"] for rows in make_tables(report).values() for cell in rows}
     assert shown["over the minimum possible (1)"] == "1.5000"
-    assert shown["largest command (1)"] == "2 ⚠"
+    assert shown["maximum command (1)"] == "2 ⚠"
     assert {"001: 3", "001: 11"} <= {
         listed for runs in make_notes(report).values() for listed in runs
     }
