@@ -50,7 +50,7 @@ class Tick(NamedTuple):
 
 
 class Simulation:
-    """A run that is simulated once, by :meth:`ticks` or step by step by :meth:`advance`.
+    """A run that is simulated once.
 
     Attributes:
         site: the simulated site, in the present tick.
@@ -68,54 +68,34 @@ class Simulation:
         self._controller = run.make_controller() if controller is None else controller
         self.site = VirtualSite(run.site, run.x1, run.x2, run.time_ns(0), run.sensor_and_pump)
         self.metrics = self.site.metrics
-        self._read_weather()
         self._wall_s = 0.0
 
     def ticks(self) -> Iterator[Tick]:
-        """Run the ticks 0..N with the controller, and yield each."""
+        """Run the ticks 0..N, and yield each after its step."""
         began = time.monotonic()
-        for _ in range(self._run.steps + 1):
-            yield self.advance(self._decide())
+        run, site, controller, until = self._run, self.site, self._controller, 0
+        plant, forecast, has_quiet_hours = site.plant, run.forecast, run.site.quiet is not None
+        for k in range(run.steps + 1):
+            if k == until:
+                precipitation, evapotranspiration, frost, until = run.series.at(k)
+                site.frost = frost
+            if has_quiet_hours:
+                set_optional(controller, time_ns=site.time_ns)
+            cistern_level, roof_level = site.observe()
+            command = decide(
+                controller, not frost, cistern_level, roof_level,
+                forecast.precipitation(k), forecast.evapotranspiration(k), site.quiet,
+            )
+            x1, x2, layer = plant.x1, plant.x2, plant.layer
+            flows = site.act(precipitation, evapotranspiration, command)
+            tick = _new(Tick, (
+                k, x1, x2, layer, cistern_level, roof_level,
+                precipitation, evapotranspiration, frost, command, flows,
+            ))
+            if k < run.steps:
+                site.step()
+            yield tick
         self._wall_s = time.monotonic() - began
-
-    def _decide(self) -> float:
-        """Return the controller's command for the present tick."""
-        site, forecast, controller = self.site, self._run.forecast, self._controller
-        if self._run.site.quiet is not None:
-            set_optional(controller, time_ns=site.time_ns)
-        return decide(
-            controller, not site.frost, *site.levels,
-            forecast.precipitation(site.tick), forecast.evapotranspiration(site.tick), site.quiet,
-        )
-
-    def advance(self, command: float) -> Tick:
-        """Run the present tick with a command, and go on to the next if there is one.
-
-        Args:
-            command: share of the pumps' maximum flow, finite and not negative. Where the pumps may
-                not run, it acts as 0.
-        """
-        site = self.site
-        k, plant = site.tick, site.plant
-        precipitation, evapotranspiration, frost, until = self._weather
-        if not site.may_pump:
-            command = 0.0
-        x1, x2, layer = plant.x1, plant.x2, plant.layer
-        cistern_level, roof_level = site.levels
-        flows = site.act(precipitation, evapotranspiration, command)
-        if k < self._run.steps:
-            site.step()
-            if site.tick == until:
-                self._read_weather()
-        return _new(Tick, (
-            k, x1, x2, layer, cistern_level, roof_level,
-            precipitation, evapotranspiration, frost, command, flows,
-        ))
-
-    def _read_weather(self) -> None:
-        """Read the weather of the ticks from the present one on that are in the same hour."""
-        self._weather = self._run.series.at(self.site.tick)
-        self.site.frost = self._weather.frost
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``summary.json``, after the last tick."""

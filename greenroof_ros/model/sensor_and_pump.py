@@ -41,6 +41,11 @@ class SensorAndPump:
         "once off, the pumps stay off for this time", 0.0, 86_400.0, unit="s", default=0.0
     )
 
+    @property
+    def exact_sensor(self) -> bool:
+        """Whether the sensor reads the true level."""
+        return self.roof_noise == 0 and self.roof_offset == 0
+
     def values(self) -> dict[str, float]:
         """Return each of :data:`PARAMETERS` with its value."""
         return asdict(self)
@@ -71,14 +76,11 @@ class RoofSensor:
     def __init__(self, sensor: SensorAndPump) -> None:
         """Set the sensor's noise and offset."""
         self._model = sensor
-        self._exact = not (sensor.roof_noise or sensor.roof_offset)
         self._block = -1
         self._errors = [sensor.roof_offset] * _BLOCK
 
     def reading(self, tick: int, level: float) -> float:
         """Return the reading (m, at least 0) at a tick and a true level (m)."""
-        if self._exact:
-            return level
         block, index = divmod(tick, _BLOCK)
         if block != self._block and self._model.roof_noise:
             drawn = np.random.default_rng([self._model.noise_seed, block]).standard_normal(_BLOCK)
@@ -117,20 +119,15 @@ class Pump:
             command: the controller's (share of the maximum flow).
             may_run: whether neither frost nor quiet hours forbid pumping.
         """
-        flow = plant.pump_flow(self._switched(command, may_run))
+        if not may_run or (not self._on and self._ticks < self._min_off):
+            command = 0.0
+        elif self._on and command == 0 and self._ticks < self._min_on:
+            command = self._passed
+        else:
+            self._passed = command
+        flow = plant.pump_flow(command)
         if (flow > 0) != self._on:
             self._on = flow > 0
             self._ticks = 0
         self._ticks += 1
         return flow
-
-    def _switched(self, command: float, may_run: bool) -> float:
-        """Return the command that the switch lets through."""
-        if not may_run:
-            return 0.0
-        if self._on and command == 0 and self._ticks < self._min_on:
-            return self._passed
-        if not self._on and self._ticks < self._min_off:
-            return 0.0
-        self._passed = command
-        return command

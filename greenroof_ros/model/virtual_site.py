@@ -20,7 +20,6 @@ class VirtualSite:
         plant: the true state of cistern and roof.
         metrics: of the ticks so far, if the run ends in the present one.
         tick: number of the present tick.
-        levels: what the sensors of cistern and roof read in it (m).
         frost: 0 if there is none in it; anything else, also NaN, is frost. It is set from outside.
         quiet: whether it is in the site's quiet hours.
     """
@@ -40,23 +39,24 @@ class VirtualSite:
         self.plant = Plant(site, x1, x2)
         self.metrics = Metrics(site, self.plant)
         self.tick = 0
+        self.frost = 0.0
         self._start_ns, self._tick_ns = start_ns, round(site.tau * 1e9)
-        self._sensor = RoofSensor(sensor_and_pump)
+        self._sensor = None if sensor_and_pump.exact_sensor else RoofSensor(sensor_and_pump)
         self._pump = Pump(sensor_and_pump, site.tau)
         self._quiet_hours = site.quiet
-        self.frost = 0.0
-        self.quiet = False
-        self._observe()
+        self.quiet = site.quiet is not None and site.quiet.quiet_at(start_ns)
 
     @property
     def time_ns(self) -> int:
         """The time of the present tick (ns since 1970)."""
         return self._start_ns + self.tick * self._tick_ns
 
-    @property
-    def may_pump(self) -> bool:
-        """Whether neither frost nor quiet hours forbid pumping in the present tick."""
-        return self.frost == 0 and not self.quiet
+    def observe(self) -> tuple[float, float]:
+        """Return what the level sensors of cistern and roof read in the present tick (m)."""
+        cistern, roof = self.plant.levels()
+        if self._sensor is not None:
+            roof = self._sensor.reading(self.tick, roof)
+        return cistern, roof
 
     def act(
         self, precipitation: float, evapotranspiration: float, command: float,
@@ -70,9 +70,10 @@ class VirtualSite:
             command: to the pumps (share of the maximum flow).
             pumped: flow (m3/s) of pumps that another program drives; None for the site's own.
         """
+        plant = self.plant
         if pumped is None:
-            pumped = self._pump.flow(self.plant, command, self.may_pump)
-        flows = self.plant.flows(precipitation, evapotranspiration, pumped)
+            pumped = self._pump.flow(plant, command, self.frost == 0 and not self.quiet)
+        flows = plant.flows(precipitation, evapotranspiration, pumped)
         self._acted = command, precipitation, evapotranspiration, flows
         return flows
 
@@ -82,10 +83,5 @@ class VirtualSite:
         self.metrics.step(command, precipitation, evapotranspiration, flows)
         self.plant.step(precipitation, flows)
         self.tick += 1
-        self._observe()
-
-    def _observe(self) -> None:
-        cistern, roof = self.plant.levels()
-        self.levels = cistern, self._sensor.reading(self.tick, roof)
         if self._quiet_hours is not None:
             self.quiet = self._quiet_hours.quiet_at(self.time_ns)

@@ -91,7 +91,8 @@ class PlantNode(SimulationNode):
         self._site = VirtualSite(
             site, x1, x2, epoch_ns(read_start(values["start"])), sensor_and_pump
         )
-        self._published = 0, *self._site.levels  # the tick that was published last, and its levels
+        # The tick that was published last, and its levels.
+        self._published = 0, *self._site.observe()
         self._written = 0
         self._running = False
         self._paused = False  # the tick waits for the pace or the recorder
@@ -142,7 +143,7 @@ class PlantNode(SimulationNode):
         site = self._site
         now = site.time_ns
         self.publish(CLOCK, now)
-        cistern, roof = site.levels
+        cistern, roof = site.observe()
         self._published = site.tick, cistern, roof
         self.publish("/cistern/level", cistern)
         self.publish("/roof/level", roof)

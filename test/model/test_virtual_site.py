@@ -28,7 +28,6 @@ def test_when_the_pumps_may_run(frost: float, seconds: int, runs: bool) -> None:
     site.act(0.0, 0.0, 0.0)
     site.step()
     site.frost = frost
-    assert site.may_pump is runs
     flow = exact_flows(PAPER_SITE, 75.0, 1.0, 0.5)[1] if runs else 0.0
     assert site.act(0.0, 0.0, 0.5).pump == pytest.approx(flow, rel=1e-12)
     assert site.act(0.0, 0.0, 0.5, pumped=0.003).pump == 0.003

@@ -6,17 +6,35 @@ import math
 from dataclasses import replace
 from datetime import timedelta
 from numbers import Integral
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from greenroof_ros.analysis.api.arguments import make_run
 from greenroof_ros.analysis.api.control import ForecastSteps, FunctionController, SiteState
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import choice_of
 from greenroof_ros.experiment.closed_loop import Simulation, Tick
-from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.forecast.resampling import PerfectForecast, make_forecast
 from greenroof_ros.model.look_ahead import look_ahead_ends
+
+
+class _Commanded:
+    """A controller that a program commands, whatever it knows."""
+
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    share = 0.0
+
+    def command(self, *inputs: Any) -> float:
+        """Return the command that the program has given."""
+        return self.share
+
+    def skip(self) -> None:
+        """Ignore it: the pumps may not run."""
+
+    def statistics(self) -> None:
+        """Return nothing: it has no solver."""
 
 
 class Environment:
@@ -82,7 +100,10 @@ class Environment:
             self._run = replace(run, forecast_choice=choice, forecast=make_forecast(
                 run.weather, run.series, self.site, run.start, run.parameters["horizon"], choice
             ))
-        self._simulation = Simulation(self._run)
+        self._controller = _Commanded()
+        known = replace(self._run, forecast=PerfectForecast(self._run.series, 1))
+        self._simulation = Simulation(known, self._controller)
+        self._ticks = self._simulation.ticks()
         self._observe()
         return self.state
 
@@ -111,7 +132,8 @@ class Environment:
             raise ConfigurationError(
                 "must be a finite number, not negative", key="command", value=command
             )
-        tick = self._simulation.advance(share)
+        self._controller.share = share
+        tick = next(self._ticks)
         self._observe()
         return tick
 
@@ -119,7 +141,7 @@ class Environment:
         """Set what the present tick begins with; the last one has only this."""
         site = self._simulation.site
         time = self._run.start + timedelta(seconds=site.tick * self.site.tau)
-        self.state = SiteState(time, *site.levels, self.site)
+        self.state = SiteState(time, *site.observe(), self.site)
         self.done = site.tick == self._run.steps
 
     @property
