@@ -41,7 +41,7 @@ from greenroof_ros.common.interface import Topic, read_topics, roles
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.forecast.skill import Climate, Errors
-from greenroof_ros.formats.records import NEARLY, QUANTITIES
+from greenroof_ros.formats.quantities import QUANTITIES, ROOF
 from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.model.metrics import METRICS
@@ -418,15 +418,17 @@ def conditions() -> str:
 
 
 def plausible_values() -> str:
-    """Return the accepted values of the columns of a weather file."""
+    """Return the columns of a CSV of measurements, with their units and the accepted values."""
     return markdown(
-        ("quantity", "accepted", "set to the limit if outside by up to"),
+        ("column", "units", "of", "accepted", "set to the limit if outside by up to"),
         (
             (
-                name, f"{low:g} to {high:g} {unit}",
-                f"{NEARLY[name]:g} {unit}" if name in NEARLY else "",
+                name, ", ".join(f"`{unit}`" for unit in quantity.columns),
+                "roof" if name in ROOF else "weather",
+                f"{quantity.low:g} to {quantity.high:g} {quantity.unit}",
+                f"{quantity.nearly:g} {quantity.unit}" if quantity.nearly else "",
             )
-            for name, (unit, low, high) in QUANTITIES.items()
+            for name, quantity in QUANTITIES.items()
         ),
     )
 

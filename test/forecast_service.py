@@ -25,8 +25,10 @@ from numpy.typing import NDArray
 from places import CONFIG
 
 from greenroof_ros.common.times import hours_since_1970
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.open_meteo import UNITS, VARIABLES
-from greenroof_ros.formats.records import HOUR, PRECIPITATION, RADIATION, Records
+from greenroof_ros.formats.quantities import PRECIPITATION, RADIATION
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.evapotranspiration import sun_height
 from greenroof_ros.weather.reading import default_weather, read_weather

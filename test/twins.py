@@ -13,7 +13,7 @@ import numpy as np
 from paper import PAPER_SITE
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.analysis.calibration.record import RoofRecord
+from greenroof_ros.formats.step_record import StepRecord
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import hargreaves, spread_over_day
@@ -35,12 +35,12 @@ FILLED_AT_FIRST = 0.5
 
 def a_record(
     rain: np.ndarray, step_s: float = 300.0, month: int = 5, **series: np.ndarray | None
-) -> RoofRecord:
+) -> StepRecord:
     """Return a record from the beginning of a month; missing series are zero or None."""
     nothing = np.zeros(len(rain))
     series_of = {"reference": nothing, "pumped": nothing, "runoff": None, "level": None} | series
     start = datetime(2021, month, 1, tzinfo=timezone.utc)
-    return RoofRecord(Path("roof.csv"), start, step_s, rain, **series_of)
+    return StepRecord(Path("roof.csv"), start, step_s, rain, **series_of)
 
 
 def storms(days: int, random: np.random.Generator) -> np.ndarray:
@@ -108,8 +108,8 @@ def record_rows(
     if gaps:
         for begin in random.integers(0, len(rain) - DAY, 3):
             missing[begin:begin + DAY] = True
-    rows = [["time", "rain [mm]", "runoff [mm]", "level [m]", "least temperature [degC]",
-             "greatest temperature [degC]"]]
+    rows = [["time", "rain [mm]", "runoff [mm]", "level [m]", "minimum temperature [degC]",
+             "maximum temperature [degC]"]]
     for step, fell in enumerate(rain):
         time = start + timedelta(seconds=STEP_S * step)
         cells = ["", ""] if missing[step] else [f"{tips[step]:.3f}", f"{measured[step]:.4f}"]
@@ -146,7 +146,7 @@ def write(rows: list[list[str]], file: Path) -> Path:
     return file
 
 
-def record_of(rows: list[list[str]], hours: int = 0) -> RoofRecord:
+def record_of(rows: list[list[str]], hours: int = 0) -> StepRecord:
     """Return the record in rows; with hours, its sums over this many hours."""
     with TemporaryDirectory() as directory:
         file = write(summed(rows, hours) if hours else rows, Path(directory) / "twin.csv")

@@ -16,34 +16,28 @@ from rich.table import Table
 from greenroof_ros.analysis.calibration.bag_record import read_bag_record
 from greenroof_ros.analysis.calibration.checks import check_fit, check_record
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.analysis.calibration.fit import Fit, fit, measured_roof, reachable_target
+from greenroof_ros.analysis.calibration.fit import Fit, complete_roof, fit, lower_target
 from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
-from greenroof_ros.analysis.calibration.record import (
-    DAY_S,
-    RoofRecord,
-    Steps,
-    comparable,
-    halve,
-    in_months,
-    time_name,
-)
+from greenroof_ros.analysis.calibration.record import halve_steps, select_comparable, select_months
 from greenroof_ros.analysis.calibration.scores import FitScores, score
 from greenroof_ros.analysis.calibration.site_file import (
     INTERVAL_NOTE,
-    edited_site_file,
-    fit_entries,
-    sheet_entries,
+    edit_site_file,
+    list_fit_entries,
+    list_sheet_entries,
 )
 from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import naming
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.experiment.progress import ProgressBar
-from greenroof_ros.formats.records import read_table
+from greenroof_ros.formats.cells import read_table
+from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, name_time
 from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
 from greenroof_ros.model.site import Site, read_site
 
 # Pumps of roofs are below these limits [assumed]; data sheets in l/s, m3/h or mm exceed them.
-_LIMITS = ("m3/s", 0.0, 0.5), ("m", 0.0, 500.0)
+_LIMITS = Range(0.0, 0.5, "m3/s"), Range(0.0, 500.0, "m")
 _HEADER = "flow [m3/s]", "head [m]"
 _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
@@ -52,18 +46,10 @@ is fitted, the second validates the fit. If the record has the pumps' state and 
 the pump curve is fitted first, to how fast the cistern falls.
 """
 _EPILOG = """\
-MEASURED is a bag of this project, or CSV: a row per step, at most a day apart, and columns named
-like these; empty cells and missing rows are gaps:
+MEASURED is a bag of this project, or CSV with rows at most a day apart; empty
+cells and missing rows are gaps:
 
   time, rain [mm], runoff [mm], level [m], temperature [degC]
-
-  rain                         mm, mm/h
-  runoff, pumped               mm, mm/h, l, l/s, m3/h
-  level, cistern level         m, cm, mm
-  pump state                   1, %; needs the cistern level
-  reference evapotranspiration mm, mm/h, mm/day; or instead of it
-  temperature                  degC; or least temperature and greatest
-                               temperature of the day
 
 The model has no snow: if winters were recorded, state which months count, as in --months 4-10.
 
@@ -124,7 +110,7 @@ def main() -> None:
     if arguments.measured is None:
         assert sheet is not None
         heading = [f"Pumps fitted to {arguments.pump_data.name} by greenroof calibrate."]
-        texts = {output: edited_site_file(site_file, sheet_entries(sheet), heading)}
+        texts = {output: edit_site_file(site_file, list_sheet_entries(sheet), heading)}
     else:
         text, page = _calibrate(arguments, site_file, site, sheet)
         texts = {page_file: page, output: text}
@@ -143,12 +129,17 @@ def read_pump_data(file: Path) -> PumpCurve:
     """
     table = read_table(file)
     table.require_header(_HEADER, f" (the first line is '{','.join(_HEADER)}')")
-    flows, heads = (
-        table.numbers(column, limits, hint="; are they in other units, such as l/s (0.001 m3/s)?")
-        for column, limits in zip(_HEADER, _LIMITS, strict=True)
-    )
+    points = [
+        [
+            table.read_number(
+                row, column, limits, hint="; are they in other units, such as l/s (0.001 m3/s)?"
+            )
+            for column, limits in zip(_HEADER, _LIMITS, strict=True)
+        ]
+        for row in table.rows
+    ]
     try:
-        return fit_pump_curve(flows, heads)
+        return fit_pump_curve(*np.array(points).T)
     except ValueError as error:
         raise ConfigurationError(str(error), file=file) from error
 
@@ -181,30 +172,30 @@ def _calibrate(
     measured: Path = arguments.measured
     months: str | None = arguments.months
 
-    def read(site: Site) -> RoofRecord:
+    def read(site: Site) -> StepRecord:
         if measured.is_dir() or measured.suffix.lower() == ".mcap":
             return read_bag_record(measured, site)
         return read_csv_record(measured, site, months)
 
-    site = measured_roof(site)
+    site = complete_roof(site)
     record = read(site)
     for note in record.notes:
         print(f"note: {note}", file=sys.stderr)
-    counts = in_months(record, months)
-    pumps = fit_pumps(site, record.only(counts))
+    counts = select_months(record, months)
+    pumps = fit_pumps(site, record.select(counts))
     site = pumps.site
     if pumps.parameters:
         record = read(site)  # the fitted pumps turn their state into another flow
-    counted = record.only(counts)
+    counted = record.select(counts)
     warnings = check_record(counted, site)
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    halves = halve(record, comparable(record) & counts)
+    halves = halve_steps(record, select_comparable(record) & counts)
     _refuse_dry(record, halves)
     with ProgressBar() as progress:
         fitted = fit(site, record, halves["fit"], progress.show)
     fitted = fitted._replace(
-        site=reachable_target(fitted.site), parameters=[*fitted.parameters, *pumps.parameters]
+        site=lower_target(fitted.site), parameters=[*fitted.parameters, *pumps.parameters]
     )
     rows = [
         score(
@@ -214,19 +205,19 @@ def _calibrate(
         for name, series in record.measured.items() for part, steps in halves.items()
     ]
     warnings += check_fit(rows, measured)
-    notes = _notes(record, halves, site, fitted.site, pumps)
-    spans = {part: _span(record, steps) for part, steps in halves.items()}
-    entries = fit_entries(fitted, site.z_veg, sheet)
-    heading = _heading(measured, spans, rows, notes + warnings)
-    text = edited_site_file(site_file, entries, heading)
+    notes = _list_notes(record, halves, site, fitted.site, pumps)
+    spans = {part: _name_span(record, steps) for part, steps in halves.items()}
+    entries = list_fit_entries(fitted, site.z_veg, sheet)
+    heading = _write_heading(measured, spans, rows, notes + warnings)
+    text = edit_site_file(site_file, entries, heading)
     page = render(counted, halves, fitted, rows, text, spans, warnings, notes)
     print("\n".join(heading))
     _print_parameters(fitted)
     return text, page
 
 
-def _notes(
-    record: RoofRecord, halves: Mapping[str, Steps], before: Site, fitted: Site, pumps: PumpFit
+def _list_notes(
+    record: StepRecord, halves: Mapping[str, Steps], before: Site, fitted: Site, pumps: PumpFit
 ) -> list[str]:
     """Return what the user should know about the fit, besides parameters and scores."""
     days = record.step_s / DAY_S
@@ -251,7 +242,7 @@ def _notes(
     return notes
 
 
-def _refuse_dry(record: RoofRecord, halves: Mapping[str, Steps]) -> None:
+def _refuse_dry(record: StepRecord, halves: Mapping[str, Steps]) -> None:
     """Refuse a record if there is nothing to fit, or nothing to judge the fit."""
     for half, steps in zip(("first", "second"), halves.values(), strict=True):
         if not steps.any() or all(np.ptp(each[steps]) == 0 for each in record.measured.values()):
@@ -262,12 +253,12 @@ def _refuse_dry(record: RoofRecord, halves: Mapping[str, Steps]) -> None:
             )
 
 
-def _span(record: RoofRecord, steps: Steps) -> str:
+def _name_span(record: StepRecord, steps: Steps) -> str:
     first, last = np.flatnonzero(steps)[[0, -1]]
     return " to ".join(record.time(int(step))[:16] for step in (first, last))
 
 
-def _heading(
+def _write_heading(
     measured: Path, spans: Mapping[str, str], rows: Collection[FitScores],
     notes: Sequence[str],
 ) -> list[str]:
@@ -277,7 +268,7 @@ def _heading(
     ]
     for row in rows:
         nse = ", ".join(
-            f"{value:.2f} ({time_name(span_s)})" for span_s, value in row.nse.items()
+            f"{value:.2f} ({name_time(span_s)})" for span_s, value in row.nse.items()
         )
         volume = f"; volume {100 * row.volume_error:+.1f} %" if row.quantity == "runoff" else ""
         lines.append(f"{row.quantity}, {row.part}: NSE {nse}{volume}.")

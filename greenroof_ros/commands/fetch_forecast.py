@@ -16,7 +16,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_people
 from greenroof_ros.forecast.service import (
     ATTRIBUTION,
-    MOST_DAYS,
+    MAX_DAYS,
     Fetcher,
     ForecastFiles,
     Service,
@@ -51,7 +51,7 @@ def make_parser() -> Parser:
         "choice for the place)",
     )
     parser.add_argument(
-        "--days", type=within(1, MOST_DAYS, int), default=7, metavar="N",
+        "--days", type=within(1, MAX_DAYS, int), default=7, metavar="N",
         help="days that it covers, from today (default: %(default)s)",
     )
     parser.add_argument(

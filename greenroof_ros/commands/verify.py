@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from greenroof_ros.analysis.verification.checks import check_forecasts
-from greenroof_ros.analysis.verification.pairs import Class, Sum, issued_forecasts, tally
+from greenroof_ros.analysis.verification.pairs import Class, Sum, read_issued_forecasts, tally_pairs
 from greenroof_ros.analysis.verification.scores import SHOWN, Tally
 from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable, within
 from greenroof_ros.common.errors import ConfigurationError, in_extra
@@ -56,9 +56,9 @@ exit codes: 0 done, 2 bad usage, configuration or file
 """
 # Default sums: hours, and the mm from which such a sum is an event.
 _SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
-_MOST_HOURS = 384
+_MAX_HOURS = 384
 # Notes of files that are printed; an archive can have one for each of its issues.
-_MOST_NOTES = 20
+_MAX_NOTES = 20
 
 
 def make_parser() -> Parser:
@@ -71,7 +71,7 @@ def make_parser() -> Parser:
         "out",
     )
     add_site(parser, "site file, for its place")
-    whole_hours = within(1, _MOST_HOURS, int)
+    whole_hours = within(1, _MAX_HOURS, int)
     parser.add_argument(
         "--sums", type=whole_hours, nargs="+", metavar="H",
         help="hours of a sum; several may be given (default: 1, 6, 12 and 24, if they divide "
@@ -102,7 +102,7 @@ def make_parser() -> Parser:
 def main() -> None:
     """Verify the forecasts named on the command line."""
     arguments = make_parser().parse_args()
-    sums = _sums(arguments)
+    sums = _read_sums(arguments)
     for file in arguments.output:
         refuse_unwritable(file, (".html", ".csv"), "--output")
     with in_extra("study"):  # fail before the work if a page needs it
@@ -111,14 +111,14 @@ def main() -> None:
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
     site = read_site(arguments.site)
     weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
-    forecasts = issued_forecasts(choice, weather, site, arguments.horizon)
+    forecasts = read_issued_forecasts(choice, weather, site, arguments.horizon)
     if arguments.lead % forecasts.finest_lead:
         raise ConfigurationError(
             f"must be a multiple of {forecasts.finest_lead} h, the finest lead time of "
             f"{forecasts.name}", key="--lead", value=arguments.lead,
         )
     with ProgressBar() as progress:
-        tallies = tally(
+        tallies = tally_pairs(
             forecasts, weather.precipitation, arguments.lead, sums,
             lambda done: progress.show(
                 f"verifying: {done} of {forecasts.count} issues", done / forecasts.count
@@ -136,18 +136,18 @@ def main() -> None:
     warnings = check_forecasts(tallies, previous_runs=forecasts.finest_lead > 1)
     for file in arguments.output:
         text = (
-            _csv_text(tallies) if file.suffix == ".csv"
+            _write_csv(tallies) if file.suffix == ".csv"
             else render(forecasts, records, tallies, warnings)
         )
         with naming(file):
             file.write_text(text, encoding="utf-8")
     console = Console()
-    console.print(_table(
+    console.print(_make_table(
         f"{forecasts.name}: {forecasts.count} issues, against {weather.source}", tallies
     ))
     notes = [*weather.notes, *forecasts.notes]
-    if len(notes) > _MOST_NOTES:
-        notes[_MOST_NOTES:] = [f"and {len(notes) - _MOST_NOTES} more of this kind"]
+    if len(notes) > _MAX_NOTES:
+        notes[_MAX_NOTES:] = [f"and {len(notes) - _MAX_NOTES} more of this kind"]
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
     for warning in warnings:
@@ -157,7 +157,7 @@ def main() -> None:
         console.print(f"written: {written}", soft_wrap=True, highlight=False)
 
 
-def _sums(arguments: argparse.Namespace) -> list[Sum]:
+def _read_sums(arguments: argparse.Namespace) -> list[Sum]:
     if arguments.sums is None and arguments.events is None:
         return [Sum(*values) for values in _SUMS if arguments.lead % values[0] == 0]
     if arguments.sums is None or arguments.events is None:
@@ -176,7 +176,7 @@ def _sums(arguments: argparse.Namespace) -> list[Sum]:
     return [Sum(*values) for values in zip(arguments.sums, arguments.events, strict=True)]
 
 
-def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
+def _make_table(title: str, tallies: Mapping[Class, Tally]) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("lead", "sum of", "event", *(heading for heading, _ in SHOWN.values())):
         table.add_column(name, justify="left" if name == "lead" else "right", no_wrap=True)
@@ -192,7 +192,7 @@ def _table(title: str, tallies: Mapping[Class, Tally]) -> Table:
     return table
 
 
-def _csv_text(tallies: Mapping[Class, Tally]) -> str:
+def _write_csv(tallies: Mapping[Class, Tally]) -> str:
     """Return all scores as CSV, one line per class; a cell is empty if there is no score."""
     stream = io.StringIO()
     rows = csv.writer(stream, lineterminator="\n")

@@ -17,20 +17,16 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import naming
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.summary_table import grid
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.hourly import Records, name_hours
 from greenroof_ros.formats.own_csv import write_records
-from greenroof_ros.formats.reading import format_name
-from greenroof_ros.formats.records import (
-    EVAPOTRANSPIRATION,
-    HOUR,
-    PRECIPITATION,
-    QUANTITIES,
-    Records,
-    name_hours,
-)
+from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.formats.reading import name_format
+from greenroof_ros.formats.rules import check_hours
 from greenroof_ros.model.place import kilometres, place_text
 from greenroof_ros.model.site import Site, read_site
-from greenroof_ros.weather.reading import complete, find_files, read_measured
-from greenroof_ros.weather.series import Weather, suspicious_rain
+from greenroof_ros.weather.reading import complete_records, find_files, read_measured
+from greenroof_ros.weather.series import Weather
 
 _DESCRIPTION = """\
 Read weather as simulate does, and describe it: service, place, period, columns, sums of rain,
@@ -54,9 +50,9 @@ examples:
 exit codes: 0 done, 2 bad usage, configuration or file
 """
 # Above this number of months, rain is summed over years.
-_MOST_MONTHS = 24
-# Spans of hours, and hours of suspicious rain, that the table names.
-_MOST_NAMED = 3
+_MAX_MONTHS = 24
+# Spans of hours, and implausible things, that the table names.
+_MAX_NAMED = 3
 
 
 def make_parser() -> Parser:
@@ -85,7 +81,7 @@ def main() -> None:
     # A file of another place is described, too; a run refuses it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
     measured = read_measured(find_files(arguments.files, "FILE"), anywhere)
-    about = _about(measured, site)
+    about = _describe(measured, site)
     if output is not None:
         with naming(output):
             output.write_text(
@@ -96,30 +92,30 @@ def main() -> None:
         print(json.dumps(about, indent=2, allow_nan=False))
         return
     console = Console()
-    console.print(grid("Weather", _rows(about)))
+    console.print(grid("Weather", _list_rows(about)))
     if output is not None:
         console.print(f"written: {output}", soft_wrap=True, highlight=False)
 
 
-def _about(measured: Records, site: Site) -> dict[str, Any]:
+def _describe(measured: Records, site: Site) -> dict[str, Any]:
     """Return what records are, as ``--json`` prints it."""
     try:
-        weather = complete(measured, site)
+        weather = complete_records(measured, site)
         unknown = ""
     except ConfigurationError as error:
-        weather, unknown = complete(measured, site, rain_only=True), str(error)
+        weather, unknown = complete_records(measured, site, rain_only=True), str(error)
     places = [*dict.fromkeys(measured.places.values())]
     return {
         "files": [str(file) for file in measured.files],
-        "format": " and ".join(dict.fromkeys(map(format_name, measured.files))),
+        "format": " and ".join(dict.fromkeys(map(name_format, measured.files))),
         "places": [list(place) for place in places],
         "site_place": [site.latitude, site.longitude],
-        "km_from_site": _distances(places, site),
+        "km_from_site": _measure_distances(places, site),
         "first_hour": measured.first.isoformat(),
         "last_hour": (measured.first + (measured.hours - 1) * HOUR).isoformat(),
         "hours": measured.hours,
-        "columns": {name: _column(name, measured) for name in measured.values},
-        "rain_mm": _sums(measured),
+        "columns": {name: _describe_column(name, measured) for name in measured.values},
+        "rain_mm": _sum_rain(measured),
         "rain_late_h": measured.rain_late,
         "wind_height_m": measured.wind_height,
         "missing": {
@@ -130,36 +126,36 @@ def _about(measured: Records, site: Site) -> dict[str, Any]:
             name: name_hours(measured.first, np.flatnonzero(marks))
             for name, marks in weather.filled.items() if marks.any()
         },
-        "suspicious": suspicious_rain(measured, range(measured.hours)),
-        "evapotranspiration": _evapotranspiration(weather, unknown),
+        "suspicious": check_hours(measured, site, range(measured.hours)),
+        "evapotranspiration": _describe_evapotranspiration(weather, unknown),
         "notes": list(weather.notes),
     }
 
 
-def _distances(places: Sequence[tuple[float, float]], site: Site) -> list[float] | None:
+def _measure_distances(places: Sequence[tuple[float, float]], site: Site) -> list[float] | None:
     """Return how far places are from the site (km); None if the site gives no place."""
     if site.latitude is None or site.longitude is None:
         return None
     return [round(kilometres(place, (site.latitude, site.longitude)), 1) for place in places]
 
 
-def _column(name: str, measured: Records) -> dict[str, Any]:
+def _describe_column(name: str, measured: Records) -> dict[str, Any]:
     """Return the unit of a column, its values' range and mean, and how many are missing."""
     series = measured.values[name]
     return {
-        "unit": QUANTITIES[name][0],
+        "unit": QUANTITIES[name].unit,
         **({"method": measured.method} if name == EVAPOTRANSPIRATION else {}),
-        "least": float(np.nanmin(series)), "greatest": float(np.nanmax(series)),
+        "minimum": float(np.nanmin(series)), "maximum": float(np.nanmax(series)),
         "mean": float(np.nanmean(series)), "missing_hours": int(np.isnan(series).sum()),
     }
 
 
-def _sums(measured: Records) -> dict[str, dict[str, float]]:
+def _sum_rain(measured: Records) -> dict[str, dict[str, float]]:
     """Return the rain of each month (mm) by the records' clock, of long records of each year."""
     rain = measured.values[PRECIPITATION]
     first = np.datetime64(measured.first.replace(tzinfo=None), "h")
     months = (first + np.arange(len(rain))).astype("datetime64[M]")
-    long = len(np.unique(months)) > _MOST_MONTHS
+    long = len(np.unique(months)) > _MAX_MONTHS
     spans, span = np.unique(months.astype("datetime64[Y]" if long else months.dtype),
                             return_inverse=True)
     sums = np.bincount(span, np.nan_to_num(rain))
@@ -170,7 +166,7 @@ def _sums(measured: Records) -> dict[str, dict[str, float]]:
     }
 
 
-def _evapotranspiration(weather: Weather, unknown: str) -> dict[str, Any]:
+def _describe_evapotranspiration(weather: Weather, unknown: str) -> dict[str, Any]:
     """Return the method of evapotranspiration, and its mean; or why there is none."""
     if unknown:
         return {"method": None, "reason": unknown}
@@ -181,7 +177,7 @@ def _evapotranspiration(weather: Weather, unknown: str) -> dict[str, Any]:
     }
 
 
-def _rows(about: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+def _list_rows(about: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     files = about["files"]
     yield (
         "file", about["format"],
@@ -203,7 +199,7 @@ def _rows(about: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     for name, column in about["columns"].items():
         missing = f"; {column['missing_hours']} missing" if column["missing_hours"] else ""
         yield name, column["unit"], (
-            f"{column['least']:g} to {column['greatest']:g}, mean {column['mean']:.3g}{missing}"
+            f"{column['minimum']:g} to {column['maximum']:g}, mean {column['mean']:.3g}{missing}"
         )
     for span, rain in about["rain_mm"].items():
         missing = f", {rain['missing_hours']} missing" if rain["missing_hours"] else ""
@@ -211,11 +207,11 @@ def _rows(about: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     if about["rain_late_h"]:
         yield "rain", "1 h late", "its time is the end of its hour; a run takes it as the start"
     for name, spans in about["missing"].items():
-        yield "MISSING", name, _few(spans)
+        yield "MISSING", name, _shorten(spans)
     for name, spans in about["interpolated"].items():
-        yield "interpolated", name, _few(spans)
+        yield "interpolated", name, _shorten(spans)
     if about["suspicious"]:
-        yield "SUSPICIOUS", "rain", _few(about["suspicious"])
+        yield "SUSPICIOUS", "", _shorten(about["suspicious"])
     computed = about["evapotranspiration"]
     if computed["method"] is None:
         yield "EVAPOTRANSPIRATION", "unknown", computed["reason"]
@@ -230,7 +226,7 @@ def _rows(about: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         yield "note", "", note
 
 
-def _few(texts: Sequence[str]) -> str:
+def _shorten(texts: Sequence[str]) -> str:
     """Return the first of some texts, and how many there are besides."""
-    more = len(texts) - _MOST_NAMED
-    return "; ".join([*texts[:_MOST_NAMED], *([f"and {more} more"] if more > 0 else [])])
+    more = len(texts) - _MAX_NAMED
+    return "; ".join([*texts[:_MAX_NAMED], *([f"and {more} more"] if more > 0 else [])])

@@ -19,6 +19,17 @@ _TINY = 1e-9
 _MAXIMUM = sys.float_info.max
 
 
+def read_number(text: str) -> float:
+    """Return the number in a text of a user: the only place where text becomes a number.
+
+    Raises:
+        ValueError: it is none. Python also takes ``1_0`` for 10, and digits of other scripts.
+    """
+    if "_" in text or not text.isascii():
+        raise ValueError(f"is not a number: {text!r}")
+    return float(text)
+
+
 @dataclass(frozen=True)
 class Range:
     """The numbers that a value may be.
@@ -93,7 +104,8 @@ class Range:
         """Return the number in a text; see :meth:`check`."""
         value: object = text
         with suppress(ValueError):
-            value = int(text) if self.whole else float(text)
+            number = read_number(text)
+            value = int(text) if self.whole else number
         return self.check(value)
 
     def read(

@@ -30,7 +30,7 @@ from greenroof_ros.forecast.choice import (
     choose,
 )
 from greenroof_ros.forecast.skill import SKILLS
-from greenroof_ros.formats.records import SERVICE_DELAY_H
+from greenroof_ros.formats.forecasts import SERVICE_DELAY_H
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
     SITE_STATE,

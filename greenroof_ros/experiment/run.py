@@ -15,7 +15,7 @@ from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
-from greenroof_ros.formats.records import HOUR
+from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.model.place import kilometres, place_text
 from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site

@@ -94,8 +94,8 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         )
     for quantity, hours in summary["filled"].items():
         yield "FILLED", quantity, ", ".join(hours)
-    for rain in summary["suspicious"]:
-        yield "SUSPICIOUS", "rain", f"{rain}; used unchanged"
+    for sentence in summary["suspicious"]:
+        yield "SUSPICIOUS", "weather", f"{sentence}; used unchanged"
     forecast = dict(summary["forecast"])
     model = forecast.pop("model")
     if model != PERFECT:

@@ -12,8 +12,10 @@ import numpy as np
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import duration, to_people
 from greenroof_ros.forecast.resampling import HourForecast, Outlook
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.forecasts import IssuedForecast
 from greenroof_ros.formats.own_csv import read_forecasts
-from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, Issue
+from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 
@@ -40,7 +42,7 @@ class ForecastFile:
             path: of the file; see :func:`greenroof_ros.formats.own_csv.read_forecasts`. It must
                 have a column of evapotranspiration.
         """
-        self.issues: list[Issue] = []
+        self.issues: list[IssuedForecast] = []
         self.problem = ""
         self._path = path
         self._file_status: tuple[int, ...] | None = None
@@ -87,7 +89,7 @@ class LiveForecast:
             limit: largest age of the newest issue (s).
             all_members: whether to return rain of all members of an ensemble, or of the first.
         """
-        self.issues: list[Issue] = []
+        self.issues: list[IssuedForecast] = []
         self._area = site.a2
         self._ends = look_ahead_ends(site, horizon)
         self._limit = timedelta(seconds=limit)
@@ -142,7 +144,7 @@ class LiveForecast:
             f"{shorter}"
         )
 
-    def _newest(self, now: datetime) -> Issue:
+    def _newest(self, now: datetime) -> IssuedForecast:
         """Return the newest issue at a time.
 
         Raises:

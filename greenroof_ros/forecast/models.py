@@ -1,7 +1,7 @@
 """Models of hourly forecasts: from records, exact or with errors, and from an archive's issues.
 
-:mod:`greenroof_ros.formats.records` describes when forecasts are issued; a perfect forecast has no
-issues, and a file has its own. The present hour is observed, not forecast;
+:mod:`greenroof_ros.formats.forecasts` describes when forecasts are issued; a perfect forecast has
+no issues, and a file has its own. The present hour is observed, not forecast;
 :class:`greenroof_ros.forecast.resampling.SteppedForecast` takes it from the records.
 
 **With errors** forecasts are wrong as real ones are: missed rain, false alarms, wrong times and
@@ -35,20 +35,18 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.skill import Climate, Skill, read_skill
-from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import (
-    EVAPOTRANSPIRATION,
-    HOUR,
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.forecasts import (
     ISSUE_HOURS,
-    PRECIPITATION,
-    QUANTITIES,
     SERVICE_DELAY_H,
     Archive,
-    Issue,
-    newest_issue,
+    IssuedForecast,
+    find_newest_issue,
 )
+from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.series import Weather, on_the_hours, records_at
+from greenroof_ros.weather.series import Weather, align_to_hours, select_records
 
 Array = NDArray[np.float64]
 
@@ -116,9 +114,9 @@ class ForecastModel(ABC):
         return self._weather.end if past else None
 
 
-def _issued(weather: Weather, hour: int) -> datetime:
+def _find_issue_time(weather: Weather, hour: int) -> datetime:
     """Return the time of the issue every six hours that is the newest in an hour."""
-    return from_epoch_ns(newest_issue(weather.first, hour)[0] * 3600 * 10**9)
+    return from_epoch_ns(find_newest_issue(weather.first, hour)[0] * 3600 * 10**9)
 
 
 class PerfectModel(ForecastModel):
@@ -127,8 +125,8 @@ class PerfectModel(ForecastModel):
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the records; see :class:`ForecastModel`."""
         index = np.arange(hour, hour + hours)
-        rain = records_at(self._weather, PRECIPITATION, index)
-        return rain[None, :], records_at(self._weather, EVAPOTRANSPIRATION, index)
+        rain = select_records(self._weather, PRECIPITATION, index)
+        return rain[None, :], select_records(self._weather, EVAPOTRANSPIRATION, index)
 
 
 class PersistenceModel(ForecastModel):
@@ -142,20 +140,20 @@ class PersistenceModel(ForecastModel):
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
         weather = self._weather
-        issued = max(newest_issue(weather.first, hour)[1], 0)
+        issued = max(find_newest_issue(weather.first, hour)[1], 0)
         lead = hour - issued + np.arange(hours)
         before = issued + lead - 24 * -(-lead // 24)
-        now = records_at(weather, EVAPOTRANSPIRATION, np.array([issued]))
+        now = select_records(weather, EVAPOTRANSPIRATION, np.array([issued]))
         evapotranspiration = np.where(
             before < 0, now, weather.evapotranspiration[np.maximum(before, 0)]
         )
         evapotranspiration = np.where(np.isnan(evapotranspiration), now, evapotranspiration)
-        rain = np.full((1, hours), records_at(weather, PRECIPITATION, np.array([issued])))
+        rain = np.full((1, hours), select_records(weather, PRECIPITATION, np.array([issued])))
         return rain, evapotranspiration
 
     def issued(self, hour: int) -> datetime:
         """Return the time of the newest issue; see :class:`ForecastModel`."""
-        return _issued(self._weather, hour)
+        return _find_issue_time(self._weather, hour)
 
     def repeats_from(self, hour: int, hours: int) -> None:
         """Return None: no record after the issue is needed."""
@@ -180,7 +178,7 @@ class FileModel(ForecastModel):
         """
         super().__init__(weather)
         self.notes = archive.notes
-        self._archive = archive = replace(archive, issues=on_the_hours(archive.issues, weather))
+        self._archive = archive = replace(archive, issues=align_to_hours(archive.issues, weather))
         self.longest = max(issue.hours for issue in archive.issues)
         self._late = weather.rain_late
         # The hour of the records at whose start each issue becomes known. If their rain is late,
@@ -208,7 +206,7 @@ class FileModel(ForecastModel):
         rain[:, there] = issue.rain[: self.members, of_rain[there]]
         evapotranspiration = issue.evapotranspiration_at(ahead)
         if evapotranspiration is None:
-            evapotranspiration = records_at(
+            evapotranspiration = select_records(
                 self._weather, EVAPOTRANSPIRATION, np.arange(hour, hour + hours)
             )
         return rain, evapotranspiration
@@ -226,7 +224,7 @@ class FileModel(ForecastModel):
             return issue.issued + end * HOUR
         return super().repeats_from(hour, hours) if needed else None
 
-    def _newest(self, hour: int) -> tuple[Issue, int]:
+    def _newest(self, hour: int) -> tuple[IssuedForecast, int]:
         """Return the newest issue in an hour, and its age (h)."""
         number = bisect.bisect_right(self._available_from, hour) - 1
         if number < 0:
@@ -272,13 +270,13 @@ class NormalRecords:
             # The part's first hour, and the range of its hours with a margin on either side.
             begin = int(part) * _PART * _BLOCK - self._first
             low, high = max(begin - _BLOCK, 0), begin + (_PART + 1) * _BLOCK
-            of_part = _drawn(self._climate, self._rain[low:high].tobytes(), self._first + low)
+            of_part = _draw_normal(self._climate, self._rain[low:high].tobytes(), self._first + low)
             normal[here] = of_part[index[here] - low]
         return normal
 
 
 @lru_cache(maxsize=64)
-def _drawn(climate: Climate, records: bytes, first: int) -> Array:
+def _draw_normal(climate: Climate, records: bytes, first: int) -> Array:
     """Return z (1) of each hour; see :class:`NormalRecords`.
 
     Results are cached, because a study needs them for each of its seeds.
@@ -329,7 +327,7 @@ class ErrorModel(ForecastModel):
     from 0 to the skill's constant as the unknown share of the rain does, and g is drawn like xi.
     Members differ in the rain only. Member 0 is the single forecast of the same seed.
 
-    Forecasts are limited to the ranges in :data:`greenroof_ros.formats.records.QUANTITIES`.
+    Forecasts are limited to the ranges in :data:`greenroof_ros.formats.quantities.QUANTITIES`.
     """
 
     def __init__(
@@ -364,10 +362,10 @@ class ErrorModel(ForecastModel):
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
-        issue, issued = newest_issue(self._weather.first, hour - self._delay)
+        issue, issued = find_newest_issue(self._weather.first, hour - self._delay)
         records = np.arange(hour, hour + hours)
-        records_at(self._weather, PRECIPITATION, records)  # refuses missing records
-        evapotranspiration = records_at(self._weather, EVAPOTRANSPIRATION, records)
+        select_records(self._weather, PRECIPITATION, records)  # refuses missing records
+        evapotranspiration = select_records(self._weather, EVAPOTRANSPIRATION, records)
         leads = ISSUE_HOURS - 1 + self._delay + hours
         rain, factor = self._newest(issue, issued, leads)
         lead = hour - issued
@@ -375,13 +373,13 @@ class ErrorModel(ForecastModel):
             rain[:, lead : lead + hours].copy(),
             np.minimum(
                 evapotranspiration * factor[lead : lead + hours],
-                QUANTITIES[EVAPOTRANSPIRATION][2],
+                QUANTITIES[EVAPOTRANSPIRATION].high,
             ),
         )
 
     def issued(self, hour: int) -> datetime:
         """Return the time of the newest issue; see :class:`ForecastModel`."""
-        return _issued(self._weather, hour - self._delay)
+        return _find_issue_time(self._weather, hour - self._delay)
 
     def _make(self, issue: int, issued: int, leads: int) -> tuple[Array, Array]:
         """Make the forecast of an issue (h since 1970; index of its hour in the records).
@@ -390,18 +388,18 @@ class ErrorModel(ForecastModel):
             Rain (mm/h), shape (members, leads), and the factor of evapotranspiration (1), shape
             (leads,).
         """
-        filters = _filters(self._skill, self._reach, math.ceil(leads / _LEADS))
+        filters = _make_filters(self._skill, self._reach, math.ceil(leads / _LEADS))
         hours = np.arange(issued - self._reach, issued + leads + self._reach)
         (common, *own), dry = self._noise(issue, len(hours))
-        known = _filtered(filters.signal, self._normal.at(hours))
-        known += _filtered(filters.common, common)
-        members = np.stack([known + _filtered(filters.own, noise) for noise in own])
+        known = _apply_filters(filters.signal, self._normal.at(hours))
+        known += _apply_filters(filters.common, common)
+        members = np.stack([known + _apply_filters(filters.own, noise) for noise in own])
         errors, unknown = self._skill.errors, filters.unknown[:leads]
         rain = self._skill.climate.rain(members + errors.wetness * unknown)
         rain *= 1 + (errors.amount - 1) * unknown
         spread = errors.evapotranspiration * unknown
         return (
-            np.minimum(rain, QUANTITIES[PRECIPITATION][2]),
+            np.minimum(rain, QUANTITIES[PRECIPITATION].high),
             np.exp(spread * dry - spread**2 / 2),
         )
 
@@ -453,16 +451,16 @@ class _Filters(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def _filters(skill: Skill, reach: int, blocks: int) -> _Filters:
+def _make_filters(skill: Skill, reach: int, blocks: int) -> _Filters:
     """Return the filters of a number of blocks of leads; cached, as a study needs them per seed.
 
     Each block has the same size, because rounding in a matrix sum may depend on the number of rows.
     """
-    filters = [_filters_of(skill, reach, _LEADS * n + np.arange(_LEADS)) for n in range(blocks)]
+    filters = [_make_block(skill, reach, _LEADS * n + np.arange(_LEADS)) for n in range(blocks)]
     return _Filters(*map(np.concatenate, zip(*filters, strict=True)))
 
 
-def _filters_of(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
+def _make_block(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
     def weights(response: Array) -> Array:
         circle = np.fft.irfft(response, hours, axis=1)
         return np.concatenate((circle[:, -reach:], circle[:, : reach + 1]), axis=1)
@@ -485,7 +483,7 @@ def _filters_of(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
     )
 
 
-def _filtered(weights: Array, values: Array) -> Array:
+def _apply_filters(weights: Array, values: Array) -> Array:
     """Return the filtered hours around each lead.
 
     Computed row by row, so that a lead's value does not depend on the number of leads.

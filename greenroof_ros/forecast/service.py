@@ -33,29 +33,25 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import replace_text
 from greenroof_ros.common.processes import IN_MEMORY, scratch_directory
 from greenroof_ros.common.times import to_people
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.forecasts import IssuedForecast, mend_forecast
+from greenroof_ros.formats.hourly import bridge_gaps
 from greenroof_ros.formats.open_meteo import VARIABLES, read_records, read_run
 from greenroof_ros.formats.own_csv import write_forecasts
-from greenroof_ros.formats.records import (
-    EVAPOTRANSPIRATION,
-    HOUR,
-    TEMPERATURE,
-    Issue,
-    bridged,
-    mended,
-)
+from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, TEMPERATURE
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import monthly
+from greenroof_ros.weather.evapotranspiration import repeat_monthly
 from greenroof_ros.weather.reading import (
-    LONGEST_GAP,
-    evapotranspiration,
+    MAX_GAP_H,
+    compute_evapotranspiration,
+    drop_empty,
     fill_long_gaps,
-    without_empty,
 )
 
 OPEN_METEO = "open-meteo"
 """Name of the service, given in place of a file of forecasts."""
 FORECAST, ENSEMBLE = INTERFACES = ("forecast", "ensemble")
-MOST_DAYS = 16
+MAX_DAYS = 16
 """range of the interface "forecast" (days)"""
 ATTRIBUTION = "forecasts by Open-Meteo.com, CC BY 4.0"
 
@@ -63,16 +59,16 @@ _FORECAST_URL = "https://api.open-meteo.com/v1/forecast"
 _ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
 # Longest silence and longest answer (s), and the largest answer (bytes): 64 members of 36 days are
 # 3 MB.
-_SILENCE_S, _ANSWER_S, _MOST_BYTES = 30.0, 60.0, 50_000_000
+_SILENCE_S, _ANSWER_S, _MAX_BYTES = 30.0, 60.0, 50_000_000
 # Most by which the service's clock and ours may differ (s).
 _CLOCKS_S = 600.0
 # Wait after a failure (s): the first, the longest if the service asks for none, and the longest
 # that the service can ask for.
-_FIRST_WAIT_S, _LAST_WAIT_S, _LONGEST_WAIT_S = 60.0, 3600.0, 86_400.0
+_FIRST_WAIT_S, _LAST_WAIT_S, _MAX_WAIT_S = 60.0, 3600.0, 86_400.0
 
 # The names of kept forecasts, and how much of them is kept (bytes): half a year of hourly ensembles
 # of 50 members, or 20 years of single forecasts.
-_STORED_NAME, _MOST_STORED = re.compile(r"\d{14}\.csv"), 2_000_000_000
+_STORED_NAME, _MAX_STORED = re.compile(r"\d{14}\.csv"), 2_000_000_000
 
 
 class ServiceError(Exception):
@@ -124,7 +120,7 @@ class Service:
         }
         self._tag, self._answer = "", b""  # of the last answer that was a forecast
 
-    def fetch(self, now: datetime) -> Issue:
+    def fetch(self, now: datetime) -> IssuedForecast:
         """Return the newest forecast, issued in the present hour, with evapotranspiration.
 
         Args:
@@ -138,7 +134,7 @@ class Service:
             began = time.monotonic()
             tag, answer = self._request(now)
             arrived = now + timedelta(seconds=time.monotonic() - began)
-            issue = replace(_issue(answer, self._site, hour), available=arrived)
+            issue = replace(_read_issue(answer, self._site, hour), available=arrived)
             self._tag, self._answer = tag, answer
             return issue
         except (HTTPException, OSError) as error:
@@ -167,8 +163,8 @@ class Service:
         with response:
             while part := response.read1(1 << 16):
                 answer += part
-                if len(answer) > _MOST_BYTES:
-                    raise ServiceError(f"{self._url}: sent more than {_MOST_BYTES} bytes")
+                if len(answer) > _MAX_BYTES:
+                    raise ServiceError(f"{self._url}: sent more than {_MAX_BYTES} bytes")
                 if time.monotonic() > until:
                     raise TimeoutError(f"gave no complete answer within {_ANSWER_S:g} s")
         _check_clock(response.headers.get("Date", ""), now)
@@ -176,13 +172,13 @@ class Service:
             return self._tag, self._answer
         if response.status != 200:
             raise ServiceError(
-                f"{self._url}: {response.status} {response.reason}: {_reason(answer)}",
-                _wait(response.headers.get("Retry-After", ""), now),
+                f"{self._url}: {response.status} {response.reason}: {_read_reason(answer)}",
+                _read_wait(response.headers.get("Retry-After", ""), now),
             )
         return response.headers.get("ETag", ""), answer
 
 
-def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
+def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
     """Return an answer as a forecast that was issued in an hour.
 
     Hours for which evapotranspiration cannot be computed have the mean at that time of day of the
@@ -193,25 +189,25 @@ def _issue(answer: bytes, site: Site, hour: datetime) -> Issue:
         ConfigurationError: the answer is not a forecast for that hour and site.
     """
     if not answer.lstrip().startswith(b"{"):
-        raise ConfigurationError(f"is not a forecast in JSON: {_reason(answer)}")
+        raise ConfigurationError(f"is not a forecast in JSON: {_read_reason(answer)}")
     with scratch_directory(IN_MEMORY) as directory:  # a full disk costs no forecast
         file = directory / "answer.json"
         file.write_bytes(answer)
         issue = read_run(file, site, hour)
-        records = without_empty(read_records(file, site))
+        records = drop_empty(read_records(file, site))
     records = replace(records, values={
-        quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
+        quantity: bridge_gaps(series, MAX_GAP_H.get(quantity, 0))
         for quantity, series in records.values.items()
     })
-    series, _, notes = evapotranspiration(records, site)
+    series, _, notes = compute_evapotranspiration(records, site)
     evaporated = fill_long_gaps({EVAPOTRANSPIRATION: series})[EVAPOTRANSPIRATION]
-    means = monthly(records, site)
+    means = repeat_monthly(records, site)
     if means is not None and np.isnan(evaporated).all():
         evaporated = means
         notes.append("evapotranspiration is the site's monthly means: no day of it is complete")
     start = (hour - records.first) // HOUR
     temperature = records.values.get(TEMPERATURE)
-    return mended(replace(
+    return mend_forecast(replace(
         issue, evapotranspiration=evaporated[start:],
         temperature=None if temperature is None else temperature[start:],
         notes=tuple(dict.fromkeys([*issue.notes, *records.left_out, *notes])),
@@ -238,12 +234,12 @@ def _check_clock(date: str, now: datetime) -> None:
         )
 
 
-def _reason(answer: bytes) -> str:
+def _read_reason(answer: bytes) -> str:
     """Return the text of a refusal, cut to a line."""
     return " ".join(answer.decode("utf-8", "replace").split())[:200]
 
 
-def _wait(text: str, now: datetime) -> float | None:
+def _read_wait(text: str, now: datetime) -> float | None:
     """Return the wait (s) in a Retry-After header, seconds or a date; None if it is neither."""
     if text.isascii() and text.isdecimal():
         return float(text)
@@ -265,9 +261,9 @@ class ForecastFiles:
                 them; None to keep none.
         """
         self._newest, self._archive = newest, archive
-        self._stored: Issue | None = None
+        self._stored: IssuedForecast | None = None
 
-    def write(self, issue: Issue) -> None:
+    def write(self, issue: IssuedForecast) -> None:
         """Write a forecast.
 
         Raises:
@@ -291,7 +287,9 @@ class Fetcher:
         newest: the last forecast that arrived; None before the first.
     """
 
-    def __init__(self, service: Service, write: Callable[[Issue], None], every: float) -> None:
+    def __init__(
+        self, service: Service, write: Callable[[IssuedForecast], None], every: float
+    ) -> None:
         """Prepare; nothing is fetched yet.
 
         Args:
@@ -300,7 +298,7 @@ class Fetcher:
             every: time between two forecasts (s).
         """
         self.problem = ""
-        self.newest: Issue | None = None
+        self.newest: IssuedForecast | None = None
         self._service, self._write, self._every = service, write, every
         self._wait = _FIRST_WAIT_S
         self._ended = threading.Event()
@@ -313,7 +311,7 @@ class Fetcher:
         except Exception as error:  # whatever it is, the next forecast is requested
             self.problem = str(error) or type(error).__name__
             requested_wait = error.wait if isinstance(error, ServiceError) else None
-            wait = max(self._wait, min(requested_wait or 0.0, _LONGEST_WAIT_S))
+            wait = max(self._wait, min(requested_wait or 0.0, _MAX_WAIT_S))
             self._wait = min(2 * self._wait, self._every, _LAST_WAIT_S)
             return wait
         self.problem, self._wait = "", _FIRST_WAIT_S
@@ -342,11 +340,11 @@ def _remove_oldest(archive: Path) -> None:
     size = 0
     for file in reversed(stored):
         size += file.stat().st_size
-        if size > _MOST_STORED:
+        if size > _MAX_STORED:
             file.unlink()
 
 
-def _repeats(before: Issue | None, issue: Issue) -> bool:
+def _repeats(before: IssuedForecast | None, issue: IssuedForecast) -> bool:
     """Return whether a forecast only repeats the remaining hours of an earlier one."""
     if before is None:
         return False

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from datetime import timedelta, timezone
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import parse_local_time
-from greenroof_ros.formats.records import (
-    NEARLY,
-    PRECIPITATION,
-    QUANTITIES,
-    Records,
-    Table,
-    by_hour,
-    read_table,
-)
+from greenroof_ros.formats.cells import Column, Row, Table, judge_columns, read_table
+from greenroof_ros.formats.hourly import Records, arrange_by_hour
+from greenroof_ros.formats.quantities import DEW_POINT, PRECIPITATION, QUANTITIES, TEMPERATURE
 from greenroof_ros.model.site import Site
 
 # Names of columns, in English and French, without accents, case, spaces and points; in the English
@@ -30,8 +25,8 @@ _WIND_HEIGHT_M = 10.0
 # The service's columns of each of our quantities; the units are the same. Flags are in the next.
 _COLUMNS = {
     PRECIPITATION: ("precipamount(mm)", "hauteurdeprecip(mm)"),
-    "temperature": ("temp(°c)",),
-    "dew point": ("dewpointtemp(°c)", "pointderosee(°c)"),
+    TEMPERATURE: ("temp(°c)",),
+    DEW_POINT: ("dewpointtemp(°c)", "pointderosee(°c)"),
     "wind speed": ("windspd(km/h)", "vitduvent(km/h)"),
     "station pressure": ("stnpress(kpa)", "pressionalastation(kpa)"),
 }
@@ -42,24 +37,23 @@ _DOWNLOAD = (
     "download hourly data of the station with precipitation (climate.weather.gc.ca, Hourly data; "
     "climat.meteo.gc.ca, Données horaires)"
 )
-# The service's legend: M = missing, NA (N/D in French) = not available. A value flagged M is not an
-# observation: it often repeats the last one before the gap.
+# The service's legend: M = missing, NA (N/D in French) = not available.
 _MISSING_FLAGS = {"M", "NA", "N/D"}
 # Largest difference between a place's mean solar time and its standard time (h).
-_MOST_FROM_SOLAR_TIME = 2.5
+_MAX_FROM_SOLAR_TIME = 2.5
 
 
 def recognises(_file: Path, head: bytes, /) -> bool:
     """Return whether the first line has the service's columns of place and time."""
     cells = re.split("[,;\t]", head.decode("utf-8-sig", "replace").partition("\n")[0])
-    names = {_plain(cell.strip('" \r')) for cell in cells}
+    names = {_simplify(cell.strip('" \r')) for cell in cells}
     return not names.isdisjoint(_TIME) and (
-        _LONGITUDE in names or not names.isdisjoint(_COLUMNS["temperature"])
+        _LONGITUDE in names or not names.isdisjoint(_COLUMNS[TEMPERATURE])
         or any(_LONGER in name for name in names)
     )
 
 
-def _plain(name: str) -> str:
+def _simplify(name: str) -> str:
     """Return a column's name without accents, case, spaces and points."""
     letters = unicodedata.normalize("NFD", name.replace("°", "deg")).casefold()
     return re.sub(r"[ .\u0300-\u036f]", "", letters).replace("deg", "°")
@@ -91,39 +85,50 @@ def read_records(file: Path, site: Site, /) -> Records:
             "'utc_offset: -5.0'",
             file=file, line=1,
         )
-    table = read_table(file, lambda name: _quantity(name) is not None)
+    table = read_table(file, observed=lambda name: _find_quantity(name) is not None)
     names: dict[str, str] = {}
     for name in table.header:
-        names.setdefault(_plain(name), name)
+        names.setdefault(_simplify(name), name)
     time = next(names[name] for name in _TIME if name in names)
     columns = {
-        quantity: name for name in table.header if (quantity := _quantity(name)) is not None
+        quantity: name for name in table.header if (quantity := _find_quantity(name)) is not None
     }
     _check_kind(table, names.keys(), columns.keys())
-    table.require((time, *columns.values()), "hourly bulk files")
+    table.require_columns((time, *columns.values()), "hourly bulk files")
     if _LONGITUDE in names:
         _check_zone(table, names[_LONGITUDE], site.utc_offset)
     zone = timezone(timedelta(hours=site.utc_offset))
-    first, hours = table.hours(time, lambda text: parse_local_time(text, zone), "2021-07-01 0:00")
-    values = {}
-    for quantity, column in columns.items():
-        flags = "".join(table.header[table.header.index(column) + 1 :][:1])
-        if _plain(flags).endswith(_FLAG):
-            table.columns[column] = [
-                "" if flag in _MISSING_FLAGS else text
-                for text, flag in zip(table.columns[column], table.columns[flags], strict=True)
-            ]
-        values[quantity] = table.usable(
-            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0),
-            optional=quantity != PRECIPITATION,
+    read = {
+        quantity: Column(
+            table, column, QUANTITIES[quantity], optional=quantity != PRECIPITATION,
+            cell=_make_reader(table, column),
         )
+        for quantity, column in columns.items()
+    }
+    first, hours = table.read_hours(
+        time, read.values(), lambda text: parse_local_time(text, zone), "2021-07-01 0:00"
+    )
     return Records(
-        (file,), first, by_hour(values, hours), rain_late=1, left_out=tuple(table.notes),
-        places=_place(table, names), wind_height=_WIND_HEIGHT_M,
+        (file,), first, arrange_by_hour(judge_columns(read), hours), rain_late=1,
+        left_out=tuple(table.notes), places=_read_place(table, names), wind_height=_WIND_HEIGHT_M,
     )
 
 
-def _place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[float, float]]:
+def _make_reader(table: Table, column: str) -> Callable[[Row], str]:
+    """Return what reads a row's text; empty if the flag in the next column states it is missing.
+
+    A value flagged M is not an observation: it often repeats the last one before the gap.
+    """
+    place = table.header.index(column)
+    flagged = _simplify("".join(table.header[place + 1 : place + 2])).endswith(_FLAG)
+
+    def read(row: Row) -> str:
+        return "" if flagged and row.cells[place + 1] in _MISSING_FLAGS else row.cells[place]
+
+    return read
+
+
+def _read_place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[float, float]]:
     """Return the station's place, by file; empty if a column is missing.
 
     Args:
@@ -133,14 +138,14 @@ def _place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[float, fl
     if _LATITUDE not in names or _LONGITUDE not in names:
         return {}
     latitude, longitude = (
-        table.number(names[column], 0, ("degrees", -end, end), missing=("",))
+        table.read_number(table.first, names[column], Range(-end, end, "degrees"), ("",))
         for column, end in ((_LATITUDE, 90.0), (_LONGITUDE, 180.0))
     )
     return {table.file: (latitude, longitude)}
 
 
-def _quantity(name: str) -> str | None:
-    plain = _plain(name)
+def _find_quantity(name: str) -> str | None:
+    plain = _simplify(name)
     return next((quantity for quantity, names in _COLUMNS.items() if plain in names), None)
 
 
@@ -157,10 +162,10 @@ def _check_kind(table: Table, names: Iterable[str], quantities: Container[str]) 
 
 def _check_zone(table: Table, column: str, utc_offset: float) -> None:
     """Refuse a station whose solar time is not near the site's standard time."""
-    longitude = table.number(column, 0, ("degrees", -180.0, 180.0))
-    if abs(longitude / 15 - utc_offset) > _MOST_FROM_SOLAR_TIME:
+    longitude = table.read_number(table.first, column, Range(-180.0, 180.0, "degrees"))
+    if abs(longitude / 15 - utc_offset) > _MAX_FROM_SOLAR_TIME:
         raise table.refuse(
             f"is not near the standard time of the site, utc_offset = {utc_offset:g} h, which "
             f"belongs to a longitude of about {15 * utc_offset:g}",
-            column, 0,
+            column, table.first,
         )

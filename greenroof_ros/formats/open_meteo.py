@@ -52,6 +52,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_lines, read_text
+from greenroof_ros.common.ranges import Range, read_number
 from greenroof_ros.common.times import (
     hours_since_1970,
     parse_local_time,
@@ -59,28 +60,24 @@ from greenroof_ros.common.times import (
     parse_unix_time,
     to_minutes,
 )
-from greenroof_ros.formats.records import (
-    HOUR,
-    HUMIDITY,
+from greenroof_ros.formats.cells import HOUR, Column, Table, judge_columns, number_lines, read_table
+from greenroof_ros.formats.forecasts import (
     ISSUE_HOURS,
-    MISSING,
-    NEARLY,
+    SERVICE_DELAY_H,
+    Archive,
+    IssuedForecast,
+    join_members,
+    mend_forecast,
+)
+from greenroof_ros.formats.hourly import Records, add_dew_point, arrange_by_hour, join_records
+from greenroof_ros.formats.quantities import (
+    DEW_POINT,
+    HUMIDITY,
     PRECIPITATION,
     QUANTITIES,
     RADIATION,
-    SERVICE_DELAY_H,
-    Archive,
-    Issue,
-    Records,
-    Table,
+    TEMPERATURE,
     Unit,
-    by_hour,
-    ensemble,
-    join,
-    mended,
-    numbered_lines,
-    table_of,
-    with_dew_point,
 )
 from greenroof_ros.model.site import Site
 
@@ -89,10 +86,12 @@ _OFFSET = "utc_offset_seconds"
 _NO_UNIT = "undefined"
 # From March 1973 on; fewer digits can be a date.
 _UNIX_TIME = re.compile(r"\d{9,10}(\.0*)?", re.ASCII)
+# The header of a section; its line can be quoted.
+_SECTION = re.compile(r'"?time"?[,;\t]')
 _SAVED_TIMES = ("time", "datetime", "date")
 _SOURCE = "Open-Meteo's hourly files"
 VARIABLES = {
-    PRECIPITATION: PRECIPITATION, "temperature": "temperature_2m", "dew point": "dew_point_2m",
+    PRECIPITATION: PRECIPITATION, TEMPERATURE: "temperature_2m", DEW_POINT: "dew_point_2m",
     "wind speed": "wind_speed_10m", "station pressure": "surface_pressure",
     RADIATION: "shortwave_radiation",
 }
@@ -100,13 +99,13 @@ VARIABLES = {
 _QUANTITIES = {variable: quantity for quantity, variable in VARIABLES.items()} | {
     "relative_humidity_2m": HUMIDITY,
     # Names before 2023.
-    "dewpoint_2m": "dew point", "windspeed_10m": "wind speed", "relativehumidity_2m": HUMIDITY,
+    "dewpoint_2m": DEW_POINT, "windspeed_10m": "wind speed", "relativehumidity_2m": HUMIDITY,
 }
 _DEGREES = (Unit("°C"), Unit("°F", 1.8, 32.0))
 UNITS = {
     PRECIPITATION: (Unit("mm"), Unit("inch", 1 / 25.4)),
-    "temperature": _DEGREES,
-    "dew point": _DEGREES,
+    TEMPERATURE: _DEGREES,
+    DEW_POINT: _DEGREES,
     "wind speed": (
         Unit("km/h"), Unit("m/s", 1 / 3.6), Unit("mp/h", 1 / 1.609344), Unit("kn", 1 / 1.852)
     ),
@@ -125,7 +124,7 @@ _MEMBER = re.compile(r"precipitation(?:_member(\d{2,3}))?")
 # A browser adds " (1)" to the name of a second download.
 _RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?(?: ?\(\d+\))?$")
 # The service's longest forecasts, of ensembles, reach 36 days (h).
-_LONGEST_RUN = 36 * 24
+_MAX_RUN_H = 36 * 24
 _DAY_H = 24
 _S = TypeVar("_S")
 _T = TypeVar("_T")
@@ -160,8 +159,9 @@ def _read(
         ConfigurationError: the file is broken or of another place, a time is out of order, a unit
             is unknown, or too few values are plausible; the message names line or key, and value.
     """
-    table, parse, places = _table(file, site)
-    named: dict[str, tuple[str, str, str]] = {}
+    table, parse, places = _read_table(file, site)
+    columns: dict[str, Column] = {}
+    without_unit: list[str] = []
     members = sum(cell.startswith(PRECIPITATION) for cell in table.header)
     for cell in table.header[1:]:
         name, _, text = cell.partition(" ")
@@ -171,54 +171,58 @@ def _read(
             raise table.refuse(str(error), cell) from None
         if quantity is None:
             continue
-        table.require([cell], _SOURCE)
+        table.require_columns([cell], _SOURCE)
         known = {unit.name: unit for unit in UNITS[quantity]}
         text = text.strip("()") or next(iter(known))
-        if text not in (*known, _NO_UNIT) or name in named:
+        if text not in (*known, _NO_UNIT) or name in columns:
             raise table.refuse(f"must be in {' or '.join(known)}, and only one column", cell)
-        named[name] = cell, quantity, text
-    first, hours = table.hours(table.header[0], parse, "2024-06-01T12:00")
-    columns: dict[str, NDArray[np.float64]] = {}
-    for name, (cell, quantity, text) in named.items():
-        known = {unit.name: unit for unit in UNITS[quantity]}
         if text == _NO_UNIT:
-            if any(text.lower() not in MISSING for text in table.columns[cell]):
-                raise table.refuse(f"must be in {' or '.join(known)}", cell)
-            text = next(iter(known))
-        columns[name] = table.usable(
-            cell, QUANTITIES[quantity], known[text], NEARLY.get(quantity, 0.0),
+            without_unit.append(cell)
+        columns[name] = Column(
+            table, cell, QUANTITIES[quantity], known.get(text, next(iter(known.values()))),
             optional=quantity != PRECIPITATION or members > 1,
         )
+    first, hours = table.read_hours(
+        table.header[0], columns.values(), parse, "2024-06-01T12:00"
+    )
+    for cell in without_unit:
+        if not columns[cell.partition(" ")[0]].is_empty:
+            raise table.refuse("must be in a unit that is known, since it has values", cell)
     return table, Records(
-        (file,), first, by_hour(columns, hours), left_out=tuple(table.notes), places=places,
-        wind_height=_WIND_HEIGHT_M,
+        (file,), first, arrange_by_hour(judge_columns(columns), hours),
+        left_out=tuple(table.notes), places=places, wind_height=_WIND_HEIGHT_M,
     )
 
 
-def _table(
+def _read_table(
     file: Path, site: Site
 ) -> tuple[Table, Callable[[str], datetime], dict[Path, tuple[float, float]]]:
     """Return the hours of a file, the parser of their times, and the place, if it has one."""
     if next(filter(str.strip, read_lines(file))).lstrip().startswith(("{", "[")):
-        place, table = _json_tables(file, read_text(file))
+        place, table = _read_json_tables(file, read_text(file))
     else:
-        lines = numbered_lines(read_lines(file))
+        lines = number_lines(read_lines(file))
         about = list(itertools.islice(lines, 2))
         if about and _OFFSET not in about[0][1]:
-            return table_of(file, itertools.chain(about, lines)), partial(
+            return read_table(file, itertools.chain(about, lines)), partial(
                 _parse, parse_time, zone=timezone.utc
             ), {}
-        hourly = list(itertools.islice(sections := _hourly_section(lines), 1))
-        if not hourly:
+        hours = _select_hours(lines)
+        header = next(hours, None)
+        if header is None:
             raise ConfigurationError(
                 "must have two lines about the place, then a header and records", file=file
             )
-        place, table = table_of(file, about), table_of(file, itertools.chain(hourly, sections))
+        place, table = read_table(file, about), read_table(file, itertools.chain([header], hours))
     if "location_id" in place.header:
-        raise place.refuse("must be for one place; download places separately", "location_id", 0)
+        raise place.refuse(
+            "must be for one place; download places separately", "location_id", place.first
+        )
     zone = _check_place(place, site)
-    table.require(["time"], _SOURCE)
-    latitude, longitude = (float(place.columns[name][0]) for name in ("latitude", "longitude"))
+    table.require_columns(["time"], _SOURCE)
+    latitude, longitude = (
+        read_number(place.cell(place.first, name)) for name in ("latitude", "longitude")
+    )
     return table, partial(_parse, parse_local_time, zone=zone), {file: (latitude, longitude)}
 
 
@@ -229,33 +233,28 @@ def _parse(parse: Callable[[str, tzinfo], datetime], text: str, zone: tzinfo) ->
     return parse(text, zone)
 
 
-def _hourly_section(lines: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+def _select_hours(lines: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str]]:
     """Return the lines of the hours, from their header on, without other sections.
 
     The service writes a section each for ``current``, ``minutely_15``, ``hourly`` and ``daily``,
     as chosen on its page. If none is of hours, it is the first.
     """
-    number = 0
-
-    def section(line: tuple[int, str]) -> int:
-        nonlocal number
-        number += re.match(r'"?time"?[,;\t]', line[1]) is not None
-        return number
-
-    other: list[tuple[int, str]] = []
-    for _, group in itertools.groupby(lines, section):
-        rows = iter(group)
-        top = list(itertools.islice(rows, 3))
-        if _may_be_hours([line for _, line in top[1:]]):
-            return itertools.chain(top, rows)
-        other = other or [*top, *rows]
-    return iter(other)
+    first: list[tuple[int, str]] = []
+    section: list[tuple[int, str]] = []
+    lines = iter(lines)
+    for line in lines:
+        if _SECTION.match(line[1]):
+            first, section = first or section, []
+        section.append(line)
+        if len(section) == 3 and _may_be_hours(section[1][1], section[2][1]):
+            return itertools.chain(section, itertools.takewhile(
+                lambda line: not _SECTION.match(line[1]), lines
+            ))
+    return iter(first or section)
 
 
-def _may_be_hours(rows: Sequence[str]) -> bool:
+def _may_be_hours(*rows: str) -> bool:
     """Return whether the first rows of a section can be hours; wrong times are refused later."""
-    if len(rows) < 2:
-        return False
     try:
         first, second = (
             _parse(parse_time, re.split("[,;\t]", row)[0].strip('"'), timezone.utc) for row in rows
@@ -265,7 +264,7 @@ def _may_be_hours(rows: Sequence[str]) -> bool:
     return not (timedelta() < second - first < HOUR or second - first >= _DAY_H * HOUR)
 
 
-def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
+def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
     """Return the place and the hours of a JSON answer as tables; numbers are text as in CSV."""
     refuse = partial(ConfigurationError, file=file)
     try:
@@ -290,15 +289,19 @@ def _json_tables(file: Path, text: str) -> tuple[Table, Table]:
     for name, series in hourly.items():
         if not isinstance(series, list) or len(series) != len(hourly["time"]) or not series:
             raise refuse("must be a list of values, one for each time", key=f"hourly.{name}")
-    about = {name: [_cell(value, "NaN")] for name, value in content.items()}
+    about = [_write_cell(value, "NaN") for value in content.values()]
     hours = {
-        name if name == "time" else f"{name} ({units.get(name) or ''})": [*map(_cell, series)]
+        name if name == "time" else f"{name} ({units.get(name) or ''})": [*map(_write_cell, series)]
         for name, series in hourly.items()
     }
-    return Table(file, about.items()), Table(file, hours.items(), key="hourly.")
+    return (
+        Table(file, [*content], [(None, about)]),
+        Table(file, [*hours], zip(itertools.repeat(None), zip(*hours.values(), strict=True)),
+              key="hourly."),
+    )
 
 
-def _cell(value: Any, missing: str = "") -> str:
+def _write_cell(value: Any, missing: str = "") -> str:
     """Return a value of JSON as text, as in CSV."""
     return missing if value is None else str(value)
 
@@ -309,29 +312,30 @@ def _check_place(place: Table, site: Site) -> timezone:
     Raises:
         ConfigurationError: it is not near, or the place or offset is invalid.
     """
-    place.require([_OFFSET, *_PLACE], _SOURCE)
-    offset = place.numbers(_OFFSET, ("s", -43200.0, 50400.0))[0]  # UTC-12 to UTC+14
+    row = place.first
+    place.require_columns([_OFFSET, *_PLACE], _SOURCE)
+    offset = place.read_number(row, _OFFSET, Range(-43200.0, 50400.0, "s"))  # UTC-12 to UTC+14
     if offset % 3600:
         raise place.refuse(
             "must be whole hours: the service's data are for whole hours of UTC, and its local "
-            "times are not; download the data again in GMT (timezone=GMT)", _OFFSET, 0,
+            "times are not; download the data again in GMT (timezone=GMT)", _OFFSET, row,
         )
-    for name, (most, end) in _PLACE.items():
+    for name, (maximum, end) in _PLACE.items():
         # The service writes an unknown elevation as NaN.
         missing = ["NaN"] if name == "elevation" else []
         unit = "m" if name == "elevation" else "degrees"
-        value = place.numbers(name, (unit, -end, end), missing=missing)[0]
+        value = place.read_number(row, name, Range(-end, end, unit), missing)
         own: float | None = getattr(site, name)
         if own is None or math.isnan(value):
             continue
         away = abs(value - own)
         if name == "longitude":  # 179.9 and -179.9 are neighbours
             away = min(away, 360 - away)
-        if away > most:
+        if away > maximum:
             raise place.refuse(
-                f"must be within {most:g} {unit} of the site's {name}, {own:g}", name, 0
+                f"must be within {maximum:g} {unit} of the site's {name}, {own:g}", name, row
             )
-    return timezone(timedelta(seconds=float(offset)))
+    return timezone(timedelta(seconds=offset))
 
 
 # --- past weather ------------------------------------------------------------------------------
@@ -354,9 +358,9 @@ def read_records(file: Path, site: Site, /) -> Records:
     values: dict[str, NDArray[np.float64]] = {}
     for variable, series in records.values.items():
         values.setdefault(_QUANTITIES[variable], series)
-    values = with_dew_point(values)
+    values = add_dew_point(values)
     if PRECIPITATION not in values:
-        table.require([f"{PRECIPITATION} (mm)"], _SOURCE)
+        table.require_columns([f"{PRECIPITATION} (mm)"], _SOURCE)
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last neither.
     nothing = np.array([math.nan])
@@ -380,10 +384,12 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
         ConfigurationError: see :func:`_read`; or the files are of several kinds or models, or lack
             required values of a run or an hour.
     """
-    parts, notes = _usable(files, lambda file: _forecast(file, site))
+    parts, notes = _read_usable(files, lambda file: _read_precipitation(file, site))
     previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]
     if not any(previous):
-        runs, more = _usable(parts, lambda part: _run(part, _named_run(part.files[0])))
+        runs, more = _read_usable(
+            parts, lambda part: _select_run(part, _read_run_time(part.files[0]))
+        )
         return Archive(
             files[0], "Open-Meteo, runs", runs, SERVICE_DELAY_H, runs, notes=(*notes, *more)
         )
@@ -392,19 +398,19 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
             f"must contain previous runs, as {parts[previous.index(True)].files[0].name} does",
             file=parts[previous.index(False)].source,
         )
-    whole = join([
+    whole = join_records([
         replace(part, values={
             name: series for name, series in part.values.items() if _PREVIOUS.fullmatch(name)
         })
         for part in parts
     ])
     return Archive(
-        files[0], "Open-Meteo, previous runs", _forecasts_of(whole), SERVICE_DELAY_H,
-        _daily(whole), _DAY_H, (*notes, *whole.left_out),
+        files[0], "Open-Meteo, previous runs", _make_issues(whole), SERVICE_DELAY_H,
+        _make_daily(whole), _DAY_H, (*notes, *whole.left_out),
     )
 
 
-def _usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[_T], list[str]]:
+def _read_usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[_T], list[str]]:
     """Return what is read from each source that can be used, and a note of each other.
 
     Among thousands of downloads some are the service's refusals, or end too early.
@@ -423,9 +429,9 @@ def _usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[_T], 
     return read_ones, [f"{error}; the file is left out" for error in errors]
 
 
-def _forecast(file: Path, site: Site) -> Records:
+def _read_precipitation(file: Path, site: Site) -> Records:
     """Return a file's precipitation by variable, each for the hour that starts at its time."""
-    table, hours = _read(file, site, _rain)
+    table, hours = _read(file, site, _find_quantity)
     if not hours.values:
         raise table.refuse(
             "must have precipitation, precipitation_member01 or precipitation_previous_day1"
@@ -433,7 +439,7 @@ def _forecast(file: Path, site: Site) -> Records:
     return replace(hours, first=hours.first - HOUR)
 
 
-def _rain(name: str) -> str | None:
+def _find_quantity(name: str) -> str | None:
     if not name.startswith(PRECIPITATION) or name.startswith("precipitation_probability"):
         return None
     if not (_PREVIOUS.fullmatch(name) or _MEMBER.fullmatch(name)):
@@ -444,7 +450,7 @@ def _rain(name: str) -> str | None:
     return PRECIPITATION
 
 
-def read_run(file: Path, site: Site, issued: datetime) -> Issue:
+def read_run(file: Path, site: Site, issued: datetime) -> IssuedForecast:
     """Read an answer as a forecast whose time of issue is known.
 
     Args:
@@ -455,10 +461,10 @@ def read_run(file: Path, site: Site, issued: datetime) -> Issue:
     Raises:
         ConfigurationError: see :func:`_read`; or there is no precipitation from then on.
     """
-    return _run(_forecast(file, site), issued)
+    return _select_run(_read_precipitation(file, site), issued)
 
 
-def _run(hours: Records, run: datetime) -> Issue:
+def _select_run(hours: Records, run: datetime) -> IssuedForecast:
     """Return the run of a file; a series without a number is the control, member 0."""
     (file,) = hours.files
     refuse = partial(ConfigurationError, file=file)
@@ -470,21 +476,21 @@ def _run(hours: Records, run: datetime) -> Issue:
         )
     # Some runs have no control, and a download may lack a member.
     series = [hours.values[name] for name in sorted(filter(_MEMBER.fullmatch, hours.values))]
-    issue = ensemble(
-        (number, Issue(run, file, None, member[None, start:]))
+    issue = join_members(
+        (number, IssuedForecast(run, file, None, member[None, start:]))
         for number, member in enumerate(series)
     )
-    if issue.hours > _LONGEST_RUN:
+    if issue.hours > _MAX_RUN_H:
         raise refuse(
-            f"has {issue.hours} hours; a run has at most {_LONGEST_RUN}. For a longer past "
+            f"has {issue.hours} hours; a run has at most {_MAX_RUN_H}. For a longer past "
             "use previous runs, precipitation_previous_day1 and so on"
         )
     known = np.flatnonzero(~np.isnan(issue.rain).all(axis=0))  # NaN beyond the model's horizon
     end = known[-1] + 1 if known.size else 1
-    return mended(replace(issue, rain=issue.rain[:, :end], notes=hours.left_out))
+    return mend_forecast(replace(issue, rain=issue.rain[:, :end], notes=hours.left_out))
 
 
-def _named_run(file: Path) -> datetime:
+def _read_run_time(file: Path) -> datetime:
     """Return the run at the end of a file's name."""
     with suppress(ValueError):
         if match := _RUN_IN_NAME.search(file.stem):
@@ -497,7 +503,7 @@ def _named_run(file: Path) -> datetime:
     )
 
 
-def _forecasts_of(previous: Records) -> list[Issue]:
+def _make_issues(previous: Records) -> list[IssuedForecast]:
     """Return what was known at each 00, 06, 12 and 18 UTC about the following hours, as issues.
 
     With the lead l (h) from then to an hour's end, that is the value of the smallest N with
@@ -507,7 +513,7 @@ def _forecasts_of(previous: Records) -> list[Issue]:
         ConfigurationError: all values are missing, or no issue has a known first hour.
     """
     issues = []
-    for issued, by_days in _windows(previous, ISSUE_HOURS):
+    for issued, by_days in _list_windows(previous, ISSUE_HOURS):
         leads = np.arange(by_days.shape[1])
         old_enough = np.arange(len(by_days))[:, None] >= leads // _DAY_H
         known = old_enough & ~np.isnan(by_days)
@@ -515,7 +521,7 @@ def _forecasts_of(previous: Records) -> list[Issue]:
         if hours:
             newest = known.argmax(axis=0)
             rain = by_days[newest, leads][None, :hours]
-            issues.append(Issue(issued, previous.files[0], None, rain))
+            issues.append(IssuedForecast(issued, previous.files[0], None, rain))
     if not issues:
         nothing = all(np.isnan(series).all() for series in previous.values.values())
         raise ConfigurationError(
@@ -526,22 +532,22 @@ def _forecasts_of(previous: Records) -> list[Issue]:
     return issues
 
 
-def _daily(previous: Records) -> list[Issue]:
+def _make_daily(previous: Records) -> list[IssuedForecast]:
     """Return one issue a day, at 00 UTC, for verification: each hour comes only from its own N.
 
     The hours from 24 (N - 1) to 24 N after it have the values of N, so each value of the file is in
     exactly one issue, in the day that it stands for; missing values are NaN. In contrast,
-    :func:`_forecasts_of` uses a value in up to four issues, or replaces it by another N's.
+    :func:`_make_issues` uses a value in up to four issues, or replaces it by another N's.
     """
     issues = []
-    for issued, by_days in _windows(previous, _DAY_H):
+    for issued, by_days in _list_windows(previous, _DAY_H):
         leads = np.arange(by_days.shape[1])
         rain = by_days[leads // _DAY_H, leads][None, :]
-        issues.append(Issue(issued, previous.files[0], None, rain))
+        issues.append(IssuedForecast(issued, previous.files[0], None, rain))
     return issues
 
 
-def _windows(
+def _list_windows(
     previous: Records, every: int
 ) -> Iterator[tuple[datetime, NDArray[np.float64]]]:
     """Yield the times of issue, ``every`` hours from 00 UTC on, and the values after each.
@@ -549,9 +555,9 @@ def _windows(
     The values have a row for each N up to the maximum, and as many days; NaN if missing.
     """
     days = {int(name[-1]): series for name, series in previous.values.items()}
-    most = max(days)
-    span = _DAY_H * most
-    padded = np.full((most, previous.hours + 2 * span), np.nan)
+    maximum = max(days)
+    span = _DAY_H * maximum
+    padded = np.full((maximum, previous.hours + 2 * span), np.nan)
     for day, series in days.items():
         padded[day - 1, span:-span] = series
     since_1970 = hours_since_1970(previous.first)

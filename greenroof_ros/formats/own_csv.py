@@ -1,13 +1,14 @@
-"""Files in this project's own format: weather, and forecasts issue by issue."""
+"""Files in this project's own format: weather and roof records, and forecasts issue by issue."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import replace
-from datetime import datetime, timedelta
+from array import array
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta, timezone, tzinfo
 from functools import partial
 from pathlib import Path
 from zoneinfo import ZoneInfo
@@ -17,54 +18,61 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, did_you_mean
 from greenroof_ros.common.files import read_lines
-from greenroof_ros.common.ranges import Range
+from greenroof_ros.common.ranges import Range, read_number
 from greenroof_ros.common.times import duration, parse_time, to_minutes
-from greenroof_ros.formats.records import (
-    EVAPOTRANSPIRATION,
+from greenroof_ros.formats.cells import (
     HOUR,
-    NEARLY,
+    Column,
+    Table,
+    judge_columns,
+    number_lines,
+    read_table,
+)
+from greenroof_ros.formats.forecasts import (
+    Archive,
+    IssuedForecast,
+    check_same_form,
+    join_members,
+    mend_forecast,
+)
+from greenroof_ros.formats.hourly import Records, add_dew_point, arrange_by_hour
+from greenroof_ros.formats.quantities import (
+    EVAPOTRANSPIRATION,
     PRECIPITATION,
     QUANTITIES,
+    ROOF,
     TEMPERATURE,
-    Archive,
-    Issue,
-    Records,
-    Table,
     Unit,
-    by_hour,
-    check_alike,
-    ensemble,
-    mended,
-    numbered_lines,
-    read_table,
-    table_of,
-    with_dew_point,
+    find_plausible,
+    find_unit,
+    is_amount,
 )
-from greenroof_ros.formats.steps import steps_of_rows
+from greenroof_ros.formats.steps import CLOCK_ERROR, find_steps
 from greenroof_ros.model.look_ahead import MAX_MEMBERS
 from greenroof_ros.model.site import Site
 
+TIME = "time"
+_WEATHER = [name for name in QUANTITIES if name not in ROOF]
 # Columns of forecasts, by quantity; then the optional ones.
 _FORECAST = {
-    quantity: f"{quantity} [{QUANTITIES[quantity][0]}]"
+    quantity: f"{quantity} [{QUANTITIES[quantity].unit}]"
     for quantity in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
 }
 # Of a live site's file only the last bytes are read, enough for 100 members of 36 days.
-_MOST_BYTES, _CHUNK = 16_000_000, 1_000_000
+_MAX_BYTES, _CHUNK = 16_000_000, 1_000_000
 _COMMENT = re.compile(r"\s*(#|$)")
-# What comments at the head of a weather file may state: its place, the height of the wind, and the
-# delay of the rain's time.
+# What comments at the head of a file may state: its place, the height of the wind, and the delay of
+# the rain's time.
 _ENDS = {
     "latitude": Range(-90.0, 90.0, "degrees"), "longitude": Range(-180.0, 180.0, "degrees"),
     "wind_height": Range(0.5, 100.0, "m"), "rain_late": Range(0.0, 1.0, "h"),
 }
 _ABOUT = re.compile(rf"\b({'|'.join(_ENDS)})\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
+_COLUMN = re.compile(r"([^\[\]]+?)\s*\[([^\[\]]*)\]")
 # Minimum share of an hour's rows to know its rain; another quantity needs one value.
 _ENOUGH = 0.75
-# Other names of quantities, and units of amounts in a row.
 _SYNONYMS = {"rain": PRECIPITATION}
-_AMOUNT = "mm"
-_MEMBERS = ("(whole)", 0.0, MAX_MEMBERS - 1.0)
+_MEMBERS = Range(0.0, MAX_MEMBERS - 1.0, "(whole)")
 _OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
 
 
@@ -73,128 +81,232 @@ def recognises(_file: Path, _head: bytes, /) -> bool:
     return True
 
 
-# --- weather ----------------------------------------------------------------------------------
+# --- weather and roofs ------------------------------------------------------------------------
 
 
-def read_records(file: Path, site: Site, /) -> Records:
-    """Read a weather file in this project's format; an empty cell is a missing value.
+@dataclass(frozen=True)
+class Rows:
+    """The rows of a file of measurements, which are a regular step apart.
+
+    Attributes:
+        table: the file, for messages; its rows have been read.
+        columns: name and unit of each quantity's column.
+        method: of the evapotranspiration among them; empty if there is none.
+        first: time of the first row, with its offset from UTC.
+        step_s: time between rows (s).
+        steps: of each row, counted from the first, each once, shape (rows,).
+        values: of each quantity in its unit in :data:`.quantities.QUANTITIES`, likewise; NaN if
+            missing.
+        about: what comments at the head of the file state, by the names of ``_ENDS``.
+    """
+
+    table: Table
+    columns: dict[str, tuple[str, Unit]]
+    method: str
+    first: datetime
+    step_s: float
+    steps: NDArray[np.int64]
+    values: dict[str, NDArray[np.float64]]
+    about: dict[str, float]
+
+
+def read_rows(file: Path, site: Site, wanted: Collection[str]) -> Rows:
+    """Read a file of measurements in this project's format.
 
     Lines that start with ``#`` are comments. The first other line names the columns with their
-    units: ``time``, ``precipitation [mm/h]`` or ``rain [mm]``, the amount of each row, and others
-    of :data:`greenroof_ros.formats.records.QUANTITIES`; ``... evapotranspiration [mm/day]`` begins
-    with the name of its method. Comments at the head may give the place, as in ``latitude: 43.63,
-    longitude: -79.40``, and ``wind_height: 2`` (m). Each further line is the hour that starts at
-    its ``time`` (ISO 8601 with the offset from UTC; without an offset it is a time of the clock in
-    ``time_zone`` of the site). An hour without a line is missing.
+    units, as in ``rain [mm]``: ``time``, and others of :data:`.quantities.QUANTITIES`; ``...
+    evapotranspiration [mm/day]`` begins with the name of its method. An amount without ``/`` is the
+    sum over its row. Litres and m3 are for the whole roof of area ``a2``. Comments at the head may
+    give the place, as in ``latitude: 43.63, longitude: -79.40``, ``wind_height: 2`` (m), and
+    ``rain_late: 1`` (h). Each further line begins at its ``time``: ISO 8601 with the offset from
+    UTC; without an offset it is a time of the site's clock, by its ``time_zone``, or else its
+    ``utc_offset``. Rows are at a regular step. An empty cell, or a missing row, is a missing value.
 
-    Lines less than an hour apart, at a regular step, are averaged by the hours of the clock. Rain
-    of an hour with less than 0.75 of its lines is missing.
+    Args:
+        file: the file.
+        site: its clock, and the area of its roof.
+        wanted: the quantities that are read; columns of others are left out.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    table = read_table(file, lambda name: name != "time")
-    columns, method = _columns(table)
-    first, hours, step = _hours(table, site)
-    values = {}
-    for quantity, column in columns.items():
-        unit = Unit(_AMOUNT, step) if column.endswith(f"[{_AMOUNT}]") else None
-        values[quantity] = table.usable(
-            column, QUANTITIES[quantity], unit, NEARLY.get(quantity, 0.0),
+    table = _open(file)
+    named, method = _find_columns(table)
+    first, seconds, notes = _read_times(table, site)
+    steps, step_s = find_steps(partial(_open, file), TIME, np.array(seconds))
+    step_h = step_s / 3600
+    columns = {
+        quantity: (column, find_unit(quantity, unit, step_h, site.a2))
+        for quantity, (column, unit) in named.items() if quantity in wanted
+    }
+    table = _open(file)  # again: amounts in a row can be judged now that the step is known
+    read = {
+        quantity: Column(
+            table, column, find_plausible(quantity, step_h), unit,
             optional=quantity != PRECIPITATION,
         )
-    notes = table.notes
-    if step < 1:
+        for quantity, (column, unit) in columns.items()
+    }
+    for row in table.rows:
+        for column in read.values():
+            column.add(row)
+    measured = judge_columns(read)
+    if (np.diff(steps) == 0).any():
+        notes.append(
+            f"{file.name}: {np.count_nonzero(np.diff(steps) == 0)} rows are in the step of the row "
+            "before, as after a clock was set; their amounts are added up, other values averaged"
+        )
+        steps, begins, counts = np.unique(steps, return_index=True, return_counts=True)
+        measured = {
+            quantity: np.add.reduceat(values, begins) / (
+                1 if is_amount(quantity, columns[quantity][1]) else counts
+            )
+            for quantity, values in measured.items()
+        }
+    table.notes[:0] = notes
+    return Rows(table, columns, method, first, step_s, steps, measured, _read_about(file))
+
+
+def _open(file: Path) -> Table:
+    return read_table(file, observed=lambda name: name != TIME)
+
+
+def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[str]]:
+    """Return the first time, each row's seconds since 1970, and a note about the clock."""
+    zone: tzinfo | None = None
+    if site.time_zone is not None:
+        zone = ZoneInfo(site.time_zone)
+    elif site.utc_offset is not None:
+        zone = timezone(timedelta(hours=site.utc_offset))
+    seconds = array("d")
+    first: datetime | None = None
+    before: datetime | None = None
+    for row in table.rows:
+        time = table.read_time(
+            row, TIME, zone=zone, before=before,
+            hint="; if it is of a clock, give the site file its time_zone, such as "
+            "America/Toronto, or Etc/GMT+5 for UTC-5 without daylight saving time",
+        )
+        if before is not None and time <= before:
+            raise table.refuse(
+                "must be later than the time of the row before; if the clock has daylight saving "
+                "time, give the site file its time_zone, or write times in UTC, such as "
+                "2015-06-01T14:05Z", TIME, row,
+            )
+        first, before = first or time, time
+        seconds.append(time.timestamp())
+    assert first is not None
+    notes = []
+    if site.time_zone is None and parse_time(table.cell(table.first, TIME)).tzinfo is None:
+        notes.append(
+            f"{table.file.name}: its times are taken as UTC{first:%z}, utc_offset of the site "
+            "file; if its clock has daylight saving time, give the site file its time_zone"
+        )
+    return first, seconds, notes
+
+
+def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
+    """Return each quantity's column and unit, and the method of evapotranspiration."""
+    if table.header[0] != TIME:
+        raise table.refuse(f"the first column must be '{TIME}'", table.header[0])
+    columns: dict[str, tuple[str, str]] = {}
+    method = ""
+    for column in table.header[1:]:
+        match = _COLUMN.fullmatch(column)
+        if match is None:
+            raise table.refuse("a column must be named like 'rain [mm]'", column)
+        name, unit = match.groups()
+        quantity = EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
+        quantity = _SYNONYMS.get(quantity, quantity)
+        if quantity not in QUANTITIES:
+            known = [f"{key} [{value.unit}]" for key, value in QUANTITIES.items()]
+            raise table.refuse(f"is not a known column; {did_you_mean(column, known)}", column)
+        units = QUANTITIES[quantity].columns
+        if unit not in units:
+            raise table.refuse(f"the unit of {name} must be [{'] or ['.join(units)}]", column)
+        if quantity in columns:
+            raise table.refuse(f"there is a column of {quantity} before this one", column)
+        columns[quantity] = column, unit
+        if quantity == EVAPOTRANSPIRATION:
+            method = name.removesuffix(EVAPOTRANSPIRATION).strip() or "unnamed"
+    return columns, method
+
+
+def _read_about(file: Path) -> dict[str, float]:
+    """Return what the comments at the head of a file state about it, by the names of ``_ENDS``."""
+    found = {}
+    with file.open(encoding="utf-8-sig") as stream:
+        for number, line in enumerate(itertools.takewhile(_COMMENT.match, stream), 1):
+            for key, text in _ABOUT.findall(line.lower()):
+                found[key] = _ENDS[key].read(read_number(text), file=file, line=number, key=key)
+    return found
+
+
+def read_records(file: Path, site: Site, /) -> Records:
+    """Read a weather file; see :func:`read_rows`.
+
+    Each row is the hour that starts at its time. Rows less than an hour apart are averaged by the
+    hours of the clock in which they begin, apart from a clock's error. Rain of an hour with less
+    than 0.75 of its rows is missing.
+
+    Raises:
+        ConfigurationError: the file has no precipitation, or its step is no whole number of hours;
+            or see :func:`read_rows`.
+    """
+    rows = read_rows(file, site, _WEATHER)
+    if PRECIPITATION not in rows.columns:
+        raise rows.table.refuse(
+            f"there must be a column '{_FORECAST[PRECIPITATION]}' or 'rain [mm]'"
+        )
+    step_h, first, values = rows.step_s / 3600, rows.first, rows.values
+    notes = rows.table.notes
+    if step_h >= 1:
+        if step_h % 1:
+            raise rows.table.refuse(
+                f"the rows are {duration(rows.step_s)} apart; they must be an hour apart, or less"
+            )
+        hours = rows.steps * round(step_h)
+    else:
+        first = first.replace(minute=0, second=0, microsecond=0)
+        begin_h = (rows.first - first) / HOUR
+        of_rows = np.floor(begin_h + (rows.steps + CLOCK_ERROR) * step_h).astype(np.intp)
+        first += int(of_rows[0]) * HOUR
+        of_rows -= of_rows[0]
         values = {
-            name: _means(series, hours, _ENOUGH / step if name == PRECIPITATION else 1.0)
+            name: _average_hours(series, of_rows, _ENOUGH / step_h if name == PRECIPITATION else 1)
             for name, series in values.items()
         }
-        hours = np.arange(hours[-1] + 1)
+        hours = np.arange(of_rows[-1] + 1)
         notes.append(
-            f"{file.name}: rows are {duration(3600 * step)} apart; each hour has their mean, of "
+            f"{file.name}: rows are {duration(rows.step_s)} apart; each hour has their mean, of "
             f"rain their mean rate if at least {_ENOUGH:g} of them are there"
         )
-    about = _about(file)
+    about = rows.about
     here = {file: (about["latitude"], about["longitude"])} if (
         {"latitude", "longitude"} <= about.keys()
     ) else {}
     return Records(
-        (file,), first, with_dew_point(by_hour(values, hours)), method, left_out=tuple(notes),
-        rain_late=round(about.get("rain_late", 0.0)), places=here,
+        (file,), first, add_dew_point(arrange_by_hour(values, hours)), rows.method,
+        left_out=tuple(notes), rain_late=round(about.get("rain_late", 0.0)), places=here,
         wind_height=about.get("wind_height"),
     )
 
 
-def _hours(table: Table, site: Site) -> tuple[datetime, NDArray[np.intp], float]:
-    """Return the start of the first hour, the hour of each row, and the rows' step (h)."""
-    times_of = partial(
-        table.times, "time", zone=None if site.time_zone is None else ZoneInfo(site.time_zone),
-        hint="; if it is of a clock, give the site file its time_zone, such as America/Toronto, or "
-        "Etc/GMT+5 for UTC-5 without daylight saving time",
-    )
-    first_two = [*itertools.islice(times_of(), 2)]
-    if timedelta() < first_two[-1] - first_two[0] < HOUR:
-        times = [*times_of()]
-        for row, (earlier, later) in enumerate(itertools.pairwise(times), start=1):
-            if later <= earlier:
-                raise table.refuse("must be later than the time of the row before", "time", row)
-        step = steps_of_rows(table, times)[1] / 3600
-        if step < 1:
-            first = times[0].replace(minute=0, second=0, microsecond=0)
-            return first, np.array([(time - first) // HOUR for time in times]), step
-    return *table.hours("time", **times_of.keywords), 1.0
-
-
-def _means(
-    series: NDArray[np.float64], hours: NDArray[np.intp], fewest: float
+def _average_hours(
+    series: NDArray[np.float64], hours: NDArray[np.intp], min_values: float
 ) -> NDArray[np.float64]:
     """Return the mean of each hour's rows; NaN if there are too few.
 
     Args:
         series: values of the rows, NaN if missing.
         hours: of the rows.
-        fewest: number of values that an hour must have.
+        min_values: number of values that an hour must have.
     """
     count = np.bincount(hours, ~np.isnan(series))
     total = np.bincount(hours, np.nan_to_num(series))
     # Tenths of a millimetre do not add up exactly in binary numbers.
     means = np.round(total / np.maximum(count, 1), 9)
-    return np.where(count >= round(fewest, 6), means, np.nan)
-
-
-def _about(file: Path) -> dict[str, float]:
-    """Return what the comments at the head of a file state about it, by the names of ``_ENDS``."""
-    found = {}
-    with file.open(encoding="utf-8-sig") as stream:
-        for number, line in enumerate(itertools.takewhile(_COMMENT.match, stream), 1):
-            for key, text in _ABOUT.findall(line.lower()):
-                found[key] = _ENDS[key].read(float(text), file=file, line=number, key=key)
-    return found
-
-
-def _columns(table: Table) -> tuple[dict[str, str], str]:
-    """Return the column of each quantity, and the method of evapotranspiration."""
-    columns: dict[str, str] = {}
-    method = ""
-    for column, name, unit in table.quantities(_FORECAST[PRECIPITATION]):
-        quantity = EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
-        quantity = _SYNONYMS.get(quantity, quantity)
-        if quantity not in QUANTITIES:
-            known = [f"{key} [{value[0]}]" for key, value in QUANTITIES.items()]
-            raise table.refuse(f"is not a known column; {did_you_mean(column, known)}", column)
-        units = [QUANTITIES[quantity][0], *([_AMOUNT] if quantity == PRECIPITATION else [])]
-        if unit not in units:
-            raise table.refuse(f"the unit of {name} must be [{'] or ['.join(units)}]", column)
-        if quantity in columns:
-            raise table.refuse(f"there is a column of {quantity} before this one", column)
-        columns[quantity] = column
-        if quantity == EVAPOTRANSPIRATION:
-            method = name.removesuffix(EVAPOTRANSPIRATION).strip() or "unnamed"
-    if PRECIPITATION not in columns:
-        raise table.refuse(
-            f"there must be a column '{_FORECAST[PRECIPITATION]}' or 'rain [{_AMOUNT}]'"
-        )
-    return columns, method
+    return np.where(count >= round(min_values, 6), means, np.nan)
 
 
 def write_records(records: Records, about: str) -> str:
@@ -218,7 +330,7 @@ def write_records(records: Records, about: str) -> str:
     }
     lines = [
         f"# {about}", *(f"# {line}" for line in head),
-        ",".join(["time", *(f"{text} [{QUANTITIES[name][0]}]" for name, text in names.items())]),
+        ",".join(["time", *(f"{text} [{QUANTITIES[name].unit}]" for name, text in names.items())]),
     ]
     columns = (series.tolist() for series in records.values.values())
     for hour, row in enumerate(zip(*columns, strict=True)):
@@ -236,7 +348,7 @@ def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
     return Archive(files[0], "own format", issues, 0.0, issues)
 
 
-def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
+def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForecast]:
     """Read a file of forecasts, one issue after the other.
 
     Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
@@ -246,7 +358,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
     is the hour that starts at its ``time``, as forecast at ``issued`` (ISO 8601 with the offset
     from UTC). The hours of each issue and member are consecutive, and the first starts with the
     issue. All issues have the members 0, 1, 2 and so on. What is missing is mended, see
-    :func:`greenroof_ros.formats.records.mended`.
+    :func:`greenroof_ros.formats.forecasts.mend_forecast`.
 
     Args:
         path: of the file.
@@ -256,7 +368,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
     """
-    table = read_table(path) if now is None else table_of(path, _newest(path, now))
+    table = read_table(path, None if now is None else _select_newest(path, now))
     columns = ["issued", "available", "time", "member", *_FORECAST.values()]
     optional = [column for column in columns if column in _OPTIONAL]
     table.require_header(
@@ -266,40 +378,44 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
     )
     # Rows by issue, with its arrival, and member.
     rows_of: dict[tuple[datetime, datetime | None], dict[float, list[int]]] = {}
+    lines: dict[tuple[datetime, datetime | None], int | None] = {}
     arrivals, members = ("available" in table.header, "member" in table.header)
-    for row in table.rows():
-        issue, time = table.time("issued", row), table.time("time", row)
-        available = table.time("available", row) if arrivals else None
-        member = table.number("member", row, _MEMBERS) if members else 0.0
-        last, _ = next(reversed(rows_of), (issue, None))
-        if available is not None and available < issue:
+    read = {
+        quantity: Column(
+            table, column, QUANTITIES[quantity], optional=quantity != PRECIPITATION
+        )
+        for quantity, column in _FORECAST.items() if column in table.header
+    }
+    for row in table.rows:
+        issued, time = table.read_time(row, "issued"), table.read_time(row, "time")
+        available = table.read_time(row, "available") if arrivals else None
+        member = table.read_number(row, "member", _MEMBERS) if members else 0.0
+        last, _ = next(reversed(rows_of), (issued, None))
+        if available is not None and available < issued:
             raise table.refuse(
-                f"must not be before {to_minutes(issue)}, when it was issued", "available", row
+                f"must not be before {to_minutes(issued)}, when it was issued", "available", row
             )
-        if issue < last:
+        if issued < last:
             raise table.refuse(
                 f"must not be before {to_minutes(last)}, the issue above: issues must be in order "
                 "of time", "issued", row,
             )
-        rows = rows_of.setdefault((issue, available), {}).setdefault(member, [])
-        expected = issue + len(rows) * HOUR
+        lines.setdefault((issued, available), row.line)
+        rows = rows_of.setdefault((issued, available), {}).setdefault(member, [])
+        expected = issued + len(rows) * HOUR
         if time != expected:
             raise table.refuse(
                 f"must be {to_minutes(expected.astimezone(time.tzinfo))}: each forecast, from its "
                 "issue on, must have consecutive hours, without gap or repetition", "time", row,
             )
-        rows.append(row)
-    values = {
-        quantity: table.usable(
-            column, QUANTITIES[quantity], nearly=NEARLY.get(quantity, 0.0),
-            optional=quantity != PRECIPITATION,
-        )
-        for quantity, column in _FORECAST.items() if column in table.header
-    }
+        rows.append(row.number)
+        for column in read.values():
+            column.add(row)
+    values = judge_columns(read)
     issues = [
-        mended(ensemble(
-            (member, Issue(
-                issue, path, table.lines[next(iter(numbered.values()))[0]],
+        mend_forecast(join_members(
+            (member, IssuedForecast(
+                issued, path, lines[issued, available],
                 values[PRECIPITATION][None, rows],
                 values[EVAPOTRANSPIRATION][rows] if EVAPOTRANSPIRATION in values else None,
                 values[TEMPERATURE][rows] if TEMPERATURE in values else None,
@@ -307,24 +423,24 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[Issue]:
             ))
             for member, rows in numbered.items()
         ))
-        for (issue, available), numbered in rows_of.items()
+        for (issued, available), numbered in rows_of.items()
     ]
     issues[0] = replace(issues[0], notes=(*table.notes, *issues[0].notes))
     for earlier, later in itertools.pairwise(issues):
-        check_alike(earlier, later)
+        check_same_form(earlier, later)
     return issues
 
 
-def _newest(path: Path, now: datetime) -> list[tuple[int, str]]:
+def _select_newest(path: Path, now: datetime) -> list[tuple[int, str]]:
     """Return the header, and the numbered lines of the newest issue at a time and of later ones.
 
     Raises:
         ConfigurationError: the file cannot be read, or its last issue is too long.
     """
-    if not path.is_file() or path.stat().st_size <= _MOST_BYTES:
-        lines = [*numbered_lines(read_lines(path))]
+    if not path.is_file() or path.stat().st_size <= _MAX_BYTES:
+        lines = [*number_lines(read_lines(path))]
     else:
-        lines = _last_lines(path)
+        lines = _read_last_lines(path)
     first, before = 1, ""
     for at, (_, line) in enumerate(lines[1:], start=1):
         issued = line.partition(",")[0]
@@ -340,35 +456,28 @@ def _newest(path: Path, now: datetime) -> list[tuple[int, str]]:
     return lines[:1] + lines[first:]
 
 
-def _last_lines(path: Path) -> list[tuple[int, str]]:
+def _read_last_lines(path: Path) -> list[tuple[int, str]]:
     """Return the header of a large file, and the numbered lines of the last whole issues."""
-    tail = path.stat().st_size - _MOST_BYTES
+    with path.open(encoding="utf-8-sig", errors="replace") as stream:
+        header = next(number_lines(stream))
+    tail, skipped = path.stat().st_size - _MAX_BYTES, 0
     with path.open("rb") as stream:
-        number = 1
-        while (header := stream.readline(_CHUNK)).lstrip().startswith(b"#") or header == b"\n":
-            number += 1
-        top = number, header.decode("utf-8-sig", "replace").strip()
-        while stream.tell() < tail and (
-            chunk := stream.read(min(_CHUNK, tail - stream.tell()))
-        ):
-            number += chunk.count(b"\n")
-        text = stream.read(_MOST_BYTES).decode("utf-8", "replace")
-    rows = [
-        (number + 2 + row, line) for row, line in enumerate(text.splitlines()[1:])
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
+        while chunk := stream.read(min(_CHUNK, tail - stream.tell())):
+            skipped += chunk.count(b"\n")
+        text = stream.read(_MAX_BYTES).decode("utf-8", "replace")
+    rows = [(skipped + number, line) for number, line in number_lines([text])][1:]
     cut = rows[0][1].partition(",")[0] if rows else ""
     whole = [row for row in rows if row[1].partition(",")[0] != cut]
     if not whole:
         raise ConfigurationError(
-            f"has an issue of more than {_MOST_BYTES / 1e6:g} MB at its end; only the last "
-            f"{_MOST_BYTES / 1e6:g} MB of a live site's file are read: write a new file for each "
+            f"has an issue of more than {_MAX_BYTES / 1e6:g} MB at its end; only the last "
+            f"{_MAX_BYTES / 1e6:g} MB of a live site's file are read: write a new file for each "
             "issue, with fewer members or hours", file=path,
         )
-    return [top, *whole]
+    return [header, *whole]
 
 
-def write_forecasts(issues: Sequence[Issue]) -> str:
+def write_forecasts(issues: Sequence[IssuedForecast]) -> str:
     """Return issues as the text of a file, which :func:`read_forecasts` reads bit for bit.
 
     Args:

@@ -12,7 +12,8 @@ import numpy as np
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats import eccc, open_meteo, own_csv
-from greenroof_ros.formats.records import Archive, Issue, Records, check_alike
+from greenroof_ros.formats.forecasts import Archive, IssuedForecast, check_same_form
+from greenroof_ros.formats.hourly import Records
 from greenroof_ros.model.site import Site
 
 SUFFIXES = (".csv", ".json")
@@ -32,17 +33,17 @@ def read_records(file: Path, site: Site) -> Records:
     Raises:
         ConfigurationError: the file does not follow its format, or is too large.
     """
-    records: Records = _format_of(file, _WEATHER).read_records(file, site)
+    records: Records = _find_format(file, _WEATHER).read_records(file, site)
     return records
 
 
-def format_name(file: Path) -> str:
+def name_format(file: Path) -> str:
     """Return the name of a weather file's format, for people.
 
     Raises:
         ConfigurationError: the file cannot be read.
     """
-    return _WEATHER[_format_of(file, _WEATHER)]
+    return _WEATHER[_find_format(file, _WEATHER)]
 
 
 def read_archive(source: Path, site: Site, delay: float | None = None) -> Archive:
@@ -75,14 +76,14 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
                     f"must end in {' or '.join(SUFFIXES)}, like all files in a "
                     "directory of forecasts", file=file,
                 )
-    form = _format_of(files[0], _FORECASTS)
+    form = _find_format(files[0], _FORECASTS)
     for file in files[1:]:
-        if _format_of(file, _FORECASTS) is not form:
+        if _find_format(file, _FORECASTS) is not form:
             raise ConfigurationError(
                 f"must have the format of {files[0].name}, like all files of an archive", file=file
             )
     archive: Archive = form.read_archive(files, site)
-    issues, notes = _alike(sorted(archive.issues, key=lambda issue: issue.order))
+    issues, notes = _equalise_members(sorted(archive.issues, key=lambda issue: issue.order))
     if delay is not None:
         issues = [replace(issue, available=None) for issue in issues]
     return replace(
@@ -93,7 +94,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
     )
 
 
-def _alike(issues: Sequence[Issue]) -> tuple[list[Issue], list[str]]:
+def _equalise_members(issues: Sequence[IssuedForecast]) -> tuple[list[IssuedForecast], list[str]]:
     """Return issues that all have equally many members, and notes of what was left out.
 
     An issue that was downloaded twice is kept once. Where an issue has fewer members, all
@@ -109,23 +110,23 @@ def _alike(issues: Sequence[Issue]) -> tuple[list[Issue], list[str]]:
         if issue.issued == earlier.issued and np.array_equal(issue.rain, earlier.rain):
             notes.append(f"{issue.file.name} is left out: it is the same as {earlier.file.name}")
             continue
-        check_alike(earlier, issue)
+        check_same_form(earlier, issue)
         alike.append(issue)
-    most = max(len(issue.rain) for issue in alike)
-    used = [issue for issue in alike if 2 * len(issue.rain) >= most]
-    fewest = min(len(issue.rain) for issue in used)
+    maximum = max(len(issue.rain) for issue in alike)
+    used = [issue for issue in alike if 2 * len(issue.rain) >= maximum]
+    minimum = min(len(issue.rain) for issue in used)
     notes += [
         f"{issue.file.name}: the issue of {to_minutes(issue.issued)} is left out: it has "
-        f"{len(issue.rain)} members, and others {most}"
-        for issue in alike if 2 * len(issue.rain) < most
+        f"{len(issue.rain)} members, and others {maximum}"
+        for issue in alike if 2 * len(issue.rain) < maximum
     ]
-    if fewest < most:
-        notes.append(f"all issues have {fewest} members, like the one with the fewest")
+    if minimum < maximum:
+        notes.append(f"all issues have {minimum} members, like the one with the fewest")
     notes[:0] = [note for issue in used for note in issue.notes]
-    return [replace(issue, rain=issue.rain[:fewest]) for issue in used], notes
+    return [replace(issue, rain=issue.rain[:minimum]) for issue in used], notes
 
 
-def _format_of(file: Path, formats: Iterable[ModuleType]) -> ModuleType:
+def _find_format(file: Path, formats: Iterable[ModuleType]) -> ModuleType:
     if file.exists() and not file.is_file():
         raise ConfigurationError("must be a regular file, or a directory of such files", file=file)
     try:

@@ -28,12 +28,12 @@ from greenroof_ros.forecast.service import (
     ATTRIBUTION,
     ENSEMBLE,
     INTERFACES,
-    MOST_DAYS,
+    MAX_DAYS,
     Fetcher,
     ForecastFiles,
     Service,
 )
-from greenroof_ros.formats.records import Issue
+from greenroof_ros.formats.forecasts import IssuedForecast
 from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
@@ -176,9 +176,10 @@ class LiveWeatherNode(LiveNode):
         days = math.ceil(values["horizon"] / 24) + 2  # from midnight UTC; used until issue_limit
         service = Service(
             self._site, ensemble=values["fetch"] == ENSEMBLE, model=values["fetch_model"],
-            days=min(days, MOST_DAYS), url=values["fetch_url"],
+            days=min(days, MAX_DAYS), url=values["fetch_url"],
         )
-        self._kept = LatestWriter[Issue](ForecastFiles(file, file.with_suffix("")).write, str)
+        files = ForecastFiles(file, file.with_suffix(""))
+        self._kept = LatestWriter[IssuedForecast](files.write, str)
         fetcher = Fetcher(service, self._kept.write, 60 * values["fetch_every"])
         fetcher.start()
         return fetcher

@@ -20,7 +20,7 @@ from greenroof_ros.forecast.choice import (
 )
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.forecast.skill import SKILLS
-from greenroof_ros.formats.records import SERVICE_DELAY_H
+from greenroof_ros.formats.forecasts import SERVICE_DELAY_H
 from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError, WithFront

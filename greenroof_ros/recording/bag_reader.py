@@ -18,7 +18,7 @@ from greenroof_ros.common.errors import ConfigurationError, in_extra
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.interface import Topic, find_namespace, read_topics
 from greenroof_ros.common.times import epoch_ns, from_epoch_ns
-from greenroof_ros.formats.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import METADATA
@@ -331,8 +331,7 @@ def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str])
 def _highest_of_site(site: Site) -> dict[str, tuple[float, str]]:
     """Return the highest plausible values of topics at a site, each with its explanation."""
     full = maximum_pump_flow(site, site.a1 * site.z_o)
-    _, _, rain = QUANTITIES[PRECIPITATION]
-    _, _, evaporation = QUANTITIES[EVAPOTRANSPIRATION]
+    rain, evaporation = (QUANTITIES[name].high for name in (PRECIPITATION, EVAPOTRANSPIRATION))
     # The crop coefficient scales the evapotranspiration of grass.
     evaporation *= max(1.0, site.crop_coefficient)
     return {

@@ -19,16 +19,14 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.formats.records import (
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.hourly import Records, find_gaps, name_hours, number_days
+from greenroof_ros.formats.quantities import (
     EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
-    HOUR,
     QUANTITIES,
     RADIATION,
     TEMPERATURE,
-    Records,
-    gaps,
-    name_hours,
 )
 from greenroof_ros.model.site import Site
 
@@ -46,7 +44,7 @@ def saturation_vapour_pressure(temperature: NDArray[np.float64]) -> NDArray[np.f
     return 0.6108 * np.exp(17.27 * temperature / (temperature + 237.3))
 
 
-def hourly(
+def compute_hourly(
     site: Site, first: datetime, values: dict[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
     """Reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
@@ -74,7 +72,7 @@ def hourly(
     hour = since_midnight % 24
     days = (since_midnight // 24).astype("timedelta64[D]")
     dates = np.datetime64(local.date(), "D") + days
-    of_year = day_of_year(dates)
+    of_year = number_days(dates)
     data = {
         "T_mean": values["temperature"],
         "e_a": saturation_vapour_pressure(values["dew point"]),
@@ -104,7 +102,7 @@ def hourly(
     return result
 
 
-def fao56(records: Records, site: Site) -> NDArray[np.float64]:
+def compute_fao56(records: Records, site: Site) -> NDArray[np.float64]:
     """Evapotranspiration of the vegetation (mm/day) in each hour, shape (hours,).
 
     It is the site's crop coefficient times the reference evapotranspiration; NaN if records are
@@ -119,40 +117,46 @@ def fao56(records: Records, site: Site) -> NDArray[np.float64]:
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     if lacking:
         raise ConfigurationError(
-            f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION][0]}]', and no "
+            f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]', and no "
             f"{', '.join(lacking)}, from which {FAO56} is computed", file=records.source,
         )
-    _check_place(site, FAO56, _PLACE)
+    check_place(site, FAO56, _PLACE)
     if records.wind_height is not None:
         site = replace(site, wind_height=records.wind_height)
     values = {name: records.values[name] for name in FOR_EVAPOTRANSPIRATION}
     result = np.full(records.hours, np.nan)
     if RADIATION in records.values:
-        result = _stretches(site, records, {**values, RADIATION: records.values[RADIATION]})
+        result = _compute_stretches(site, records, {**values, RADIATION: records.values[RADIATION]})
     if np.isnan(result).any():
-        minimum, maximum = _daily_extremes(records, site)
-        computed = _stretches(site, records, {**values, "Tmin": minimum, "Tmax": maximum})
+        _, day = np.unique(_find_local_seconds(records, site) // _DAY_S, return_inverse=True)
+        temperature = records.values[TEMPERATURE]
+        minimum, maximum = find_extremes(day, temperature, temperature, 24, 1.0)[:, day]
+        computed = _compute_stretches(site, records, {**values, "Tmin": minimum, "Tmax": maximum})
         result = np.where(np.isnan(result), computed, result)
     return result * 24 * site.crop_coefficient
 
 
-def _stretches(
+def _compute_stretches(
     site: Site, records: Records, values: dict[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return :func:`hourly` of each gap-free stretch; NaN in gaps.
+    """Return :func:`compute_hourly` of each gap-free stretch; NaN in gaps.
 
     Each separately, because a night has the cloudiness of the evening before.
     """
     unknown = np.isnan(sum(values.values()))  # a sum that includes a NaN is NaN
     result = np.full(records.hours, np.nan)
-    for low, high in gaps(~unknown):
+    for low, high in find_gaps(~unknown):
         stretch = {name: series[low:high] for name, series in values.items()}
-        result[low:high] = hourly(site, records.first + low * HOUR, stretch)
+        result[low:high] = compute_hourly(site, records.first + low * HOUR, stretch)
     return result
 
 
-def _check_place(site: Site, method: str, needed: Sequence[str]) -> None:
-    """Refuse a site that lacks a part of its place on earth, or is beyond a polar circle."""
+def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
+    """Refuse a site that lacks a part of its place on earth, or is beyond a polar circle.
+
+    Raises:
+        ConfigurationError: it does.
+    """
     lacking = [name for name in needed if getattr(site, name) is None]
     if lacking:
         raise ConfigurationError(
@@ -176,7 +180,7 @@ def check_latitude(site: Site) -> None:
         )
 
 
-def monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
+def repeat_monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
     """Return the site's means of evapotranspiration (mm/day) in each hour; None if unknown."""
     if site.monthly_evapotranspiration is None:
         return None
@@ -185,28 +189,18 @@ def monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
     return site.crop_coefficient * np.array(site.monthly_evapotranspiration)[months]
 
 
-def _daily_extremes(
-    records: Records, site: Site
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Smallest and largest temperature (degC) of each hour's day; NaN for an incomplete day."""
+def _find_local_seconds(records: Records, site: Site) -> NDArray[np.int64]:
+    """Return the start of each hour in local standard time, in seconds since 1970 there."""
     assert site.utc_offset is not None
-    temperature = records.values["temperature"]
-    # Unknown hours of the first day before the records, and of the last day after them.
-    before = int((records.first.timestamp() / 3600 + site.utc_offset) % 24)
-    after = -(before + records.hours) % 24
-    days = np.pad(temperature, (before, after), constant_values=np.nan).reshape(-1, 24)
-    minimum, largest = (
-        np.repeat(extreme(days, axis=1), 24)[before : before + records.hours]
-        for extreme in (np.min, np.max)
-    )
-    return minimum, largest
+    first = round(records.first.timestamp() + 3600 * site.utc_offset)
+    return first + 3600 * np.arange(records.hours)
 
 
-def why_missing(records: Records, hours: NDArray[np.int64]) -> str:
+def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
     """Return why there is no computed value in some hours.
 
     Args:
-        records: those given to :func:`fao56` or :func:`from_temperatures`.
+        records: those given to :func:`compute_fao56` or :func:`compute_hargreaves`.
         hours: indices of hours of the run in which the result is NaN.
     """
     reasons = []
@@ -228,20 +222,14 @@ _MM_PER_MJ = 0.408  # per m2, FAO-56 Eq. 20
 _DAY_S = 86400
 _PART_S = 300
 # Minimum share of a day with temperatures to know its extremes, and how far away they may be (d).
-_ENOUGH, _LONGEST_GAP, _FOR_EVER = 0.75, 3, 10**6
-
-
-def day_of_year(days: Days) -> NDArray[np.int64]:
-    """Return the number of each day in its year, from 1."""
-    since = (days - days.astype("datetime64[Y]")).astype("timedelta64[D]")
-    return np.asarray(since.astype(np.int64) + 1)
+_ENOUGH, _MAX_GAP_DAYS, _FOR_EVER = 0.75, 3, 10**6
 
 
 def extraterrestrial_radiation(latitude: float, days: Days) -> Values:
     """Ra (MJ/m2 and day) at a latitude (degrees, north positive), FAO-56 Eq. 21, shape (days,)."""
     zero = np.zeros(len(days))
     model = ETo(
-        {"T_min": zero, "T_max": zero}, freq="D", day_of_year=day_of_year(days), z_msl=0.0,
+        {"T_min": zero, "T_max": zero}, freq="D", day_of_year=number_days(days), z_msl=0.0,
         lat=latitude, validate=False,
     )
     return np.asarray(model.ts_param["R_a"], dtype=np.float64)
@@ -279,7 +267,7 @@ def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: fl
         east_of_meridian: how far east of the clock's meridian the place is (degrees).
     """
     days = seconds.astype("datetime64[s]").astype("datetime64[D]")
-    number = day_of_year(days)
+    number = number_days(days)
     declination = 0.409 * np.sin(2 * np.pi * number / 365 - 1.39)
     b = 2 * np.pi * (number - 81) / 364
     equation_of_time = 0.1645 * np.sin(2 * b) - 0.1255 * np.cos(b) - 0.025 * np.sin(b)  # h
@@ -322,25 +310,27 @@ def spread_over_day(
     return np.asarray(daily[day] * shares * step_s / totals[day])
 
 
-def extremes_of_days(
-    day: NDArray[np.intp], minimum: Values, maximum: Values, most: float
+def find_extremes(
+    day: NDArray[np.intp], minimum: Values, maximum: Values, complete: float,
+    min_share: float = _ENOUGH,
 ) -> Values:
     """Return each day's minimum and maximum temperature (degC), shape (2, days).
 
-    A day that has less than 0.75 of the maximum number of values has none (NaN).
+    A day that has less than a share of the values of a complete one has none (NaN).
 
     Args:
         day: index of the day of each value.
         minimum: temperatures with each day's minimum among them; NaN if missing.
         maximum: temperatures with each day's maximum among them, likewise.
-        most: number of values that a complete day has.
+        complete: number of values that a complete day has.
+        min_share: the share.
     """
     extremes = np.full((2, day.max() + 1), np.nan)
     for of_days, extreme, values in zip(
         extremes, (np.fmin, np.fmax), (minimum, maximum), strict=True
     ):
         extreme.at(of_days, day, values)
-        of_days[np.bincount(day, ~np.isnan(values)) < _ENOUGH * most] = np.nan
+        of_days[np.bincount(day, ~np.isnan(values)) < min_share * complete] = np.nan
     return extremes
 
 
@@ -356,7 +346,7 @@ class DailyTemperatures(NamedTuple):
         """Return whether days are more than three days from each day with both extremes."""
         known = self.dates[~np.isnan(self.extremes).any(axis=0)].astype(np.int64)
         apart = np.abs(days.astype(np.int64)[:, None] - known)
-        return np.asarray(np.min(apart, axis=1, initial=_FOR_EVER) > _LONGEST_GAP)
+        return np.asarray(np.min(apart, axis=1, initial=_FOR_EVER) > _MAX_GAP_DAYS)
 
     def evapotranspiration(
         self, site: Site, seconds: NDArray[np.int64], step_s: float, offset_s: float
@@ -385,7 +375,7 @@ class DailyTemperatures(NamedTuple):
         return spread_over_day(daily, site.latitude, seconds, day_of_step, step_s, east)
 
 
-def from_temperatures(records: Records, site: Site) -> Values:
+def compute_hargreaves(records: Records, site: Site) -> Values:
     """Evapotranspiration of the vegetation (mm/day) in each hour by Hargreaves, shape (hours,).
 
     It is the site's crop coefficient times the reference evapotranspiration, from each day's
@@ -400,17 +390,15 @@ def from_temperatures(records: Records, site: Site) -> Values:
         raise ConfigurationError(
             f"has no {TEMPERATURE}, from which {HARGREAVES} is computed", file=records.source
         )
-    _check_place(site, HARGREAVES, ("latitude", "longitude", "utc_offset"))
-    assert site.utc_offset is not None
-    offset_s = site.utc_offset * 3600
-    seconds = round(records.first.timestamp() + offset_s) + 3600 * np.arange(records.hours)
+    check_place(site, HARGREAVES, ("latitude", "longitude", "utc_offset"))
+    seconds = _find_local_seconds(records, site)
     dates, day = np.unique((seconds // _DAY_S).astype("datetime64[D]"), return_inverse=True)
     hourly_values = records.values[TEMPERATURE]
     temperatures = DailyTemperatures(
-        dates, extremes_of_days(day, hourly_values, hourly_values, 24)
+        dates, find_extremes(day, hourly_values, hourly_values, 24)
     )
     far = temperatures.far(dates)
     if far.all():
         return np.full(records.hours, np.nan)
-    depths = temperatures.evapotranspiration(site, seconds, 3600, offset_s)
+    depths = temperatures.evapotranspiration(site, seconds, 3600, 3600 * (site.utc_offset or 0.0))
     return np.where(far[day], np.nan, depths * 24 * site.crop_coefficient)

@@ -12,19 +12,17 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.formats.reading import read_records
-from greenroof_ros.formats.records import (
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.hourly import Records, bridge_gaps, join_records
+from greenroof_ros.formats.quantities import (
     EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
-    HOUR,
     PRECIPITATION,
     QUANTITIES,
     RADIATION,
     TEMPERATURE,
-    Records,
-    bridged,
-    join,
 )
+from greenroof_ros.formats.reading import read_records
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import (
     COMPUTED,
@@ -32,9 +30,9 @@ from greenroof_ros.weather.evapotranspiration import (
     HARGREAVES,
     MONTHLY,
     check_latitude,
-    fao56,
-    from_temperatures,
-    monthly,
+    compute_fao56,
+    compute_hargreaves,
+    repeat_monthly,
 )
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
 
@@ -44,7 +42,7 @@ Array = NDArray[np.float64]
 # Temperature, wind and evapotranspiration follow the sun, so half a day must remain to show its
 # course; dew point and pressure follow the air mass, which changes within days. Rain is not filled
 # here.
-LONGEST_GAP = {
+MAX_GAP_H = {
     "temperature": 6, "wind speed": 6, EVAPOTRANSPIRATION: 6, "dew point": 24,
     "station pressure": 24,
 }
@@ -68,7 +66,8 @@ def read_measured(files: Sequence[Path], site: Site) -> Records:
     Raises:
         ConfigurationError: a file is broken, or two contradict each other.
     """
-    return without_empty(_whole_hours(join([read_records(file, site) for file in files])))
+    joined = join_records([read_records(file, site) for file in files])
+    return drop_empty(_drop_partial_hours(joined))
 
 
 def read_weather(
@@ -77,7 +76,7 @@ def read_weather(
 ) -> Weather:
     """Read weather files as :func:`read_measured` does, and give them evapotranspiration.
 
-    Gaps of at most :data:`LONGEST_GAP` hours, within a file or between two, are filled and noted in
+    Gaps of at most :data:`MAX_GAP_H` hours, within a file or between two, are filled and noted in
     the records. :class:`greenroof_ros.weather.series.WeatherSeries` refuses a run that needs an
     hour of a longer gap, unless long gaps are filled too.
 
@@ -94,16 +93,16 @@ def read_weather(
         ConfigurationError: a file is broken, two contradict each other, or they cannot give the
             method.
     """
-    return complete(read_measured(files, site), site, method, gaps, rain_only=rain_only)
+    return complete_records(read_measured(files, site), site, method, gaps, rain_only=rain_only)
 
 
-def complete(
+def complete_records(
     measured: Records, site: Site, method: str | None = None, gaps: str = REFUSE, *,
     rain_only: bool = False,
 ) -> Weather:
     """Fill gaps of records and give them evapotranspiration, as :func:`read_weather` does."""
     values = {
-        quantity: bridged(series, LONGEST_GAP.get(quantity, 0))
+        quantity: bridge_gaps(series, MAX_GAP_H.get(quantity, 0))
         for quantity, series in measured.values.items()
     }
     if gaps == FILL:
@@ -120,7 +119,8 @@ def complete(
     elif EVAPOTRANSPIRATION in values and method in (None, records.method):
         method = records.method
     elif method is None or method in COMPUTED:
-        values[EVAPOTRANSPIRATION], method, notes = evapotranspiration(records, site, method)
+        series, method, notes = compute_evapotranspiration(records, site, method)
+        values[EVAPOTRANSPIRATION] = series
         left_out = (*left_out, *notes)
     else:
         own = f", or {records.method} from its own column" if records.method else ""
@@ -131,7 +131,7 @@ def complete(
     return Weather(**{**vars(records), "method": method, "left_out": left_out}, gaps=gaps)
 
 
-def without_empty(records: Records) -> Records:
+def drop_empty(records: Records) -> Records:
     """Return records without the quantities that have no value, and a note of each.
 
     Raises:
@@ -153,7 +153,7 @@ def without_empty(records: Records) -> Records:
     )
 
 
-def evapotranspiration(
+def compute_evapotranspiration(
     records: Records, site: Site, method: str | None = None
 ) -> tuple[Array, str, list[str]]:
     """Return evapotranspiration in each hour (mm/day), NaN if missing; its method; and notes.
@@ -169,7 +169,7 @@ def evapotranspiration(
         ConfigurationError: the records or the site lack what the method needs.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
-    means = monthly(records, site)
+    means = repeat_monthly(records, site)
     chosen = method
     if chosen is None:
         chosen = HARGREAVES if lacking else FAO56
@@ -181,7 +181,7 @@ def evapotranspiration(
             except ConfigurationError:
                 chosen, lacking = MONTHLY, ["sunrise each day"]
     if chosen == HARGREAVES:
-        series = from_temperatures(records, site)
+        series = compute_hargreaves(records, site)
         if method is None and means is not None and np.isnan(series).all():
             chosen, lacking = MONTHLY, ["a day with 18 hours of temperature"]
     for_want = f", for want of {', '.join(lacking)}" if lacking else ""
@@ -194,11 +194,11 @@ def evapotranspiration(
         if means is None:
             raise ConfigurationError(
                 f"has no {TEMPERATURE}, from which evapotranspiration is computed, and no column "
-                f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION][0]}]'; give the site file "
-                "monthly_evapotranspiration, and its means are used", file=records.source,
+                f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]'; give the site "
+                "file monthly_evapotranspiration, and its means are used", file=records.source,
             )
         return means, chosen, [f"evapotranspiration is the site's monthly means{for_want}"]
-    series = fao56(records, site)
+    series = compute_fao56(records, site)
     computed = np.isnan(records.values.get(RADIATION, series)) & ~np.isnan(series)
     if not computed.any():
         return series, chosen, []
@@ -208,7 +208,7 @@ def evapotranspiration(
     ]
 
 
-def _whole_hours(records: Records) -> Records:
+def _drop_partial_hours(records: Records) -> Records:
     """Leave out the first and last hour if a shift has left them with some quantities only.
 
     Done after joining, because the next file completes the last hour of the one before.
@@ -261,11 +261,13 @@ def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
     for quantity, series in values.items():
         missing = np.isnan(series)
         filled[quantity] = series.copy()
-        filled[quantity][missing] = 0.0 if quantity == PRECIPITATION else _about(series, missing)
+        filled[quantity][missing] = (
+            0.0 if quantity == PRECIPITATION else _average_days_around(series, missing)
+        )
     return filled
 
 
-def _about(series: Array, missing: NDArray[np.bool_]) -> Array:
+def _average_days_around(series: Array, missing: NDArray[np.bool_]) -> Array:
     """Return for each missing hour the mean of the days around it; NaN if none is known."""
     padded = np.pad(series, -_SAME_TIME_OF_DAY[0], constant_values=np.nan)
     hours = np.flatnonzero(missing) - _SAME_TIME_OF_DAY[0]

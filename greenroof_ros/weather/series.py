@@ -16,17 +16,13 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import duration, to_minutes
-from greenroof_ros.formats.records import (
-    EVAPOTRANSPIRATION,
-    HOUR,
-    PRECIPITATION,
-    TEMPERATURE,
-    Issue,
-    Records,
-    name_hours,
-)
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.forecasts import IssuedForecast
+from greenroof_ros.formats.hourly import Records, name_hours
+from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
+from greenroof_ros.formats.rules import check_hours
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.evapotranspiration import COMPUTED, day_of_year, why_missing
+from greenroof_ros.weather.evapotranspiration import COMPUTED, explain_missing
 
 _HOUR_NS = 3_600_000_000_000
 # At or below this temperature there is frost, and nothing is pumped (degC).
@@ -35,13 +31,6 @@ _FREEZING = 0.0
 REFUSE, FILL = "refuse", "fill"
 GAPS = (REFUSE, FILL)
 """What to do about a missing hour in a long gap that a run needs; the first is the default."""
-
-_PERCENTILE = 95
-# Factor of the percentile from which rain is suspicious; the second below 0 degC.
-_FACTOR, _FROST_FACTOR = 9.0, 5.0
-# Days of the year to either side; minimum number of wet hours in them for a check.
-_DAYS, _MIN_WET = 14, 20
-_YEAR = 366
 
 
 @dataclass(frozen=True)
@@ -162,7 +151,7 @@ class WeatherSeries:
         filled: named hours of the run's days and the day before that were missing and filled, by
             quantity.
         filled_hours: their number; an hour counts once, however many quantities it lacked.
-        suspicious: named hours of the run with implausibly much rain.
+        suspicious: what is implausible in the hours of the run, each in a sentence.
         frost_hours: of the run (h); None if the file has no temperature.
         precipitation_in_frost: depth in these hours (mm); the model treats it as rain, not snow.
     """
@@ -212,7 +201,7 @@ class WeatherSeries:
         self.precipitation_in_frost = float(
             (frozen * weather.precipitation[run.start : run.stop]).sum() * site.tau / 3600
         )
-        self.suspicious = suspicious_rain(weather, run)
+        self.suspicious = check_hours(weather, site, run)
         days = slice(max(0, run.start - 24), run.stop + 24)
         filled = {quantity: marks[days] for quantity, marks in weather.filled.items()}
         self.filled = {
@@ -248,7 +237,7 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
         named = ", ".join(name_hours(weather.first, unknown))
         raise ConfigurationError(
             f"there is no {weather.method} evapotranspiration for {named}: "
-            f"{why_missing(weather, unknown)}; {way_out}", file=weather.source,
+            f"{explain_missing(weather, unknown)}; {way_out}", file=weather.source,
         )
 
 
@@ -262,7 +251,7 @@ def _refuse_missing(
         raise ConfigurationError(f"{quantity} is missing at {named}{further}", file=weather.source)
 
 
-def records_at(
+def select_records(
     weather: Weather, quantity: str, hours: NDArray[np.intp]
 ) -> NDArray[np.float64]:
     """Return records; beyond their ends the first or last one is repeated.
@@ -278,7 +267,7 @@ def records_at(
     return weather.values[quantity][index]
 
 
-def on_the_hours(issues: Sequence[Issue], weather: Weather) -> list[Issue]:
+def align_to_hours(issues: Sequence[IssuedForecast], weather: Weather) -> list[IssuedForecast]:
     """Return issues whose hours begin with hours of the records.
 
     The records of a place with an offset of half an hour begin between the hours of UTC. There an
@@ -313,44 +302,3 @@ def on_the_hours(issues: Sequence[Issue], weather: Weather) -> list[Issue]:
             value=to_minutes(issues[0].issued),
         )
     return resampled
-
-
-def suspicious_rain(records: Records, hours: range) -> list[str]:
-    """Name the hours with more rain than is plausible by the station's own records.
-
-    The limit is 9 times the 95th percentile of the wet hours within 14 days of the hour's day of
-    the year, in all years of the records; 5 times below 0 degC. With fewer than 20 wet hours there
-    is no check. It is the climatological outlier check for daily precipitation of GHCN-Daily
-    (Durre, Menne, Gleason, Houston and Vose 2010, J. Appl. Meteor. Climatol. 49:1615,
-    doi:10.1175/2010JAMC2375.1), applied to hours.
-
-    Args:
-        records: all available ones; more years make a better check.
-        hours: indices of the hours to check.
-
-    Returns:
-        A text for each such hour, with its rain (mm), time and percentile.
-    """
-    rain = records.values[PRECIPITATION]
-    wet = np.flatnonzero(rain > 0)
-    first = np.datetime64(records.first.replace(tzinfo=None), "h")  # in the records' own time zone
-    days = day_of_year((first + wet).astype("datetime64[D]"))
-    temperature = records.values.get(TEMPERATURE, np.full_like(rain, np.nan))
-    there = (wet >= hours.start) & (wet < hours.stop)
-    suspicious = []
-    for day in np.unique(days[there]):
-        apart = np.abs(days - day)
-        near = rain[wet[np.minimum(apart, _YEAR - apart) <= _DAYS]]
-        if len(near) < _MIN_WET:
-            continue
-        usual = float(np.percentile(near, _PERCENTILE))
-        for hour in wet[there & (days == day)]:
-            factor = _FROST_FACTOR if temperature[hour] < 0 else _FACTOR
-            if rain[hour] >= factor * usual:
-                suspicious.append((int(hour), usual))
-    return [
-        f"{rain[hour]:g} mm at {to_minutes(records.first + hour * HOUR)}, "
-        f"{rain[hour] / usual:.1f} times the 95th percentile of wet hours at that time of the "
-        f"year, {usual:.3g} mm"
-        for hour, usual in sorted(suspicious)
-    ]

@@ -32,9 +32,10 @@ from greenroof_ros.forecast.resampling import (
     make_forecast,
 )
 from greenroof_ros.forecast.skill import read_skill
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.forecasts import Archive, IssuedForecast
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import HOUR, Archive, Issue
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
@@ -50,7 +51,7 @@ def both(forecast: Forecast, tick: int) -> list[bytes]:
 # --- means over steps --------------------------------------------------------------------------
 
 
-def archive_of(*issues: Issue) -> Archive:
+def archive_of(*issues: IssuedForecast) -> Archive:
     """Return an archive whose issues are known at once."""
     return Archive(Path("archive.csv"), "own form", issues, 0.0, issues)
 
@@ -72,7 +73,9 @@ def test_means_count_every_second(
     rain = chance.uniform(0, 20, (7, 2, 12)) * (chance.random((7, 2, 12)) < 0.5)
     evaporated = chance.uniform(0, 9, (7, 12))
     hourly = archive_of(*(
-        Issue(MIDNIGHT + hour * HOUR, Path("archive.csv"), None, rain[hour], evaporated[hour])
+        IssuedForecast(
+            MIDNIGHT + hour * HOUR, Path("archive.csv"), None, rain[hour], evaporated[hour]
+        )
         for hour in range(7)
     ))
     site = site_with(tau=float(tau))
@@ -277,7 +280,9 @@ def test_archives_by_definition(delay: float, late: int, evaporates: bool) -> No
     chance, begins = np.random.default_rng(7), (0, 6, 14)
     rain, dried = chance.uniform(0, 9, (3, 2, 30)), chance.uniform(0, 9, (3, 30))
     own = archive_of(*(
-        Issue(MIDNIGHT + begin * HOUR, Path(), None, rain[n], dried[n] if evaporates else None)
+        IssuedForecast(
+            MIDNIGHT + begin * HOUR, Path(), None, rain[n], dried[n] if evaporates else None
+        )
         for n, begin in enumerate(begins)
     ))
     weather = replace(weather_of(np.zeros(48), chance.uniform(0, 9, 48)), rain_late=late)
@@ -326,7 +331,8 @@ def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
     """The error names a file of an archive that differs from the others in this column."""
     for day, evapotranspiration in ((7, None), (8, np.ones(1))):
         file = tmp_path / f"{day}.csv"
-        issue = Issue(MIDNIGHT.replace(day=day), file, None, np.zeros((1, 1)), evapotranspiration)
+        midnight = MIDNIGHT.replace(day=day)
+        issue = IssuedForecast(midnight, file, None, np.zeros((1, 1)), evapotranspiration)
         file.write_text(write_forecasts([issue]))
     wrong = r"8.csv, line 2: must have a column of evapotranspiration, or none, like 7.csv"
     refusal(read_archive, tmp_path, PAPER_SITE, match=wrong)

@@ -15,8 +15,8 @@ import pytest
 from paper import PAPER_SITE
 
 from greenroof_ros.forecast.live_forecast import ForecastFile, LiveForecast, NoForecastError
+from greenroof_ros.formats.forecasts import IssuedForecast
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
-from greenroof_ros.formats.records import Issue
 from greenroof_ros.model.look_ahead import look_ahead_ends
 
 SIX = datetime(2026, 7, 1, 6, tzinfo=UTC)
@@ -25,7 +25,8 @@ SIX = datetime(2026, 7, 1, 6, tzinfo=UTC)
 def write(path: Path, issued: datetime, rain: list[float], **left_out: None) -> None:
     """Write a file with an issue of some hours, and rename it into place as one must."""
     hours = np.arange(len(rain))
-    issue = Issue(issued, path, None, np.array([rain]), 2.0 + hours % 24, 15.0 - hours % 24)
+    day = hours % 24
+    issue = IssuedForecast(issued, path, None, np.array([rain]), 2.0 + day, 15.0 - day)
     draft = path.with_suffix(".new")
     draft.write_text(write_forecasts([replace(issue, **left_out)]))
     draft.replace(path)
@@ -123,7 +124,8 @@ def test_a_forecast_that_is_long_enough_lacks_nothing(file: Path) -> None:
 
 def test_all_members_of_a_short_ensemble_are_dry_after_its_end(file: Path) -> None:
     """1 and 3 mm in each of two hours."""
-    issue = Issue(SIX, file, None, np.array([[1.0] * 2, [3.0] * 2]), np.ones(2), np.ones(2))
+    rain = np.array([[1.0] * 2, [3.0] * 2])
+    issue = IssuedForecast(SIX, file, None, rain, np.ones(2), np.ones(2))
     file.write_text(write_forecasts([issue]))
     forecasts = LiveForecast(PAPER_SITE, 24.0, 7200.0, all_members=True)
     forecasts.issues = [issue]

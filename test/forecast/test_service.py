@@ -30,10 +30,12 @@ from greenroof_ros.forecast.service import (
     Service,
     ServiceError,
 )
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.forecasts import IssuedForecast
 from greenroof_ros.formats.open_meteo import VARIABLES
 from greenroof_ros.formats.own_csv import read_forecasts, write_forecasts
+from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import HOUR, PRECIPITATION, TEMPERATURE, Issue
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
@@ -162,7 +164,7 @@ def test_a_service_is_left_alone_for_a_day_at_most(tmp_path, asks):
 def test_what_is_new_in_any_hour_and_quantity_is_kept():
     """The same values are unchanged, although the first hours passed; any new value counts."""
     issued = _now().replace(minute=0, second=0, microsecond=0)
-    before = Issue(issued, Path(), None, np.zeros((1, 48)), np.ones(48), np.ones(48))
+    before = IssuedForecast(issued, Path(), None, np.zeros((1, 48)), np.ones(48), np.ones(48))
     same = {
         "rain": np.zeros((1, 43)), "evapotranspiration": np.ones(43), "temperature": np.ones(43),
     }
@@ -265,12 +267,12 @@ def test_what_an_answer_lacks_is_noted_and_the_rest_is_used(server):
         assert any(note in text for text in issue.notes)
 
 
-def _issues_arriving(*arrivals: str) -> list[Issue]:
+def _issues_arriving(*arrivals: str) -> list[IssuedForecast]:
     """Return issues of the hours in which they arrived, each with its number as its rain."""
     issues = []
     for number, arrival in enumerate(arrivals, 1):
         available = datetime.fromisoformat(arrival)
-        issues.append(Issue(
+        issues.append(IssuedForecast(
             available.replace(minute=0, second=0), Path("x"), None, np.full((1, 48), float(number)),
             np.ones(48), np.ones(48), available,
         ))

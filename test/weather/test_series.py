@@ -1,4 +1,4 @@
-"""The weather of a run: each tick's hour, gaps that were filled, and implausible rain."""
+"""The weather of a run: each tick's hour, and gaps that were filled."""
 
 from __future__ import annotations
 
@@ -19,11 +19,10 @@ from greenroof_ros.common.times import parse_time
 from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import read_weather
-from greenroof_ros.weather.series import FILL, REFUSE, Weather, WeatherSeries, suspicious_rain
+from greenroof_ros.weather.series import FILL, REFUSE, Weather, WeatherSeries
 
 TORONTO = read_site(CONFIG / "site.yaml")
 JULY = DATA / "en_climate_hourly_07-2022.csv"
-DECEMBER = DATA / "en_climate_hourly_12-2015.csv"
 LST = timezone(timedelta(hours=-5))
 THREE_HOURS = weather_of([0.2, 3.0, 7.2], first=parse_time("2021-07-07T03:00-05:00"))
 
@@ -127,41 +126,3 @@ def test_a_command_fills_gaps(tmp_path: Path) -> None:
     assert "FILLED" in done.stdout
     assert "2022-07-21T11:00-05:00" in done.stdout
     assert "gaps: fill" in (tmp_path / "run" / "configuration" / "parameters.yaml").read_text()
-
-
-# --- implausible rain -----------------------------------------------------------------------------
-
-
-def test_hours_that_are_hard_to_believe() -> None:
-    """79.2 mm in an hour of December; not July's storms, nor March's sleet."""
-    weather = read_weather([DECEMBER], TORONTO, gaps=FILL)
-    (only,) = WeatherSeries(weather, TORONTO, weather.first, 29 * 86_400).suspicious
-    assert only.startswith("79.2 mm at 2015-12-29T02:00-05:00")
-    assert weather.precipitation.max() == 79.2
-    assert WeatherSeries(weather, TORONTO, weather.first, 3 * 86_400).suspicious == []
-    for month in ("07-2021", "03-2021"):
-        weather = read_weather([DATA / f"en_climate_hourly_{month}.csv"], TORONTO)
-        assert suspicious_rain(weather, range(weather.hours)) == []
-
-
-def test_factors_of_the_check() -> None:
-    """Durre et al. (2010): 9 times the 95th percentile, 5 times below 0 degC; 20 wet hours.
-
-    Usual amounts of the last days of December also count for the first of January.
-    """
-
-    def suspicious(most: float, temperature: float, wet: int = 100, last: int = 99) -> list[str]:
-        # From 22 December 1 mm in each wet hour, so the percentile is 1 mm; and one other hour.
-        rain = np.where(np.arange(480) < wet, 1.0, 0.0)
-        rain[last] = most
-        first = datetime(2021, 12, 22, tzinfo=LST)
-        weather = weather_of(rain, first=first, temperature=np.full(480, temperature))
-        return suspicious_rain(weather, range(480))
-
-    assert suspicious(8.9, 0.0) == []
-    assert len(suspicious(9.0, 0.0)) == 1
-    assert suspicious(4.9, -0.1) == []
-    assert len(suspicious(5.0, -0.1)) == 1
-    assert suspicious(500.0, 5.0, wet=18) == []
-    (only,) = suspicious(9.0, 0.0, last=11 * 24)
-    assert only.startswith("9 mm at 2022-01-02T00:00-05:00, 9.0 times")

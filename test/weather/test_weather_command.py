@@ -106,7 +106,7 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
     assert said["columns"]["temperature"]["missing_hours"] == 6
     assert said["evapotranspiration"]["method"] == "fao56"
     (suspicious,) = about(tmp_path, DECEMBER)["suspicious"]
-    assert suspicious.startswith("79.2 mm at 2015-12-29T02:00-05:00")
+    assert suspicious.startswith("rain is 79.2 mm at 2015-12-29T02:00-05:00")
     table = weather(tmp_path, JULY).stdout
     for words in ("43.63 N, 79.40 W", "112.3 mm", "2021-07, 744 hours", "fao56"):
         assert words in table

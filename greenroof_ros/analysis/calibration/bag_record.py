@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from greenroof_ros.analysis.calibration.record import RoofRecord, Values
 from greenroof_ros.analysis.report.bags import run_directory
 from greenroof_ros.analysis.report.run import read_about
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.formats.step_record import StepRecord, Values
 from greenroof_ros.model.plant import pumps_run
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.recording.bag_reader import load_bag
@@ -22,7 +22,7 @@ _STEP_S = 300.0
 _GAP_S = 600.0
 
 
-def read_bag_record(bag: Path, site: Site) -> RoofRecord:
+def read_bag_record(bag: Path, site: Site) -> StepRecord:
     """Read a bag as steps of five minutes.
 
     Rain, evapotranspiration and pumped water are summed over each step; ``/roof/level`` is the
@@ -77,10 +77,10 @@ def read_bag_record(bag: Path, site: Site) -> RoofRecord:
     beyond = summed((trajectory.command > 1).astype(np.float64)) > 0
     running = pumps_run(site, trajectory.pump_flow)
     command = summed(np.where(running, trajectory.command, 0.0)) / _STEP_S
-    return RoofRecord(
+    return StepRecord(
         source=bag, start=trajectory.start, step_s=_STEP_S,
         rain=summed(trajectory.precipitation) * 1000,
-        reference=_through_gaps(reference),
+        reference=_fill_gaps(reference),
         pumped=summed(trajectory.pump_flow) * mm,
         runoff=summed(trajectory.drainage) * mm if np.any(trajectory.drainage > 0) else None,
         level=np.where(gap, np.nan, trajectory.roof[first] / site.a2),
@@ -89,7 +89,7 @@ def read_bag_record(bag: Path, site: Site) -> RoofRecord:
     )
 
 
-def _through_gaps(reference: Values) -> Values:
+def _fill_gaps(reference: Values) -> Values:
     """Fill the gaps of evapotranspiration (mm in a step)."""
     day = round(86400 / _STEP_S)
     filled = reference.copy()

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.calibration.record import COMBINE, RoofRecord, Steps, Values, time_name
-from greenroof_ros.analysis.calibration.simulation import Simulated, least_reading, simulate
+from greenroof_ros.analysis.calibration.record import COMBINE
+from greenroof_ros.analysis.calibration.simulation import Simulated, find_min_reading, simulate
+from greenroof_ros.formats.step_record import StepRecord, Steps, Values, name_time
 from greenroof_ros.model.site import Site
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ _SUM_S = 3600
 # do. If single steps were compared, the fit would compensate with more runoff in total: a third
 # more with steps of six hours. In sums over this many steps the delay does not matter. But a record
 # of days has too few sums longer than this (s).
-_SUM_STEPS, _LONGEST_SUM_S = 8, 4 * 86400
+_SUM_STEPS, _MAX_SUM_S = 8, 4 * 86400
 # The residuals of a week are a group: a storm's effect on a roof is gone after about a week.
 _WEEK_S = 7 * 86400
 # In standard deviations of the measurements: beyond it the loss grows in proportion to a residual,
@@ -46,7 +47,7 @@ _GRID = {
     "depletion_fraction": (0.3, 0.85),
 }
 _STEP = 1e-3
-_MOST_EVALUATIONS = 60
+_MAX_EVALUATIONS = 60
 # With longer steps (s) the drainage time is not fitted: it would compensate for the even rain.
 _DRAINAGE_STEP_S = 3600
 _HARDLY = 0.5
@@ -91,7 +92,7 @@ class FitRange:
         return float(self.low + share * (self.high - self.low))
 
 
-def ranges(site: Site, record: RoofRecord) -> list[FitRange]:
+def list_ranges(site: Site, record: StepRecord) -> list[FitRange]:
     """Return the ranges of the parameters to fit.
 
     The ranges of field capacity and wilting point do not overlap; the driest level, if measured,
@@ -100,14 +101,14 @@ def ranges(site: Site, record: RoofRecord) -> list[FitRange]:
     time constant is not fitted either.
     """
     if record.level is None:
-        most = max(0.1, (site.wilting_point or 0.0) + 0.01)
+        highest = max(0.1, (site.wilting_point or 0.0) + 0.01)
     else:
         driest = float(np.nanquantile(record.level, 0.01)) / site.z_soil + 0.02
-        most = min(0.3, max(0.03, driest))
+        highest = min(0.3, max(0.03, driest))
     drainage = FitRange(_DRAINAGE, 10.0, 2e4, logarithmic=True)
     return [
-        FitRange("field_capacity", most + 0.01, 0.9),
-        FitRange("wilting_point", 0.0, most),
+        FitRange("field_capacity", highest + 0.01, 0.9),
+        FitRange("wilting_point", 0.0, highest),
         FitRange("depletion_fraction", 0.0, 0.95),
         *([drainage] if record.step_s <= _DRAINAGE_STEP_S else []),
         FitRange("crop_coefficient", 0.1, 2.5),
@@ -119,7 +120,7 @@ def ranges(site: Site, record: RoofRecord) -> list[FitRange]:
 _TYPICAL_STORAGE = 0.02
 
 
-def measured_roof(site: Site) -> Site:
+def complete_roof(site: Site) -> Site:
     """Return a site with a measured soil, with typical values of parameters that it lacks."""
     if site.field_capacity is None:
         site = replace(
@@ -136,7 +137,7 @@ def measured_roof(site: Site) -> Site:
 _DEPLETION = 0.5
 
 
-def reachable_target(site: Site) -> Site:
+def lower_target(site: Site) -> Site:
     """Return the site with a target that its roof can hold; unchanged if it holds the present one.
 
     Water above field capacity drains, so pumping to a target there would never end. A record
@@ -180,7 +181,7 @@ class Fit(NamedTuple):
 
 
 def fit(
-    site: Site, record: RoofRecord, steps: Steps,
+    site: Site, record: StepRecord, steps: Steps,
     update_progress: UpdateProgress = lambda text, share: None,
 ) -> Fit:
     """Fit a measured soil to some steps of a record.
@@ -195,7 +196,7 @@ def fit(
     Parameters that the record does not identify stay as the site has them: the drainage time if
     steps are longer than an hour, and any parameter with a column of the Jacobian, over its range,
     that is small or a sum of others (QR with column pivoting; Golub and Van Loan, Matrix
-    Computations, 5.5.7). Intervals are by :func:`grouped_intervals`, with weeks as groups. They
+    Computations, 5.5.7). Intervals are by :func:`compute_intervals`, with weeks as groups. They
     are widened by how far a parameter follows the held ones anywhere in the ranges of those.
 
     Args:
@@ -204,13 +205,13 @@ def fit(
         steps: that count; the roof is simulated through all.
         update_progress: called after each simulation.
     """
-    site = measured_roof(site)
-    every = ranges(site, record)
+    site = complete_roof(site)
+    every = list_ranges(site, record)
     as_it_was = np.array([span.share(getattr(site, span.name, _HALF_FILLED)) for span in every])
     at = np.clip(as_it_was, 0.01, 0.99)
-    residuals, weeks = _comparison(record, steps)
+    residuals, weeks = _make_comparison(record, steps)
     stage, simulations = 0, itertools.count(1)
-    minimum = least_reading(record)
+    minimum = find_min_reading(record)
 
     def simulated(shares: Values, minimum: float) -> tuple[Site, Simulated]:
         values = {span.name: span.value(share) for span, share in zip(every, shares, strict=True)}
@@ -254,7 +255,7 @@ def fit(
 
         solution = least_squares(
             moved, at[free], bounds=(0.0, 1.0), diff_step=_STEP, loss="soft_l1",
-            f_scale=_ROBUST_FROM, xtol=1e-8, ftol=1e-9, max_nfev=_MOST_EVALUATIONS,
+            f_scale=_ROBUST_FROM, xtol=1e-8, ftol=1e-9, max_nfev=_MAX_EVALUATIONS,
         )
         at[free] = solution.x
         return solution
@@ -267,7 +268,7 @@ def fit(
         for span, share, is_free in zip(every, at, free, strict=True)
     ))
     stage = 1
-    at = min([at, *map(np.array, grid)], key=lambda shares: _cost(differences(shares)))
+    at = min([at, *map(np.array, grid)], key=lambda shares: _compute_cost(differences(shares)))
     stage = 2
     solve()
     # Again at the solution: it may identify other parameters than the start of the search.
@@ -282,26 +283,26 @@ def fit(
     rows = jacobian() * robust[:, None] ** -0.75
     half = np.full(len(every), np.nan)
     half[free] = np.hypot(
-        grouped_intervals(rows[:, free], solution.fun * robust**0.25, weeks),
-        _shift_by_fixed(rows[:, free], rows[:, ~free], at[~free]),
+        compute_intervals(rows[:, free], solution.fun * robust**0.25, weeks),
+        _find_shift(rows[:, free], rows[:, ~free], at[~free]),
     )
-    parameters = list(map(_judged, every, at.tolist(), half.tolist(), why))
+    parameters = list(map(_judge, every, at.tolist(), half.tolist(), why))
     if record.step_s > _DRAINAGE_STEP_S:
         assert site.drainage_time is not None
-        reason = f"steps of {time_name(record.step_s)} are too long to identify it"
+        reason = f"steps of {name_time(record.step_s)} are too long to identify it"
         parameters.insert(3, FittedParameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, reason))
     fitted, shown = simulated(at, minimum)
     update_progress("done", 1.0)
     return Fit(fitted, parameters, shown)
 
 
-def _cost(residuals: Values) -> float:
+def _compute_cost(residuals: Values) -> float:
     """Return what the search minimises, except for a constant factor."""
     return float(np.sum(np.sqrt(1 + (residuals / _ROBUST_FROM) ** 2) - 1))
 
 
-def _comparison(
-    record: RoofRecord, steps: Steps
+def _make_comparison(
+    record: StepRecord, steps: Steps
 ) -> tuple[Callable[[Simulated], Values], NDArray[np.int64]]:
     """Return a function for the residuals of a simulation, and the week of each residual.
 
@@ -309,7 +310,7 @@ def _comparison(
     """
     counts = steps & record.complete
     seconds = record.seconds[counts]
-    span_s = max(_SUM_S, min(_SUM_STEPS * round(record.step_s), _LONGEST_SUM_S))
+    span_s = max(_SUM_S, min(_SUM_STEPS * round(record.step_s), _MAX_SUM_S))
 
     def together(series: Mapping[str, Values]) -> list[Values]:
         return [COMBINE[name](series[name][counts], seconds, span_s) for name in record.measured]
@@ -347,7 +348,7 @@ def _identify(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]
     return free, why
 
 
-def _shift_by_fixed(own: Values, fixed: Values, shares: Values) -> Values:
+def _find_shift(own: Values, fixed: Values, shares: Values) -> Values:
     """Return how far the fitted parameters move if the fixed ones are elsewhere in their ranges.
 
     Args:
@@ -363,7 +364,7 @@ def _shift_by_fixed(own: Values, fixed: Values, shares: Values) -> Values:
     return np.asarray(np.linalg.norm(follows * np.maximum(shares, 1 - shares), axis=1))
 
 
-def _judged(parameter: FitRange, share: float, half: float, why: str) -> FittedParameter:
+def _judge(parameter: FitRange, share: float, half: float, why: str) -> FittedParameter:
     """Return a parameter with its interval, and the reason if something is wrong with it.
 
     Args:
@@ -384,7 +385,7 @@ def _judged(parameter: FitRange, share: float, half: float, why: str) -> FittedP
     return FittedParameter(parameter.name, value, low, high, reason)
 
 
-def moves(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -> Values:
+def find_moves(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -> Values:
     """Return how far a least-squares fit moves without each group, shape (groups, parameters).
 
     The fit is treated as linear: without a group of Jacobian J_g and residuals r_g the parameters
@@ -404,15 +405,15 @@ def moves(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -> Val
     return np.array(moved)
 
 
-def freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
+def count_freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
     """Return the degrees of freedom of each parameter's jackknife variance.
 
-    That variance is a sum of squares of what :func:`moves` returns. If residuals are independent
-    with equal variances, it is nearly chi-squared, with the degrees of freedom that match its mean
-    and variance (Satterthwaite's; Bell and McCaffrey, Survey Methodology 28, 2002, 169-181). If all
-    groups are equally informative about a parameter, the degrees are the number of groups less one.
-    If some are more informative there are fewer, and Student's t is wider (Imbens and Kolesar 2016,
-    doi:10.1162/REST_a_00552).
+    That variance is a sum of squares of what :func:`find_moves` returns. If residuals are
+    independent with equal variances, it is nearly chi-squared, with the degrees of freedom that
+    match its mean and variance (Satterthwaite's; Bell and McCaffrey, Survey Methodology 28, 2002,
+    169-181). If all groups are equally informative about a parameter, the degrees are the number of
+    groups less one. If some are more informative there are fewer, and Student's t is wider (Imbens
+    and Kolesar 2016, doi:10.1162/REST_a_00552).
 
     Args:
         jacobian: at the fit, shape (n, parameters).
@@ -433,13 +434,14 @@ def freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
     )
 
 
-def grouped_intervals(
+def compute_intervals(
     jacobian: Values, residuals: Values, groups: NDArray[np.int64]
 ) -> Values:
     """Return half of each parameter's 95 % interval; few groups may determine most of it.
 
-    By :func:`half_intervals` with the degrees of :func:`freedom`. If one group alone determines
-    nearly everything about a parameter, nothing shows how it would vary, and its half is infinite.
+    By :func:`compute_half_intervals` with the degrees of :func:`count_freedom`. If one group alone
+    determines nearly everything about a parameter, nothing shows how it would vary, and its half is
+    infinite.
 
     Args:
         jacobian: at the fit, shape (n, parameters).
@@ -447,16 +449,17 @@ def grouped_intervals(
         groups: number of each residual's group, shape (n,).
     """
     numbers = np.unique(groups)
-    without = np.array([_information(jacobian[groups != group]) for group in numbers])
-    alone = without.min(axis=0) < (1 - _ALONE) * _information(jacobian)
+    without = np.array([_measure_information(jacobian[groups != group]) for group in numbers])
+    alone = without.min(axis=0) < (1 - _ALONE) * _measure_information(jacobian)
     half = np.full(len(alone), np.inf)
     if len(numbers) > 1 and not alone.all():
-        degrees = np.where(alone, 1.0, freedom(jacobian, groups))
-        half = np.where(alone, np.inf, half_intervals(moves(jacobian, residuals, groups), degrees))
+        degrees = np.where(alone, 1.0, count_freedom(jacobian, groups))
+        moved = find_moves(jacobian, residuals, groups)
+        half = np.where(alone, np.inf, compute_half_intervals(moved, degrees))
     return half
 
 
-def _information(jacobian: Values) -> Values:
+def _measure_information(jacobian: Values) -> Values:
     """Return the information about each parameter: its column's squares, less what others explain.
 
     Args:
@@ -470,7 +473,7 @@ def _information(jacobian: Values) -> Values:
     return np.array(unexplained)
 
 
-def half_intervals(moved: Values, freedom: Values | None = None) -> Values:
+def compute_half_intervals(moved: Values, freedom: Values | None = None) -> Values:
     """Return half of each 95 % interval, from how each value moves without one group.
 
     Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t. With a single

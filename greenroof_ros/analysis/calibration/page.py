@@ -8,15 +8,7 @@ import altair as alt
 import numpy as np
 
 from greenroof_ros.analysis.calibration.fit import FILLED, Fit
-from greenroof_ros.analysis.calibration.record import (
-    COMBINE,
-    DAY_S,
-    RoofRecord,
-    Steps,
-    Values,
-    sums,
-    time_name,
-)
+from greenroof_ros.analysis.calibration.record import COMBINE, sum_spans
 from greenroof_ros.analysis.calibration.scores import FitScores
 from greenroof_ros.analysis.calibration.site_file import CROP_NOTE, INTERVAL_NOTE
 from greenroof_ros.analysis.report.drawing import (
@@ -27,13 +19,14 @@ from greenroof_ros.analysis.report.drawing import (
     series_panel,
 )
 from greenroof_ros.analysis.report.page import page_of
+from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, Values, name_time
 from greenroof_ros.model.site import site_parameters
 
 MEASURED, SIMULATED = "measured", "simulated"
 
 
 def render(
-    record: RoofRecord, halves: Mapping[str, Steps], fit: Fit, scores: Sequence[FitScores],
+    record: StepRecord, halves: Mapping[str, Steps], fit: Fit, scores: Sequence[FitScores],
     site_file: str, spans: Mapping[str, str], warnings: Sequence[str], notes: Sequence[str],
 ) -> str:
     """Return the page.
@@ -51,12 +44,12 @@ def render(
     known = {parameter.name: (parameter.unit, parameter.meaning) for parameter in site_parameters()}
     known[FILLED] = "1", "share of the available water on the roof when the record begins"
     figures = [
-        _figure(quantity, record, halves, getattr(fit.simulated, quantity))
+        _draw(quantity, record, halves, getattr(fit.simulated, quantity))
         for quantity in record.measured
     ]
     return page_of(
         __package__, figures, record=record, rain=float(np.nansum(record.rain)),
-        parameters=fit.parameters, known=known, scores=scores, time_name=time_name, shown=_shown,
+        parameters=fit.parameters, known=known, scores=scores, name_time=name_time, shown=_shown,
         site_file=site_file, spans=spans, warnings=warnings, notes=notes,
         crop_note=CROP_NOTE, interval_note=INTERVAL_NOTE,
     )
@@ -75,13 +68,13 @@ _TIME = alt.X("t:T", title=None, scale=alt.Scale(type="utc"),
 _WHEN = alt.Tooltip("t:T", title="day", timeUnit="utcyearmonthdate", format="%Y-%m-%d")
 
 
-def _figure(
-    quantity: str, record: RoofRecord, halves: Mapping[str, Steps], simulated: Values
+def _draw(
+    quantity: str, record: StepRecord, halves: Mapping[str, Steps], simulated: Values
 ) -> Figure:
     title, _ = _QUANTITIES[quantity]
-    days = _days(quantity, record, halves, simulated)
+    days = _list_days(quantity, record, halves, simulated)
     name = f"calibration-{quantity}"
-    adds_up = COMBINE[quantity] is sums
+    adds_up = COMBINE[quantity] is sum_spans
     boundary = [{"t": row["t"]} for row in days if row["part"] == [*halves][1]][:1]
     caption = (
         f"{'Sums' if adds_up else 'Means'} of days, and the residuals (simulated less measured). "
@@ -110,8 +103,8 @@ def _figure(
     return Figure(name, title, caption, tuple(panels), 2, {f"{name}-days": days})
 
 
-def _days(
-    quantity: str, record: RoofRecord, halves: Mapping[str, Steps], simulated: Values
+def _list_days(
+    quantity: str, record: StepRecord, halves: Mapping[str, Steps], simulated: Values
 ) -> Rows:
     """Return sums or means of days as rows, with the residual: simulated less measured."""
     rows: Rows = []

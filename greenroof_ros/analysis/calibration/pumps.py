@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greenroof_ros.analysis.calibration.fit import FittedParameter, half_intervals
-from greenroof_ros.analysis.calibration.record import RoofRecord, Steps, Values, prolonged
+from greenroof_ros.analysis.calibration.fit import FittedParameter, compute_half_intervals
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.formats.records import gaps
+from greenroof_ros.formats.hourly import find_gaps
+from greenroof_ros.formats.step_record import StepRecord, Steps, Values, prolong_steps
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 
@@ -22,7 +22,7 @@ _MARGIN_M = 0.05
 # How long the pumps stand before and after a run, at least: the pump state can be late or early,
 # a logger's by a step or two, a drive's by minutes.
 _STANDING_STEPS, _STANDING_S = 3, 900
-_FEWEST_RUNS = 10
+_MIN_RUNS = 10
 # Something else moved the level in a run whose flow is this many typical deviations off.
 _OFF = 5.0
 # No pump lifts this many times the flow of its curve, or less than that flow over this.
@@ -57,7 +57,7 @@ class PumpFit(NamedTuple):
     """mean level of the cistern in these runs (m)"""
 
 
-def find_runs(record: RoofRecord, site: Site, command: Values, cistern: Values) -> list[PumpRun]:
+def find_runs(record: StepRecord, site: Site, command: Values, cistern: Values) -> list[PumpRun]:
     """Return the pump runs in which nothing else changes the cistern's level.
 
     It has not rained for an hour, no value is missing, and the level lies between the outlet and
@@ -66,12 +66,12 @@ def find_runs(record: RoofRecord, site: Site, command: Values, cistern: Values) 
     standing = max(_STANDING_STEPS, round(_STANDING_S / record.step_s))
     count = standing // 3 + 1  # levels that are averaged, before and after
     low = max(site.suction_level, site.mains_level or 0.0) + _MARGIN_M
-    recent = prolonged(~(record.rain == 0), round(_WET_S / record.step_s) + 1)
+    recent = prolong_steps(~(record.rain == 0), round(_WET_S / record.step_s) + 1)
     between = (cistern > low) & (cistern < site.min_outlet_level - _MARGIN_M)
     quiet: Steps = between & ~recent & ~np.isnan(command)
     near = np.convolve(command > 0, np.ones(2 * standing + 1), "same") > 0
     runs = []
-    for first, end in gaps(near):
+    for first, end in find_gaps(near):
         if first > 0 and end < record.steps and quiet[first:end + 1].all():
             levels = cistern[first:end + 1]
             runs.append(PumpRun(
@@ -81,15 +81,15 @@ def find_runs(record: RoofRecord, site: Site, command: Values, cistern: Values) 
     return runs
 
 
-def fit_pumps(site: Site, record: RoofRecord) -> PumpFit:
+def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
     """Fit the pump curve to the mean fall of the cistern in undisturbed runs of the pumps.
 
     The flow Q at command 1 is the fall of all runs, times the cistern's area, over their time at
     full command. ``a_hat`` is held, and ``c_hat`` follows from Q at the mean level Z by Eqs.
     (3b)-(3e): Z + c_hat - d = Q^2 (pipe_resistance - a_hat). A sensor's offset does not matter, nor
-    does a pump state that is a little late. The interval is by :func:`.fit.half_intervals` with
-    runs as groups. Runs whose flow is far from the median are left out, because something else
-    moved the level.
+    does a pump state that is a little late. The interval is by
+    :func:`.fit.compute_half_intervals` with runs as groups. Runs whose flow is far from the median
+    are left out, because something else moved the level.
 
     With fewer than ten runs no curve is fitted.
 
@@ -103,7 +103,7 @@ def fit_pumps(site: Site, record: RoofRecord) -> PumpFit:
     if record.command is None or record.cistern is None:
         return PumpFit(site)
     runs = find_runs(record, site, record.command, record.cistern)
-    if len(runs) < _FEWEST_RUNS:
+    if len(runs) < _MIN_RUNS:
         return PumpFit(site)
     seconds, falls, levels = np.array(runs).T
     off = np.abs(falls / seconds - np.median(falls / seconds))
@@ -125,7 +125,8 @@ def fit_pumps(site: Site, record: RoofRecord) -> PumpFit:
         return flows**2 * (site.pipe_resistance - site.a_hat) + site.d - level
 
     [c_hat] = heights(np.array([flow])).tolist()
-    half, of_height = half_intervals(np.stack([without, heights(without)], axis=-1)).tolist()
+    moved = np.stack([without, heights(without)], axis=-1)
+    half, of_height = compute_half_intervals(moved).tolist()
     held = "the data cannot tell it apart from c_hat"
     return PumpFit(
         replace(site, c_hat=c_hat),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greenroof_ros.analysis.calibration.record import RoofRecord, Values
+from greenroof_ros.formats.step_record import StepRecord, Values
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import MeasuredSoil
 
@@ -29,7 +29,7 @@ class Simulated(NamedTuple):
     """water level in the substrate at the beginning of each step (m), shape (steps,)"""
 
 
-def simulate(site: Site, record: RoofRecord, filled: float, minimum: float = 0.0) -> Simulated:
+def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0) -> Simulated:
     """Simulate a measured soil through a record's steps.
 
     The result matches :class:`greenroof_ros.model.plant.Plant` with short ticks, because
@@ -77,7 +77,7 @@ def simulate(site: Site, record: RoofRecord, filled: float, minimum: float = 0.0
     return Simulated(runoff, volumes[starts] / site.a2)
 
 
-def least_reading(record: RoofRecord) -> float:
+def find_min_reading(record: StepRecord) -> float:
     """Return the runoff of a step (mm) below which a record's meter shows 0.
 
     It is the minimum reading above 0. A tipping bucket misses nothing, because less than a tip adds
@@ -86,12 +86,12 @@ def least_reading(record: RoofRecord) -> float:
     if record.runoff is None:
         return 0.0
     readings = np.unique(record.runoff[record.runoff > 0])
-    if not len(readings) or _counted(readings, record.last_decimal):
+    if not len(readings) or _is_counted(readings, record.last_decimal):
         return 0.0
     return float(readings[0])
 
 
-def _counted(readings: Values, last_decimal: float) -> bool:
+def _is_counted(readings: Values, last_decimal: float) -> bool:
     """Whether readings, in rising order, are multiples of one tip, apart from rounding.
 
     A reading of n tips with a rounding error up to h limits a tip to (reading - h) / n to

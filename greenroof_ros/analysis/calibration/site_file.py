@@ -40,12 +40,12 @@ Entries = dict[str, tuple[float, str]]
 """entries for a site file: by name a value, and the words that follow its unit"""
 
 
-def sheet_entries(sheet: PumpCurve) -> Entries:
+def list_sheet_entries(sheet: PumpCurve) -> Entries:
     """Return the entries of a pump curve that was fitted to a data sheet."""
     return {name: (value, _FROM_SHEET) for name, value in sheet._asdict().items()}
 
 
-def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> Entries:
+def list_fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> Entries:
     """Return the entries of a fit: each with its interval, or why the record does not identify it.
 
     Args:
@@ -54,7 +54,7 @@ def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> Entries:
         sheet: pump curve that was fitted to the data sheet before.
     """
     entries: Entries = {name: (getattr(fit.site, name), "unchanged, not fitted") for name in _ROOF}
-    entries |= {} if sheet is None else sheet_entries(sheet)
+    entries |= {} if sheet is None else list_sheet_entries(sheet)
     for parameter in fit.parameters:
         reason = f"unchanged: {parameter.reason}"
         if parameter.interval:
@@ -71,7 +71,7 @@ def fit_entries(fit: Fit, target: float, sheet: PumpCurve | None) -> Entries:
     return entries
 
 
-def edited_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> str:
+def edit_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> str:
     """Return the text of a site file with some entries replaced.
 
     Entries of a file that it extends are copied into it, so that it needs no other file.
@@ -91,7 +91,7 @@ def edited_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> st
     site.fa.set_block_style()
     for name, (_, reason) in entries.items():
         site[name] = values[name]
-        _comment(site, name, f"# {_UNITS[name]:<7} {reason}")
+        _write_comment(site, name, f"# {_UNITS[name]:<7} {reason}")
     if missing:
         site.yaml_set_comment_before_after_key(missing[0], before="\nThe measured soil")
     stream = io.StringIO()
@@ -110,7 +110,7 @@ def edited_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> st
     return text
 
 
-def _comment(site: CommentedMap, name: str, text: str) -> None:
+def _write_comment(site: CommentedMap, name: str, text: str) -> None:
     """Replace the comment after an entry, and keep comments on the lines below.
 
     The YAML reader stores all comments up to the next entry together. Indented lines continue the

@@ -37,9 +37,9 @@ from greenroof_ros.forecast.choice import (
     choose,
 )
 from greenroof_ros.forecast.skill import SKILLS, read_skill
+from greenroof_ros.formats.hourly import name_files
 from greenroof_ros.formats.own_csv import write_forecasts
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import name_files
 from greenroof_ros.model.initial_state import (
     INITIAL_STATES,
     SITE_STATE,

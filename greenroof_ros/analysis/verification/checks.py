@@ -31,7 +31,7 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     warnings = [
         f"{lead} has {ratio:.2f} times the water of the other leads, most likely because of an "
         "error in the archive; --horizon leaves late leads out"
-        for lead, ratio in (_odd_leads(scores) if previous_runs else {}).items()
+        for lead, ratio in (_find_odd_leads(scores) if previous_runs else {}).items()
     ]
     # Classes of few pairs tell nothing, nor do classes whose forecast or rain never varies.
     known = [
@@ -46,7 +46,7 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     return warnings
 
 
-def _odd_leads(scores: Mapping[Class, ForecastScores]) -> dict[str, float]:
+def _find_odd_leads(scores: Mapping[Class, ForecastScores]) -> dict[str, float]:
     """Return leads, in words, whose water differs from the others', with the ratio (1).
 
     The water of a lead is its bias, which leaves out the hours that the lead lacks. A lead is odd

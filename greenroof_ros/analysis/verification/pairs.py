@@ -15,10 +15,12 @@ from greenroof_ros.analysis.verification.scores import Tally
 from greenroof_ros.common.times import hours_since_1970, to_people
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import make_model
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.forecasts import ISSUE_HOURS
+from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION
 from greenroof_ros.formats.reading import read_archive
-from greenroof_ros.formats.records import EVAPOTRANSPIRATION, HOUR, ISSUE_HOURS, PRECIPITATION
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.series import Weather, on_the_hours
+from greenroof_ros.weather.series import Weather, align_to_hours
 
 Array = NDArray[np.float64]
 
@@ -55,7 +57,7 @@ class IssuedForecasts:
     notes: tuple[str, ...] = ()
 
 
-def issued_forecasts(
+def read_issued_forecasts(
     choice: ForecastChoice, weather: Weather, site: Site, horizon: int
 ) -> IssuedForecasts:
     """Return the chosen forecasts, for comparison with records.
@@ -74,9 +76,9 @@ def issued_forecasts(
         ConfigurationError: an archive is wrong.
     """
     if choice.file is None:
-        return _modelled(choice, weather, site, horizon)
+        return _model_forecasts(choice, weather, site, horizon)
     archive = read_archive(choice.file, site, choice.delay)
-    verified = on_the_hours(archive.verified, weather)
+    verified = align_to_hours(archive.verified, weather)
     first = weather.rain_from
     end = first + len(weather.precipitation) * HOUR
     within = [
@@ -93,7 +95,7 @@ def issued_forecasts(
     )
 
 
-def _modelled(
+def _model_forecasts(
     choice: ForecastChoice, weather: Weather, site: Site, horizon: int
 ) -> IssuedForecasts:
     """Return the forecasts that a model makes of the records, one for each time of issue.
@@ -138,7 +140,7 @@ class Class(NamedTuple):
         return f"{self.low} to {self.high} h"
 
 
-def tally(
+def tally_pairs(
     forecasts: IssuedForecasts, observed: Array, lead: int, sums: Sequence[Sum],
     done: Callable[[int], None],
 ) -> dict[Class, Tally]:
@@ -162,7 +164,7 @@ def tally(
     classes = math.ceil(forecasts.hours / lead)
     reach = classes * lead
     tallies = {
-        Class(number * lead, (number + 1) * lead, length): Tally(length.event, forecasts.members)
+        Class(number * lead, (number + 1) * lead, length): Tally(length.event)
         for number in range(classes) for length in sums
     }
     unknown = np.full(reach, np.nan)

@@ -1,8 +1,8 @@
 """Scores of forecasts of rain.
 
-They are written out here, in a few lines each. Of the libraries that have them, ``scores`` lacks
-only the reliability diagram, but needs xarray, pandas and bottleneck; ``scoringrules`` needs Python
-3.11, and ``properscoring`` had its only release in 2015. The tests compare them with worked
+They are written out here, in a few lines each. Of the libraries that have them, ``scores`` needs
+xarray, pandas and bottleneck; ``scoringrules`` needs Python 3.11, and ``properscoring`` had its
+only release in 2015. The tests compare them with worked
 examples, closed forms and other ways of computing them.
 """
 
@@ -16,11 +16,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# A reliability diagram groups forecast probabilities by tenths.
-TENTHS = 10
 
-
-def event_scores(
+def compute_event_scores(
     hits: int, false_alarms: int, misses: int, correct_negatives: int
 ) -> tuple[float, float, float]:
     """Return POD, FAR and ETS of an event from its contingency table.
@@ -89,25 +86,14 @@ class Tally:
 
     Attributes:
         table: numbers of hits, false alarms, misses and correct negatives, shape (4,).
-        ranks: how often the observation had each rank among the members, shape (members + 1,); a
-            tie with some of the members is shared equally among the ranks that it can have.
-        reliability: for forecast probabilities of 0 to 10 tenths, the number of forecasts, the sum
-            of their probabilities and the number of events, shape (11, 3).
     """
 
-    def __init__(self, event: float, members: int) -> None:
-        """Start without pairs.
-
-        Args:
-            event: minimum sum of an event (mm).
-            members: number of members of each forecast.
-        """
+    def __init__(self, event: float) -> None:
+        """Start without pairs; an event is a sum (mm) of at least ``event``."""
         self._event = event
         self._moments = np.zeros(5)
         self._errors = np.zeros(2)
         self.table = np.zeros(4, dtype=np.int64)
-        self.ranks = np.zeros(members + 1)
-        self.reliability = np.zeros((TENTHS + 1, 3))
 
     def add(self, forecast: Array, observed: Array) -> None:
         """Add pairs of sums.
@@ -130,10 +116,6 @@ class Tally:
         ]
         probability = np.mean(forecast >= self._event, axis=0)
         self._errors += [np.sum((probability - event) ** 2), np.sum(crps(forecast, observed))]
-        self.ranks += rank_counts(forecast, observed)
-        tenth = np.rint(TENTHS * probability).astype(np.intp)
-        for column, weights in enumerate((np.ones_like(probability), probability, event)):
-            self.reliability[:, column] += np.bincount(tenth, weights, TENTHS + 1)
 
     def scores(self) -> ForecastScores:
         """Return the scores of all pairs that were added."""
@@ -147,8 +129,8 @@ class Tally:
         r = (product - forecast * observed) / math.sqrt(variances) if varies else math.nan
         brier, error = (self._errors / n).tolist()
         return ForecastScores(
-            n, _ratio(forecast, observed), float(r), *event_scores(*self.table.tolist()), brier,
-            error,
+            n, _ratio(forecast, observed), float(r), *compute_event_scores(*self.table.tolist()),
+            brier, error,
         )
 
 
@@ -175,27 +157,6 @@ def crps(forecast: Array, observed: Array) -> Array:
     spread = np.arange(1.0 - members, members, 2.0) @ np.sort(forecast, axis=0)
     score: Array = errors - spread / max(members * (members - 1), 1)
     return score
-
-
-def rank_counts(forecast: Array, observed: Array) -> Array:
-    """Return how often the observation had each rank among the members, shape (members + 1,).
-
-    If members and observation are interchangeable, all ranks are equally frequent (Hamill 2001,
-    doi:10.1175/1520-0493(2001)129<0550:IORHFV>2.0.CO;2). If the observation equals k members, as it
-    often does in dry hours, it is treated as 1 / (k + 1) in each rank that it can have. That is the
-    expected result of drawing one of these ranks at random, as Hamill does.
-
-    Args:
-        forecast: mm, shape (members, pairs).
-        observed: mm, shape (pairs,).
-    """
-    first = np.count_nonzero(forecast < observed, axis=0)
-    alike = np.count_nonzero(forecast == observed, axis=0)
-    steps = np.zeros(len(forecast) + 2)
-    np.add.at(steps, first, 1 / (alike + 1))
-    np.subtract.at(steps, first + alike + 1, 1 / (alike + 1))
-    counts: Array = np.cumsum(steps)[:-1]
-    return counts
 
 
 def _ratio(part: float, whole: float) -> float:

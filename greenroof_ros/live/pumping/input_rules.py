@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.formats.records import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.model.plant import (
     low_outlet_flow,
     mains_flow,
@@ -29,8 +29,8 @@ _MARGIN = 1.5
 # narrower than this many tolerances: some minutes.
 _SPIKE = 4.0
 # Above the world records of hourly rain and of daily evapotranspiration (m/s).
-_MOST_RAIN = QUANTITIES[PRECIPITATION][2] / 1000 / 3600
-_MOST_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION][2] / 1000 / 86400
+_MOST_RAIN = QUANTITIES[PRECIPITATION].high / 1000 / 3600
+_MOST_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION].high / 1000 / 86400
 # Maximum evapotranspiration of an hour (m/s), as greatest_loss of the delivery check; and the
 # slowest movement of a cistern that counts, beyond drift and unmeasured inflow: 5 mm/day.
 _LOSS, _DRIFT = 1e-3 / 3600, 5e-3 / 86400

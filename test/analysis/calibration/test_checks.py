@@ -1,210 +1,24 @@
-"""Checks of records and fits: good ones pass, bad ones are refused or get a warning."""
+"""Checks of a record before its fit, and of the fit."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pytest
-from places import DATA
 from refusals import refusal
-from twins import DAY, TWIN, a_record, record_of, record_rows
+from twins import TWIN, a_record
 
 from greenroof_ros.analysis.calibration.checks import check_fit, check_record
-from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.analysis.calibration.record import RoofRecord, in_months
 from greenroof_ros.analysis.calibration.scores import FitScores, score
-from greenroof_ros.analysis.calibration.simulation import simulate
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
-from greenroof_ros.model.site import read_site
-
-Change = Callable[[np.ndarray, int], np.ndarray]
-"""changes a column, given the number of its steps in a day"""
 
 
-@cache
-def twin(days: int, hours: int = 0, *, gaps: bool = False) -> RoofRecord:
-    """Return the record of a twin; with hours, its sums over this many hours."""
-    return record_of(record_rows(TWIN, days, 1, gaps=gaps), hours)
-
-
-def scaled(factor: float) -> Change:
-    return lambda values, day: factor * values
-
-
-def shifted(hours: float) -> Change:
-    return lambda values, day: np.roll(values, round(hours * day / 24))
-
-
-def fixed(value: float, first: float, end: float = np.inf) -> Change:
-    """Return a change to a constant value from a day on."""
-    def changed(values: np.ndarray, day: int) -> np.ndarray:
-        at = np.arange(len(values)) / day
-        return np.where((at >= first) & (at < end), value, values)
-    return changed
-
-
-def changed(record: RoofRecord, column: str, change: Change) -> RoofRecord:
-    day = round(86400 / record.step_s)
-    return replace(record, **{column: change(getattr(record, column), day)})
-
-
-UNIT, BALANCE, LATE, EARLY, STUCK, BLOCKED = (
-    "is the unit", "are the units", "after it falls", "before it falls", "stuck or dead",
-    "gauge blocked",
-)
-
-
-def failed(record: RoofRecord, column: str, words: str) -> bool:
-    """Whether there is a warning or a refusal about a column, with these words."""
-    try:
-        texts = check_record(record, TWIN)
-    except ConfigurationError as error:
-        texts = [error.wrong]
-    return any(text.startswith(column) and words in text for text in texts)
-
-
-# --- records --------------------------------------------------------------------------------------
-
-# For five-minute steps of a month, and for longer sums of a season: the columns present, the one
-# that is changed and how, and the check that fails with its column.
-BOTH, LEVEL = ("runoff", "level"), ("level",)
-OF_A_MONTH: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, str]]] = {
-    "rain in metres": (BOTH, "rain", scaled(0.001), ("rain", UNIT)),
-    "rain of a day": (BOTH, "rain", scaled(24), ("rain", UNIT)),
-    "rain of the hour": (BOTH, "rain", scaled(12), ("rain", BALANCE)),
-    "level in cm": (BOTH, "level", scaled(100), ("level", UNIT)),
-    "stuck": (BOTH, "runoff", fixed(0.05, 5), ("runoff", STUCK)),
-    "early": (BOTH, "runoff", shifted(-1), ("runoff", EARLY)),
-    "late": (BOTH, "runoff", shifted(8), ("runoff", LATE)),
-    "early level": (LEVEL, "level", shifted(-1), ("level", EARLY)),
-    "late level": (LEVEL, "level", shifted(24), ("level", LATE)),
-}
-OF_A_SEASON: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, str]]] = {
-    "dead": (BOTH, "runoff", scaled(0.0), ("runoff", STUCK)),
-    "runoff too large": (BOTH, "runoff", scaled(10), ("runoff", BALANCE)),
-    "level too small": (LEVEL, "level", scaled(0.01), ("level", UNIT)),
-    "level too large": (BOTH, "level", scaled(10), ("level", UNIT)),
-    "stuck level": (BOTH, "level", fixed(0.03, 20), ("level", STUCK)),
-    "stuck rain": (BOTH, "rain", fixed(0.3, 12, 20), ("rain", STUCK)),
-    "blocked": (BOTH, "rain", fixed(0.0, 30), ("rain", BLOCKED)),
-    "early": (BOTH, "runoff", shifted(-24), ("runoff", EARLY)),
-    "early level": (LEVEL, "level", shifted(-24), ("level", EARLY)),
-}
-
-
-@pytest.mark.parametrize("hours", [0, 1, 24])
-def test_right_records_have_nothing_wrong_and_wrong_ones_have(hours: int) -> None:
-    record = twin(100, hours) if hours else twin(60, gaps=True)
-    for right in (record, replace(record, runoff=None)):
-        assert check_record(right, TWIN) == []
-    seen = record if hours else twin(30)
-    for name, (there, *change, expected) in (OF_A_SEASON if hours else OF_A_MONTH).items():
-        alone = seen if "runoff" in there else replace(seen, runoff=None)
-        assert failed(changed(alone, *change), *expected), name
-
-
-def test_a_column_of_nothing_is_refused() -> None:
-    nothing = changed(twin(30), "level", fixed(np.nan, 0))
-    refusal(check_record, nothing, TWIN, match="level: has 0 values; it must have at least 100")
-
-
-def test_what_is_wrong_in_other_months_does_not_count() -> None:
-    """A flow meter that is stuck in April; May to July are good."""
-    record = changed(twin(100, 1), "runoff", fixed(0.05, 0, 30))
-    assert failed(record, "runoff", STUCK)
-    assert check_record(record.only(in_months(record, "5-7")), TWIN) == []
-
-
-def test_a_day_with_too_much_evapotranspiration_is_found() -> None:
-    """48 mm a day, as of 4 mm that are read as 12 times as much; the column is the user's."""
-    steps = 12 * DAY
-    record = a_record(
-        np.tile([2.0] + [0.0] * (DAY - 1), 12), level=np.linspace(0, 0.01, steps),
-        reference=np.full(steps, 48 / DAY),
-    )
-    assert check_record(record, TWIN) == []
-    assert failed(replace(record, reference_column="ET"), "ET", UNIT)
-
-
-# --- roofs off which nothing runs -----------------------------------------------------------------
-
-
-def test_a_measured_soil_in_dry_weeks_is_right() -> None:
-    """The roof at Neubrandenburg, 45 days with 39 mm of rain and no runoff.
-
-    With three times the rain, 116 mm, the soil of 108 mm could not hold it.
-    """
-    site = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")
-    file = DATA / "neubrandenburg_dry.csv"
-    record = read_csv_record(file, replace(site, utc_offset=1.0))
-    assert np.nansum(record.rain) == pytest.approx(38.61)
-    assert np.nansum(record.runoff) == 0
-    assert check_record(record, site) == []
-    (dead,) = check_record(replace(record, rain=3 * record.rain), site)
-    assert dead.startswith("runoff is 0 mm") and STUCK in dead
-
-
-def test_gaps_do_not_hide_a_dead_flow_meter() -> None:
-    """113 mm in all steps with readings, at most 63 mm without a gap; the soil is 100 mm deep."""
-    record = changed(twin(60, gaps=True), "runoff", scaled(0.0))
-    assert failed(record, "runoff", STUCK)
-    assert 100 < record.rain[~np.isnan(record.runoff)].sum() < 120
-    without = np.where(np.cumsum(np.where(np.isnan(record.runoff), 0.0, record.rain)) > 99.0,
-                       np.nan, record.runoff)
-    assert check_record(replace(record, runoff=without), TWIN) == []
-
-
-def watered_roof(days: int, mm_a_day: float = 4.25) -> RoofRecord:
-    """A roof in a dry July, watered each morning with its evapotranspiration, 0.85 of 5 mm.
-
-    Two showers of 4 and 6 mm; the meter shows no flow below 0.06 mm in 5 min.
-    """
-    step = np.arange(days * DAY)
-    rain = np.zeros(len(step))
-    for day, depth in ((8, 4.0), (19, 6.0)):
-        rain[day * DAY + 200:day * DAY + 212] = depth / 12
-    record = a_record(
-        rain, month=7, runoff=rain,
-        pumped=np.where((step % DAY >= 60) & (step % DAY < 64), mm_a_day / 4, 0.0),
-        reference=np.where((step % DAY >= 72) & (step % DAY < 240), 5.0 / 168, 0.0),
-    )
-    simulated = simulate(TWIN, record, 0.35, minimum=0.06)
-    noise = np.random.default_rng(1).normal(0, 0.002, len(step))
-    return replace(record, runoff=simulated.runoff, level=simulated.level + noise)
-
-
-def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
-    """27 days, 125 mm on 100 mm of soil, and no runoff: a good controller does this.
-
-    15 mm a day exceed what a watered roof evaporates, 1.3 x 5 mm, by 230 mm in 27 days.
-    """
-    record = watered_roof(27)
-    assert record.water.sum() == pytest.approx(124.75)
-    assert not record.runoff.any()
-    assert check_record(record, TWIN) == []
-    # After one watering it rains enough: 121 mm in 60 days, in which 240 mm could evaporate.
-    rain = np.tile([2 / DAY] * DAY, 60)
-    rainy = a_record(
-        rain, month=7, runoff=np.zeros(60 * DAY), reference=2 * rain,
-        pumped=np.where(np.arange(60 * DAY) == 72, 1.0, 0.0),
-    )
-    assert not failed(rainy, "runoff", STUCK)
-    flooded = watered_roof(27, 15.0)
-    (dead,) = check_record(
-        replace(flooded, runoff=np.zeros(flooded.steps), level=None), TWIN
-    )
-    assert dead == (
-        "runoff is 0 mm for 648 h from 2021-07-01 00:00:00, in which 415 mm of water came: is "
-        "the sensor stuck or dead? Leave these cells empty"
-    )
-
-
-# --- fits -----------------------------------------------------------------------------------------
+def test_too_little_for_a_fit() -> None:
+    """Less than 100 values, or than 20 mm of water, as of rain in metres."""
+    rain = np.where(np.arange(3000) % 100 == 0, 1.0, 0.0)
+    nothing = np.full(3000, np.nan)
+    refusal(check_record, a_record(rain, level=nothing), TWIN, match="level: has 0 values; it must")
+    wet = a_record(rain / 1000, level=np.linspace(0, 0.02, 3000))
+    refusal(check_record, wet, TWIN, match="rain: is 0.03 mm in all, .* is the unit of the column")
 
 
 FILE = Path("roof.csv")

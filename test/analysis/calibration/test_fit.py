@@ -14,14 +14,14 @@ from twins import DAY, FILLED_AT_FIRST, TWIN, record_of, record_rows
 from greenroof_ros.analysis.calibration.fit import (
     FILLED,
     FittedParameter,
+    compute_half_intervals,
+    compute_intervals,
+    count_freedom,
+    find_moves,
     fit,
-    freedom,
-    grouped_intervals,
-    half_intervals,
-    moves,
-    ranges,
+    list_ranges,
 )
-from greenroof_ros.analysis.calibration.record import RoofRecord
+from greenroof_ros.formats.step_record import StepRecord
 
 ELSEWHERE = replace(
     TWIN, field_capacity=0.3, z_cap=3.0, wilting_point=0.02, depletion_fraction=0.5,
@@ -44,7 +44,7 @@ def values_of(parameters: list[FittedParameter]) -> dict[str, float]:
 
 
 @cache
-def twin(hours: int, days: int, seed: int = 2) -> RoofRecord:
+def twin(hours: int, days: int, seed: int = 2) -> StepRecord:
     """Return a record with a noise of 2 mm and steps of this many hours; 0 means five minutes."""
     return record_of(record_rows(TWIN, 150, seed, gaps=False)[:1 + days * DAY], hours)
 
@@ -90,7 +90,8 @@ def test_runoff_alone_tells_only_what_the_soil_holds_between() -> None:
     capacity = by_name["field_capacity"]
     assert capacity.value - 0.02 == pytest.approx(true, rel=0.05)
     assert capacity.low < TWIN.field_capacity < capacity.high
-    highest = next(span.high for span in ranges(ELSEWHERE, record) if span.name == "wilting_point")
+    spans = {span.name: span for span in list_ranges(ELSEWHERE, record)}
+    highest = spans["wilting_point"].high
     assert capacity.high - capacity.value == pytest.approx(highest - 0.02, rel=0.15)
 
 
@@ -158,13 +159,13 @@ def test_a_mean_has_the_interval_of_students_t() -> None:
     values = np.array([2.0, 3.5, 1.0, 4.0, 2.5, 6.0])
     count = len(values)
     groups = np.arange(count)
-    moved = moves(np.ones((count, 1)), values.mean() - values, groups)
+    moved = find_moves(np.ones((count, 1)), values.mean() - values, groups)
     expected = student.ppf(0.975, count - 1) * values.std(ddof=1) / np.sqrt(count)
-    assert half_intervals(moved) == pytest.approx([expected])
-    alone = moves(np.ones((3, 1)), np.array([1.0, -2.0, 1.0]), np.zeros(3, dtype=np.int64))
-    assert half_intervals(alone).tolist() == [np.inf]
-    assert freedom(np.ones((count, 1)), groups) == pytest.approx([count - 1])
-    assert freedom(np.array([[10.0], *[[1.0]] * 5]), groups)[0] < 0.5 * (count - 1)
+    assert compute_half_intervals(moved) == pytest.approx([expected])
+    alone = find_moves(np.ones((3, 1)), np.array([1.0, -2.0, 1.0]), np.zeros(3, dtype=np.int64))
+    assert compute_half_intervals(alone).tolist() == [np.inf]
+    assert count_freedom(np.ones((count, 1)), groups) == pytest.approx([count - 1])
+    assert count_freedom(np.array([[10.0], *[[1.0]] * 5]), groups)[0] < 0.5 * (count - 1)
 
 
 def test_intervals_hold_the_truth_however_few_weeks_have_storms() -> None:
@@ -181,8 +182,8 @@ def test_intervals_hold_the_truth_however_few_weeks_have_storms() -> None:
         noise = random.normal(size=len(groups))
         moved = np.linalg.lstsq(jacobian, noise, rcond=None)[0]  # the truth is 0
         residuals = jacobian @ moved - noise
-        held += int(abs(moved[0]) <= grouped_intervals(jacobian, residuals, groups)[0])
-        own = half_intervals(moves(jacobian, residuals, groups))
+        held += int(abs(moved[0]) <= compute_intervals(jacobian, residuals, groups)[0])
+        own = compute_half_intervals(find_moves(jacobian, residuals, groups))
         too_narrow += int(abs(moved[0]) <= own[0])
     assert held / trials > 0.93  # three standard errors below 0.95 are 0.923
     assert held >= too_narrow
@@ -193,7 +194,7 @@ def test_a_parameter_that_one_week_alone_tells_has_no_interval() -> None:
     """Without that week nothing is left; the others have theirs."""
     jacobian = np.array([[1.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.5, 1.0]])
     groups = np.array([0, 1, 2, 3, 0])
-    half = grouped_intervals(jacobian, np.array([0.1, -0.1, 0.2, -0.2, 0.0]), groups)
+    half = compute_intervals(jacobian, np.array([0.1, -0.1, 0.2, -0.2, 0.0]), groups)
     assert half[0] == np.inf and 0 < half[1] < np.inf
-    assert grouped_intervals(jacobian[:1], np.zeros(1), groups[:1]).tolist() == [np.inf, np.inf]
+    assert compute_intervals(jacobian[:1], np.zeros(1), groups[:1]).tolist() == [np.inf, np.inf]
 

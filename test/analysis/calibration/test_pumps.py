@@ -11,7 +11,7 @@ from refusals import refusal
 from twins import DAY, NOISE_M, STEP_S, TWIN, a_record, storms
 
 from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
-from greenroof_ros.analysis.calibration.record import RoofRecord
+from greenroof_ros.formats.step_record import StepRecord
 from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
 
@@ -23,7 +23,7 @@ SITE = replace(TWIN, a_in=1000.0)
 @cache
 def twin(
     site: Site, days: int, seed: int = 1, *, refills: bool = False
-) -> RoofRecord:
+) -> StepRecord:
     """A cistern with pumps that run twice a day: ten minutes at full command, twenty at half.
 
     With refills, once a week 1 to 5 m3 come
@@ -54,7 +54,7 @@ def twin(
     return a_record(rain, float(STEP_S), cistern=cistern, command=command)
 
 
-def later(record: RoofRecord, steps: int) -> RoofRecord:
+def later(record: StepRecord, steps: int) -> StepRecord:
     """Return a record with a pump state that is late by some steps; the pumps stand at its ends."""
     return replace(record, command=np.roll(record.command, steps))
 

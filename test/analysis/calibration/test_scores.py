@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greenroof_ros.analysis.calibration.record import time_name
 from greenroof_ros.analysis.calibration.scores import efficiency, kling_gupta, score
+from greenroof_ros.formats.step_record import name_time
 
 
 def test_nash_and_sutcliffe_kling_and_gupta() -> None:
@@ -54,4 +54,4 @@ def test_gaps_say_nothing_of_a_level() -> None:
 
 def test_times_have_names() -> None:
     seconds = (300, 3600, 86400, 172800, 90)
-    assert [*map(time_name, seconds)] == ["5 min", "1 h", "1 day", "2 days", "90 s"]
+    assert [*map(name_time, seconds)] == ["5 min", "1 h", "1 day", "2 days", "90 s"]

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from twins import TWIN, a_record, storms
 
-from greenroof_ros.analysis.calibration.record import RoofRecord
-from greenroof_ros.analysis.calibration.simulation import least_reading, simulate
+from greenroof_ros.analysis.calibration.simulation import find_min_reading, simulate
+from greenroof_ros.formats.step_record import StepRecord
 from greenroof_ros.model.plant import Plant
 
 TICK_S = 5.0
 
 
-def by_the_plant(record: RoofRecord, filled: float) -> tuple[np.ndarray, np.ndarray]:
+def by_the_plant(record: StepRecord, filled: float) -> tuple[np.ndarray, np.ndarray]:
     """Return runoff (mm) and level (m) of each step, from the plant with ticks of seconds."""
     plant = Plant(
         replace(TWIN, tau=TICK_S, z_o=1e9), 1e6,
@@ -71,13 +71,13 @@ def test_a_counter_of_tips_misses_nothing() -> None:
         (flows, 0.01, flows.min()),
     ):
         record = replace(a_record(np.zeros(6), runoff=runoff), last_decimal=last_decimal)
-        assert least_reading(record) == minimum
+        assert find_min_reading(record) == minimum
 
 
 def test_a_flow_meter_shows_nothing_below_its_minimum() -> None:
     """The lowest readings of Neubrandenburg's meter, which are not multiples of a tip."""
     readings = np.array([0, 0.00605509, 0.01215386, 0.01829655, 0.02448339, 0.03071464])
-    minimum = least_reading(a_record(np.zeros(6), runoff=readings))
+    minimum = find_min_reading(a_record(np.zeros(6), runoff=readings))
     assert minimum == pytest.approx(0.00605509)
     record = a_record(np.where(np.arange(600) == 5, 20.0, 0.0))
     runoff, shown = (simulate(TWIN, record, 1.0, reading).runoff for reading in (0.0, minimum))

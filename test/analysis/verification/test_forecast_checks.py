@@ -20,7 +20,7 @@ def cases(
     fell, elsewhere = rng.gamma(0.5, 2.0, (2, hours)) * (rng.random((2, hours)) < 0.06)
     tallies = {}
     for day, share in enumerate(shares):
-        tally = Tally(1.0, 1)
+        tally = Tally(1.0)
         tally.add(share * (fell if known else elsewhere)[None], fell)
         tallies[Class(24 * day, 24 * day + 24, Sum(1, 1.0))] = tally
     return check_forecasts(tallies, previous_runs=previous_runs)

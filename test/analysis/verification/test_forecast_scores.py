@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from greenroof_ros.analysis.verification.scores import Tally, crps, rank_counts
+from greenroof_ros.analysis.verification.scores import Tally, crps
 
 # Finley's tornado forecasts of 1884 in Wilks (2011, Sect. 8.2), with 28 hits, 72 false alarms and
 # 23 misses; also www.cawcr.gov.au/projects/verification/Finley. And the rain of the WWRP working
@@ -29,7 +29,7 @@ def test_events(
     """From pairs, one for each case in the table."""
     cases = [(9.0, 9.0), (9.0, 0.0), (0.0, 9.0), (0.0, 0.0)]
     pairs = np.repeat(np.array(cases), table, axis=0)
-    tally = Tally(3.0, 1)
+    tally = Tally(3.0)
     tally.add(pairs[None, :1000, 0], pairs[:1000, 1])
     tally.add(pairs[None, 1000:, 0], pairs[1000:, 1])
     assert tally.table.tolist() == list(table)
@@ -42,7 +42,7 @@ def test_events(
 
 def test_an_event_begins_at_its_amount() -> None:
     """For both the forecast and the observation."""
-    tally = Tally(3.0, 1)
+    tally = Tally(3.0)
     tally.add(np.array([[3.0, 3.0, 2.9, 2.9]]), np.array([3.0, 2.9, 3.0, 2.9]))
     assert tally.table.tolist() == [1, 1, 1, 1]
 
@@ -53,7 +53,7 @@ def test_moments_and_missing(members: int) -> None:
     chance = np.random.default_rng(members)
     forecast = chance.gamma(0.2, 5.0, (members, 500))
     observed = 0.5 * forecast[0] + chance.gamma(0.2, 5.0, 500)
-    tally = Tally(5.0, members)
+    tally = Tally(5.0)
     for low, high in ((0, 100), (100, 101), (101, 500)):
         tally.add(forecast[:, low:high], observed[low:high])
     holes = np.array([1.0, np.nan])
@@ -68,14 +68,14 @@ def test_moments_and_missing(members: int) -> None:
 
 def test_nothing_to_be_scored() -> None:
     """No pairs, no rain, no events: exactly the undefined scores are NaN."""
-    tally = Tally(5.0, 1)
+    tally = Tally(5.0)
     assert tally.scores().n == 0 and all(map(math.isnan, tally.scores()[1:]))
     tally.add(np.zeros((1, 7)), np.zeros(7))
     scores = tally.scores()
     assert (scores.n, scores.brier, scores.crps) == (7, 0.0, 0.0)
     assert all(map(math.isnan, scores[1:6]))
     # A constant without an exact binary value is still a constant.
-    tally = Tally(5.0, 1)
+    tally = Tally(5.0)
     tally.add(np.full((1, 1000), 0.1), np.linspace(0, 9, 1000))
     assert math.isnan(tally.scores().r)
 
@@ -105,31 +105,9 @@ def test_crps_is_the_integral_made_fair(members: list[float], observed: float) -
     assert got.tolist() == pytest.approx([expected], rel=1e-9, abs=1e-9)
 
 
-# --- probabilities and ranks -------------------------------------------------------------------
-
-
-def test_reliability_by_hand() -> None:
-    """Four members: three quarters are nearest to eight tenths.
-
-    Brier's score is the mean of 1/16, 9/16 and 1.
-    """
-    tally = Tally(1.0, 4)
+def test_briers_score_by_hand() -> None:
+    """Four members, of which three, three and none forecast the event: 1/16, 9/16 and 1."""
+    tally = Tally(1.0)
     forecast = np.array([[2.0, 2.0, 0.0], [2.0, 2.0, 0.0], [2.0, 2.0, 0.0], [0.0, 0.0, 0.0]])
     tally.add(forecast, np.array([5.0, 0.0, 1.0]))
-    assert tally.reliability[8].tolist() == [2.0, 1.5, 1.0]
-    assert tally.reliability[0].tolist() == [1.0, 0.0, 1.0]
-    assert tally.reliability.sum() == 6.5
     assert tally.scores().brier == pytest.approx(13 / 24)
-
-
-def test_ranks_by_hand() -> None:
-    """Below, between and above; a value equal to members is shared among their ranks."""
-    forecast = np.array([[1.0, 1.0, 1.0, 0.0, 0.0], [2.0, 2.0, 2.0, 0.0, 0.0],
-                         [3.0, 3.0, 3.0, 0.0, 4.0]])
-    observed = np.array([0.5, 2.5, 9.0, 0.0, 0.0])
-    assert rank_counts(forecast[:, :3], observed[:3]).tolist() == [1, 0, 1, 1]
-    assert rank_counts(forecast[:, 3:4], observed[3:4]).tolist() == [0.25] * 4
-    third = 1 / 3
-    assert rank_counts(forecast[:, 4:], observed[4:]).tolist() == pytest.approx(
-        [third, third, third, 0.0], abs=1e-15
-    )

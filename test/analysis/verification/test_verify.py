@@ -16,8 +16,8 @@ from commands import run_command
 from places import DATA
 from scipy import stats
 
+from greenroof_ros.formats.forecasts import IssuedForecast
 from greenroof_ros.formats.own_csv import write_forecasts
-from greenroof_ros.formats.records import Issue
 
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
 JULY = DATA / "en_climate_hourly_07-2021.csv"
@@ -114,7 +114,7 @@ def test_previous_runs_by_their_definition(tmp_path: Path) -> None:
 def test_runs_by_lead(tmp_path: Path) -> None:
     """An ensemble of two runs: each hour's lead counts from its run, with all its members."""
     (tmp_path / "runs.csv").write_text(write_forecasts([
-        Issue(FIRST + hour * HOUR, tmp_path, None, np.repeat([members], 12, axis=0).T)
+        IssuedForecast(FIRST + hour * HOUR, tmp_path, None, np.repeat([members], 12, axis=0).T)
         for hour, members in ((0, (0.0, 2.0)), (6, (4.0, 1.0)))
     ]))
     write_gauge(tmp_path / "own.csv", [0.0] * 6 + [1.0] * 6 + [3.0] * 6 + [0.0] * 6)
@@ -144,7 +144,7 @@ def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
     rain = rain_of_july()[1:]  # the first row's hour was before the records
     first = datetime.fromisoformat("2021-07-01T00:00-05:00")
     (tmp_path / "right.csv").write_text(write_forecasts([
-        Issue(first + hour * HOUR, tmp_path, None, np.array([rain[hour:hour + 24]]))
+        IssuedForecast(first + hour * HOUR, tmp_path, None, np.array([rain[hour:hour + 24]]))
         for hour in range(0, len(rain), 24)
     ]))
     (hourly,) = scores(
@@ -179,7 +179,7 @@ def test_models_of_the_package(tmp_path: Path) -> None:
 
 
 def test_the_page_draws_everything_and_asks_for_nothing(tmp_path: Path) -> None:
-    """For an ensemble six panels by lead, then four of reliability and four of ranks."""
+    """Six panels by lead."""
     printed = succeed(
         tmp_path, "verify", "ensemble", "--forecast-members", "5", "--weather", str(JULY),
         "-o", "page.html",
@@ -190,7 +190,7 @@ def test_the_page_draws_everything_and_asks_for_nothing(tmp_path: Path) -> None:
         "lead", "sum", "of", "event", "n", "bias", "r", "POD", "FAR", "ETS", "Brier", "CRPS", "mm",
     ]
     assert max(map(len, printed.splitlines())) <= 80
-    with drawn_page(tmp_path / "page.html", 14) as opened:
+    with drawn_page(tmp_path / "page.html", 6) as opened:
         assert opened.locator("tbody tr").count() == 20
         assert "124 issues of 5 members" in opened.inner_text("header")
 
@@ -236,7 +236,8 @@ def test_notes_of_what_was_left_out(tmp_path: Path) -> None:
     """Of the archive and of the records, on standard error."""
     write_gauge(tmp_path / "gauge.csv", [0.1] * 30 + [-999] + [0.1] * 41)
     issues = [
-        Issue(FIRST + day * 24 * HOUR, tmp_path, None, np.full((3, 24), 0.2)) for day in range(3)
+        IssuedForecast(FIRST + day * 24 * HOUR, tmp_path, None, np.full((3, 24), 0.2))
+        for day in range(3)
     ]
     lines = write_forecasts(issues).splitlines()
     lines[-1] = lines[-1].rpartition(",")[0] + ",-777"

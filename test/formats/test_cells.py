@@ -1,4 +1,4 @@
-"""What all CSV formats share, one case for each rule."""
+"""What all formats of text share, one case for each rule."""
 
 from __future__ import annotations
 
@@ -9,17 +9,27 @@ import numpy as np
 import pytest
 from refusals import refusal
 
-from greenroof_ros.formats.records import Table, Unit, numbered_lines, table_of
+from greenroof_ros.common.ranges import Range, read_number
+from greenroof_ros.formats.cells import Column, Table, number_lines, read_table
+from greenroof_ros.formats.quantities import QUANTITIES, Quantity, Unit
 
 FILE = Path("hours.csv")
-RAIN = ("mm/h", 0.0, 500.0)
+RAIN = QUANTITIES["precipitation"]
 HEADER = "# A comment\n\ntime, rain [mm/h] ,temperature\n"
 ROWS = ["2021-07-07T03:00-05:00, 0.2,20", "2021-07-07T04:00-05:00,3.0,21"]
 
 
 def table(*rows: str, header: str = HEADER) -> Table:
     """Return a table with its first row in line 4."""
-    return table_of(FILE, numbered_lines([header + "\n".join(rows) + "\n"]))
+    return read_table(FILE, number_lines([header + "\n".join(rows) + "\n"]))
+
+
+def values_of(read: Table, name: str, quantity: Quantity, unit: Unit | None = None) -> np.ndarray:
+    """Return the values of a column."""
+    column = Column(read, name, quantity, unit)
+    for row in read.rows:
+        column.add(row)
+    return column.judge()
 
 
 def test_cells_numbers_and_times() -> None:
@@ -29,13 +39,14 @@ def test_cells_numbers_and_times() -> None:
     """
     read = table(ROWS[0], "# gauge read", "", ROWS[1])
     assert read.header == ["time", "rain [mm/h]", "temperature"]
-    assert read.numbers("rain [mm/h]", RAIN).tolist() == [0.2, 3.0]
-    first, hours = read.hours("time")
-    assert read.lines.tolist() == [4, 7]
+    rain = Column(read, "rain [mm/h]", RAIN)
+    first, hours = read.read_hours("time", [rain])
+    assert rain.judge().tolist() == [0.2, 3.0]
     assert first == datetime.fromisoformat("2021-07-07T03:00-05:00")
     assert hours.tolist() == [0, 1]
-    lines = numbered_lines([f"{HEADER}2021-07-07T03:00-05:00\n{ROWS[1]}\n"])
-    assert table_of(FILE, lines, {"rain [mm/h]"}.__contains__).columns["temperature"] == ["", "21"]
+    lines = number_lines([f"{HEADER}2021-07-07T03:00-05:00\n# none\n{ROWS[1]}\n"])
+    rows = [*read_table(FILE, lines, {"rain [mm/h]"}.__contains__).rows]
+    assert [(row.line, row.cells[2]) for row in rows] == [(4, ""), (6, "21")]
 
 
 def test_what_is_no_table() -> None:
@@ -47,18 +58,29 @@ def test_what_is_no_table() -> None:
          ", line 5: is not valid CSV: unexpected end of data"),
         ([], ": has a header but no records"),
     ):
-        assert refusal(lambda rows: table(*rows).columns, rows) == f"{FILE}{reason}"
-    assert refusal(table_of, FILE, []) == (
+        assert refusal(lambda rows: [*table(*rows).rows], rows) == f"{FILE}{reason}"
+    assert refusal(read_table, FILE, []) == (
         f"{FILE}: holds only comments; a header and records must follow"
     )
 
 
-@pytest.mark.parametrize("text", ["M", "", "-0.1", "500.1", "nan"])
+@pytest.mark.parametrize("text", ["1_0", "1__0", "١٢", "0x10", "1,2,3", "1 000", "", "ten"])
+def test_texts_that_are_no_numbers(text: str) -> None:
+    """In files and in options alike; Python's float takes the first and the third for numbers."""
+    with pytest.raises(ValueError):  # noqa: PT011 - any
+        read_number(text)
+    for whole in (False, True):
+        with pytest.raises(ValueError, match="must be a"):
+            Range(0, 500, whole=whole).parse(text)
+
+
+@pytest.mark.parametrize("text", ["M", "", "-0.1", "500.1", "nan", "1_0"])
 def test_numbers_that_are_not_believed(text: str) -> None:
     """The error has file, line, column and value, and the range that would be right."""
-    read = table(ROWS[0], f"2021-07-07T04:00-05:00,{text},1")
-    assert refusal(read.numbers, "rain [mm/h]", RAIN) == (
-        f"{FILE}, line 5: rain [mm/h] = {text!r}: must be a number from 0 to 500 mm/h"
+    read = table(f"2021-07-07T04:00-05:00,{text},1")
+    limits = Range(0.0, 500.0, "mm/h")
+    assert refusal(read.read_number, read.first, "rain [mm/h]", limits) == (
+        f"{FILE}, line 4: rain [mm/h] = {text!r}: must be a number from 0 to 500 mm/h"
     )
 
 
@@ -68,19 +90,21 @@ def test_numbers_that_are_not_believed(text: str) -> None:
 )
 def test_separators_and_decimal_commas(text: str) -> None:
     """Semicolons and tabs as well as commas; rows without text are left out."""
-    read = table_of(FILE, numbered_lines([text]))
-    assert [float(read.columns[name][0]) for name in "ab"] == [-0.2, 1.5]
+    (row,) = read_table(FILE, number_lines([text])).rows
+    assert [read_number(cell) for cell in row.cells[1:]] == [-0.2, 1.5]
 
 
 def test_missing_values_and_other_units() -> None:
     """A missing value is NaN; the range is given in the unit of the file."""
-    read = table("2021-07-07T03:00Z,1,68", "2021-07-07T04:00Z,,NaN", "2021-07-07T05:00Z,1,200")
-    limits, unit = ("degC", -90.0, 60.0), Unit("°F", 1.8, 32.0)
-    assert refusal(read.numbers, "temperature", limits, unit, ("", "NaN")) == (
-        f"{FILE}, line 6: temperature = '200': must be a number from -130 to 140 °F, or empty"
+    rows = ["2021-07-07T03:00Z,1,68", "2021-07-07T04:00Z,,NaN", "2021-07-07T05:00Z,1,x2"]
+    warmth, unit = QUANTITIES["temperature"], Unit("°F", 1.8, 32.0)
+    assert values_of(table(*rows), "temperature", warmth, unit) == pytest.approx(
+        [20.0, np.nan, np.nan], nan_ok=True
     )
-    values = read.numbers("temperature", ("degC", -90.0, 100.0), unit, ("", "NaN"))
-    assert values[0] == pytest.approx(20.0) and np.isnan(values[1])
+    assert refusal(values_of, table(*rows[1:]), "temperature", warmth, unit) == (
+        f"{FILE}, line 5: temperature = 'x2': must be a number from -130 to 140 °F, or empty; is "
+        "the unit of the column right?"
+    )
 
 
 @pytest.mark.parametrize(
@@ -96,16 +120,16 @@ def test_missing_values_and_other_units() -> None:
 def test_times_that_are_wrong(time: str, reason: str) -> None:
     """The same error, with the hour that is due."""
     read = table(ROWS[0], f"{time},1,1")
-    message = refusal(read.hours, "time")
+    message = refusal(read.read_hours, "time", [])
     assert message.startswith(f"{FILE}, line 5: time = {time!r}: {reason}")
 
 
 def test_columns_that_must_be_there() -> None:
     """Each exactly once."""
     read = table(ROWS[0], header="time,a,a\n")
-    assert refusal(read.require, ["b"], "such files") == (
+    assert refusal(read.require_columns, ["b"], "such files") == (
         f"{FILE}, line 1: must have a column 'b', as such files have"
     )
-    assert refusal(read.require, ["a"], "such files") == (
+    assert refusal(read.require_columns, ["a"], "such files") == (
         f"{FILE}, line 1: 'a': is the name of two columns"
     )

@@ -1,0 +1,429 @@
+"""Tables of text cells: each value is read strictly, and its file, line and column are known.
+
+The standard library's csv reads the text, line by line: polars is in an extra, which the simulation
+does not need, and does not know the line of a row after comments.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+import re
+from array import array
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from datetime import datetime, timedelta, timezone, tzinfo
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_lines
+from greenroof_ros.common.ranges import Range, read_number
+from greenroof_ros.common.times import (
+    DEFAULT_START,
+    FIRST_YEAR,
+    LAST_YEAR,
+    parse_time,
+    time_hint,
+    to_minutes,
+)
+from greenroof_ros.formats.quantities import Quantity, Unit
+
+HOUR = timedelta(hours=1)
+
+MISSING = {"", "nan", "na", "n/a", "#n/a", "n/d", "m", "null", "none", "-", "--", "---", "missing"}
+"""What stands for a missing value, in lower case."""
+# Digits of numbers that do, besides nines.
+_CODES = {
+    "32767", "32768", "65535", "2147483647", "2147483648", "4294967295", "27315", "6999", "7999",
+    "777", "7777", "888", "8888",
+}
+_HUGE = 1e15  # fill values of GRIB are larger
+# Share of a column's values other than 0 that may be neither plausible nor a code: a wrong unit of
+# rain shows in the few wettest hours.
+_MAX_WRONG = 0.01
+_MAX_NAMED = 3
+# A comment, or a spreadsheet's line that names the separator.
+_NO_RECORD = re.compile(r'\s*("?#|sep=.$)')
+_LINE_END = "\r\n"
+_NO_TEXT = f" ,;\t\x1a{_LINE_END}"
+_DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+)$", re.ASCII)
+
+
+class Row(NamedTuple):
+    """A row of a table."""
+
+    number: int
+    """from 0"""
+    line: int | None
+    """in the file; None in JSON"""
+    cells: Sequence[str]
+
+
+class Table:
+    """A header, and rows of cells without surrounding space.
+
+    Attributes:
+        file: where it is from.
+        header: names of the columns.
+        line: line number of the header; None if there are no lines, as in JSON.
+        first: the first row.
+        rows: all rows. They are read one by one, so that an error in one of them is found before
+            the rest of the file is read.
+        notes: what could not be used as it is.
+    """
+
+    def __init__(
+        self, file: Path, header: Sequence[str],
+        rows: Iterable[tuple[int | None, Sequence[str]]], line: int | None = None, key: str = "",
+    ) -> None:
+        """Prepare; only the first of the rows is read.
+
+        Args:
+            file: where it is from.
+            header: names of the columns.
+            rows: line and cells of each row.
+            line: of the header.
+            key: prefix of the columns in JSON, such as ``hourly.``.
+
+        Raises:
+            ConfigurationError: there is no row.
+        """
+        self.file, self.header, self.line = file, header, line
+        self.notes = list[str]()
+        self._key = key
+        self._places = {name: place for place, name in reversed([*enumerate(header)])}
+        numbered = (Row(number, *row) for number, row in enumerate(rows))
+        first = next(numbered, None)
+        if first is None:
+            raise ConfigurationError("has a header but no records", file=file)
+        self.first = first
+        self.rows = itertools.chain([first], numbered)
+
+    def cell(self, row: Row, column: str) -> str:
+        """Return a cell."""
+        return row.cells[self._places[column]]
+
+    def refuse(
+        self, expected: str, column: str | None = None, row: Row | None = None
+    ) -> ConfigurationError:
+        """Return an error that gives the place and text of a cell, or of the header's cell."""
+        if column is None or row is None:
+            return ConfigurationError(expected, file=self.file, line=self.line, value=column)
+        key = f"{self._key}{column.partition(' ')[0]}[{row.number}]" if self._key else column
+        return ConfigurationError(
+            expected, file=self.file, line=row.line, key=key, value=self.cell(row, column)
+        )
+
+    def require_columns(self, columns: Iterable[str], source: str) -> None:
+        """Refuse a header unless it has each of these columns exactly once."""
+        for column in columns:
+            if column not in self.header:
+                raise self.refuse(f"must have a column '{column}', as {source} have")
+            if self.header.count(column) > 1:
+                raise self.refuse("is the name of two columns", column)
+
+    def require_header(self, columns: Sequence[str], why: str) -> None:
+        """Refuse a header with other columns, or another order."""
+        for cell, name in itertools.zip_longest(self.header, columns):
+            if cell != name:
+                wrong = "is one column too many" if name is None else f"the column must be '{name}'"
+                raise self.refuse(f"{wrong}{why}", cell or "")
+
+    def read_number(
+        self, row: Row, column: str, limits: Range, missing: Container[str] = (), hint: str = ""
+    ) -> float:
+        """Return a number, or NaN for a text that stands for a missing value.
+
+        Raises:
+            ConfigurationError: the cell is not a number in these limits; ``hint`` ends the message.
+        """
+        text = self.cell(row, column)
+        if text in missing:
+            return math.nan
+        try:
+            return limits.check(read_number(text))
+        except ValueError:
+            raise self.refuse(limits.expected(text) + hint, column, row) from None
+
+    def read_time(
+        self, row: Row, column: str, parse: Callable[[str], datetime] = parse_time,
+        example: str = DEFAULT_START, hint: str = "", zone: tzinfo | None = None,
+        before: datetime | None = None,
+    ) -> datetime:
+        """Return a time.
+
+        Args:
+            row: its row.
+            column: its column.
+            parse: returns a time, or raises ValueError; by default it reads ISO 8601 with an offset
+                from UTC.
+            example: of a time, for messages.
+            hint: end of the message about a missing offset.
+            zone: of a time without an offset, with its daylight saving time.
+            before: time of the row before. In the hour that a clock shows twice, a time that is not
+                later is the second.
+
+        Raises:
+            ConfigurationError: the cell is not a time, lacks its offset from UTC, or is in an hour
+                that the zone's clocks skip.
+        """
+        text = self.cell(row, column)
+        try:
+            time = parse(text)
+        except ValueError:
+            raise self.refuse(
+                f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}"
+                + time_hint(text), column, row,
+            ) from None
+        if time.tzinfo is not None:
+            return time
+        if zone is None:
+            raise self.refuse(
+                f"must give its offset from UTC, as in {DEFAULT_START}{hint}", column, row
+            )
+        local = time.replace(tzinfo=zone)
+        if local.astimezone(timezone.utc).astimezone(zone).replace(tzinfo=None) != time:
+            raise self.refuse(
+                f"is a time that clocks in {zone} skip; does the record stay on standard time? "
+                "Then write the offset from UTC into each time", column, row,
+            )
+        if before is not None and local.astimezone(timezone.utc) <= before:
+            local = local.replace(fold=1)
+        offset = local.utcoffset()
+        assert offset is not None
+        return time.replace(tzinfo=timezone(offset))
+
+    def read_hours(
+        self, column: str, columns: Iterable[Column],
+        parse: Callable[[str], datetime] = parse_time, example: str = DEFAULT_START,
+    ) -> tuple[datetime, NDArray[np.intp]]:
+        """Read all rows, each of which is an hour.
+
+        An hour without a row is missing.
+
+        Args:
+            column: the column of times.
+            columns: the columns of values, to which each row is added.
+            parse: see :meth:`read_time`.
+            example: see there.
+
+        Returns:
+            The time of the first row, and how many hours after it each row is.
+
+        Raises:
+            ConfigurationError: a time is not a whole number of hours after the row before; or see
+                :meth:`read_time`.
+        """
+        columns = [*columns]
+        first = self.read_time(self.first, column, parse, example)
+        hours: list[int] = []
+        for row in self.rows:
+            time = self.read_time(row, column, parse, example)
+            hour, rest = divmod(time - first, HOUR)
+            if hours and (rest or hour <= hours[-1]):
+                expected = first.astimezone(time.tzinfo) + (hours[-1] + 1) * HOUR
+                raise self.refuse(
+                    f"must be {to_minutes(expected)}, or whole hours later: each row is an hour; "
+                    "an hour without values is a row with empty cells, or none", column, row,
+                )
+            hours.append(hour)
+            for values in columns:
+                values.add(row)
+        return first, np.array(hours, dtype=np.intp)
+
+
+class Column:
+    """The values of a column of a table, in our unit, as they are read row by row.
+
+    A value just outside the range is treated as its end. A code such as -999, a word, a negative
+    value of what cannot be negative, and a few other values that are not plausible are left out.
+    The table's notes name them all.
+    """
+
+    def __init__(
+        self, table: Table, name: str, quantity: Quantity, unit: Unit | None = None, *,
+        optional: bool = False, cell: Callable[[Row], str] | None = None,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            table: of the column.
+            name: of the column.
+            quantity: our unit, and the plausible range.
+            unit: of the column; ours by default.
+            optional: codes alone are as good as no column.
+            cell: returns a row's text; by default the column's.
+        """
+        self._table, self._name, self._quantity = table, name, quantity
+        self._unit = unit or Unit(quantity.unit)
+        self._optional = optional
+        self._cell = cell or (lambda row: table.cell(row, name))
+        self._values = array("d")
+        self._near: list[Row] = []
+        self._codes: list[Row] = []
+        self._wrong: list[Row] = []
+
+    def add(self, row: Row) -> None:
+        """Read the value of a row."""
+        text, value = self._cell(row), math.nan
+        _, low, high, nearly, _ = self._quantity
+        try:
+            number = read_number(text)
+        except ValueError:
+            if text.lower() not in MISSING:
+                (self._wrong if re.search(r"\d", text) else self._codes).append(row)
+        else:
+            ours = (number - self._unit.zero) / self._unit.per_ours
+            if low - nearly <= ours <= high + nearly:
+                value = min(max(ours, low), high)
+                if value != ours:
+                    self._near.append(row)
+            elif not math.isnan(number):
+                below = number <= 0 <= low and ours < low  # 0 of a pressure, too
+                (self._codes if below or _is_code(text, number) else self._wrong).append(row)
+        self._values.append(value)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no row has a cell, apart from those that stand for a missing value."""
+        return not (self._codes or self._wrong) and all(map(math.isnan, self._values))
+
+    def judge(self) -> NDArray[np.float64]:
+        """Return the values of all rows, shape (rows,); NaN for those that cannot be used.
+
+        Raises:
+            ConfigurationError: too few of the values are plausible.
+        """
+        values = np.array(self._values)
+        known = values[~np.isnan(values)]
+        if len(self._wrong) > max(1.0, _MAX_WRONG * np.count_nonzero(known)) or (
+            not known.size and (self._wrong or (self._codes and not self._optional))
+        ):
+            raise self._refuse((self._wrong or self._codes)[0])
+        unit, low, high, *_ = self._quantity
+        self._note(self._near, f"is set to the end of its range, {low:g} to {high:g} {unit}")
+        self._note(
+            sorted(self._codes + self._wrong), "is no plausible value, and is treated as missing"
+        )
+        return values
+
+    def _refuse(self, row: Row) -> ConfigurationError:
+        low, high = (
+            float(f"{end * self._unit.per_ours + self._unit.zero:g}")
+            for end in (self._quantity.low, self._quantity.high)
+        )
+        expected = Range(low, high, self._unit.name).expected(self._table.cell(row, self._name))
+        return self._table.refuse(
+            f"{expected}, or empty; is the unit of the column right?", self._name, row
+        )
+
+    def _note(self, rows: Sequence[Row], what: str) -> None:
+        """Add a note about some cells, with the first of them and their times."""
+        if not rows:
+            return
+        table = self._table
+        times = next(
+            (name for name in table.header if re.match(r"(date|time|issued)", name, re.I)),
+            table.header[0],
+        )
+        named = [
+            f"{table.cell(row, self._name)} at {table.cell(row, times)}"
+            for row in rows[:_MAX_NAMED]
+        ]
+        if len(rows) > _MAX_NAMED:
+            named.append(f"{len(rows) - _MAX_NAMED} more")
+        table.notes.append(f"{table.file.name}: {self._name} of {' and '.join(named)} {what}")
+
+
+def _is_code(text: str, number: float) -> bool:
+    """Return whether a value outside its range is one that stands for a missing value."""
+    digits = text.lstrip("+-").replace(".", "").strip("0")
+    return not abs(number) < _HUGE or digits in _CODES or re.fullmatch("9{2,}", digits) is not None
+
+
+def judge_columns(columns: Mapping[str, Column]) -> dict[str, NDArray[np.float64]]:
+    """Return the values of columns of which all rows were read; see :meth:`Column.judge`."""
+    return {name: column.judge() for name, column in columns.items()}
+
+
+def number_lines(text: Iterable[str]) -> Iterator[tuple[int, str]]:
+    """Yield the lines that are neither comments (``#``) nor without text, numbered from 1.
+
+    Nor is a spreadsheet's first line that names the separator.
+    """
+    lines = itertools.chain.from_iterable(part.splitlines(keepends=True) for part in text)
+    for number, line in enumerate(lines, start=1):
+        if line.strip(_NO_TEXT) and not _NO_RECORD.match(line):
+            yield number, line
+
+
+def read_table(
+    file: Path, lines: Iterable[tuple[int, str]] | None = None,
+    observed: Callable[[str], bool] = lambda _: False,
+) -> Table:
+    """Read CSV as a table; a quoted cell must end in its line.
+
+    Cells are separated by commas, semicolons or tabs: what the header has most of. A number
+    may have a decimal comma.
+
+    Args:
+        file: the file.
+        lines: those of the table, the header first, as :func:`number_lines` yields them; by default
+            all of the file.
+        observed: whether a column is one of values. A row that ends before the first of them is an
+            hour that is missing: its other cells are empty.
+
+    Raises:
+        ConfigurationError: the file cannot be read; there is no header or no row; a row has more or
+            fewer cells than the header; or a quote is left open or followed by text. A row is
+            refused when it is read; one that is cut off by the end of the file is only noted.
+    """
+    numbered = iter(number_lines(read_lines(file)) if lines is None else lines)
+    line, text = next(numbered, (0, ""))
+    if not line:
+        raise ConfigurationError("holds only comments; a header and records must follow", file=file)
+    separator = max(",;\t", key=text.count)
+    header = _split(file, line, text, separator)
+    while header and not header[-1]:  # separators at the end of each line
+        header.pop()
+    first = next((index for index, name in enumerate(header) if observed(name)), 0)
+
+    def rows() -> Iterator[tuple[int, list[str]]]:
+        begun = False
+        for line, text in numbered:
+            cells = _split(file, line, text, separator)
+            if begun and len(cells) < len(header) and text == text.rstrip(_LINE_END):
+                table.notes.append(f"{file.name}: line {line} is cut off, and left out")
+                return
+            begun = True
+            if len(cells) <= first:
+                cells += [""] * (len(header) - len(cells))
+            elif not any(cells[len(header) :]):
+                del cells[len(header) :]
+            if len(cells) != len(header):
+                hint = ""
+                if separator == "," and len(cells) > len(header):
+                    hint = "; a decimal comma needs quotes, or semicolons between the cells"
+                raise ConfigurationError(
+                    f"must have {len(header)} cells, like the header, not {len(cells)}{hint}",
+                    file=file, line=line,
+                )
+            yield line, cells
+
+    table = Table(file, header, rows(), line)
+    return table
+
+
+def _split(file: Path, line: int, text: str, separator: str) -> list[str]:
+    try:
+        cells = next(csv.reader([text], delimiter=separator, strict=True))
+    except csv.Error as error:
+        raise ConfigurationError(f"is not valid CSV: {error}", file=file, line=line) from error
+    return [
+        _DECIMAL_COMMA.sub(r"\1.\2", cell.strip()) if "," in cell else cell.strip()
+        for cell in cells
+    ]

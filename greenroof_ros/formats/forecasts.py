@@ -1,0 +1,227 @@
+"""Forecasts as they were issued: one each, and archives of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import hours_since_1970, to_minutes
+from greenroof_ros.formats.hourly import bridge_gaps
+from greenroof_ros.model.look_ahead import MAX_MEMBERS
+
+# Maximum gap of temperature and evapotranspiration in a forecast that is bridged (h).
+_MAX_BRIDGE_H = 6
+ISSUE_HOURS = 6
+"""Interval at which services start runs of a global model (h): at 00, 06, 12 and 18 UTC."""
+SERVICE_DELAY_H = 6.0
+"""Time from a run's nominal time until a service has it (h). Open-Meteo, Single Runs API:
+"typically 4-6 hours for global models"."""
+
+
+@dataclass(frozen=True)
+class IssuedForecast:
+    """A forecast of a file.
+
+    Attributes:
+        issued: its nominal time, at which its first hour starts.
+        file: where it is from.
+        line: its first line in the file; None if unknown.
+        rain: mm/h, shape (members, hours).
+        evapotranspiration: mm/day, shape (hours,); None if the file has none.
+        temperature: of the air (degC), likewise.
+        available: when it arrived; None for the archive's delay after its nominal time.
+        notes: what could not be used as it is.
+    """
+
+    issued: datetime
+    file: Path
+    line: int | None
+    rain: NDArray[np.float64]
+    evapotranspiration: NDArray[np.float64] | None = None
+    temperature: NDArray[np.float64] | None = None
+    available: datetime | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def hours(self) -> int:
+        """Number of hours."""
+        return len(self.rain[0])
+
+    @property
+    def order(self) -> tuple[datetime, datetime]:
+        """What issues are sorted by: nominal time, then arrival."""
+        return self.issued, self.available or self.issued
+
+    def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
+        """Return evapotranspiration some hours ahead (mm/day); None if the file has none.
+
+        After its end the issue repeats its last day, or its last hour if it is shorter than a day.
+        """
+        if self.evapotranspiration is None:
+            return None
+        last = self.hours - 1
+        index = ahead - 24 * np.maximum(-((last - ahead) // 24), 0)
+        return self.evapotranspiration[np.where(index < 0, last, index)]
+
+
+def join_members(numbered: Iterable[tuple[float, IssuedForecast]]) -> IssuedForecast:
+    """Return one issue of all members, each given as its number and an issue of that member alone.
+
+    Members that end early are missing (NaN) from then on.
+
+    Raises:
+        ConfigurationError: the numbers are not 0, 1, 2 and so on, or there are too many.
+    """
+    ordered = sorted(numbered, key=lambda member: member[0])
+    numbers, issues = [number for number, _ in ordered], [issue for _, issue in ordered]
+    first, wrong = issues[0], ""
+    if numbers != list(range(len(numbers))):
+        wrong = (
+            f"has members {', '.join(f'{number:g}' for number in numbers)}; they must be 0, 1, 2 "
+            "and so on, each once"
+        )
+    elif len(numbers) > MAX_MEMBERS:
+        wrong = f"has {len(numbers)} members; at most {MAX_MEMBERS} are allowed"
+    if wrong:
+        raise ConfigurationError(
+            f"the issue of {to_minutes(first.issued)} {wrong}", file=first.file, line=first.line
+        )
+    rain = np.full((len(issues), max(issue.hours for issue in issues)), np.nan)
+    for row, issue in zip(rain, issues, strict=True):
+        row[: issue.hours] = issue.rain[0]
+    notes = tuple(note for issue in issues for note in issue.notes)
+    return replace(first, rain=rain, notes=notes)
+
+
+def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
+    """Return an issue without missing values, with notes of what was done.
+
+    A missing hour of rain has the mean of its neighbours, and temperature and evapotranspiration
+    are bridged likewise for up to six hours. A member that still has less than half the hours of
+    the longest is left out, and so is such a temperature. The issue ends where another member,
+    evapotranspiration or temperature does.
+
+    Raises:
+        ConfigurationError: nothing is left.
+    """
+    rain = np.array([bridge_gaps(series, 1) for series in issue.rain])
+    if issue.hours > 1:  # the first hour has one neighbour
+        rain[:, 0] = np.where(np.isnan(rain[:, 0]), rain[:, 1], rain[:, 0])
+    lengths = [_count_complete_hours(series) for series in rain]
+    used = [number for number, hours in enumerate(lengths) if hours and 2 * hours >= max(lengths)]
+    if not used:
+        raise ConfigurationError(
+            f"has no precipitation after its run, {to_minutes(issue.issued)}", file=issue.file,
+            line=issue.line,
+        )
+    notes = [
+        f"member {number} is left out: it has {hours} hours, and others {max(lengths)}"
+        for number, hours in enumerate(lengths) if number not in used
+    ]
+    hours = min(lengths[number] for number in used)
+    evapotranspiration, temperature = (
+        series if series is None else bridge_gaps(series, _MAX_BRIDGE_H)
+        for series in (issue.evapotranspiration, issue.temperature)
+    )
+    if evapotranspiration is not None:
+        hours = min(hours, _count_complete_hours(evapotranspiration))
+        if not hours:
+            raise ConfigurationError(
+                f"has no evapotranspiration at {to_minutes(issue.issued)}", file=issue.file,
+                line=issue.line,
+            )
+    if temperature is not None:
+        known = _count_complete_hours(temperature)
+        if 2 * known < hours:
+            notes.append(f"temperature is left out: it has {known} hours, and others {hours}")
+            temperature = None
+        else:
+            hours = min(hours, known)
+    if hours < max(lengths):
+        notes.append(f"ends after {hours} of {max(lengths)} hours, from which something is missing")
+    count = int(np.isnan(issue.rain[used, :hours]).sum())
+    if count:
+        notes.append(f"{count} missing hours of precipitation have the mean of their neighbours")
+    return replace(
+        issue, rain=rain[used, :hours],
+        notes=(*issue.notes, *(
+            f"{issue.file.name}, issue of {to_minutes(issue.issued)}: {note}" for note in notes
+        )),
+        evapotranspiration=None if evapotranspiration is None else evapotranspiration[:hours],
+        temperature=None if temperature is None else temperature[:hours],
+    )
+
+
+def _count_complete_hours(series: NDArray[np.float64]) -> int:
+    """Return the number of values before the first that is missing."""
+    return int(np.append(np.isnan(series), True).argmax())
+
+
+def check_same_form(earlier: IssuedForecast, later: IssuedForecast) -> None:
+    """Refuse an issue of an archive that repeats the issue before it, or has a different form.
+
+    Raises:
+        ConfigurationError: it repeats it, or has other quantities.
+    """
+    wrong, when = "", to_minutes(later.issued)
+    if earlier.order == later.order:
+        wrong = f"has the issue of {when}, which {earlier.file.name} has already"
+    elif (earlier.evapotranspiration is None) != (later.evapotranspiration is None):
+        wrong = f"must have a column of evapotranspiration, or none, like {earlier.file.name}"
+    if wrong:
+        raise ConfigurationError(wrong, file=later.file, line=later.line)
+
+
+@dataclass(frozen=True)
+class Archive:
+    """Forecasts as they were issued.
+
+    Attributes:
+        source: the file or directory.
+        kind: what it is, in words.
+        issues: at least one, in order of time, all with the same number of members.
+        delay: time after its nominal time from which an issue is known (h).
+        verified: the issues to verify, mostly the same ones; their rain can be NaN.
+        finest_lead: finest lead resolution at which it can be verified (h).
+        notes: what could not be used as it is.
+    """
+
+    source: Path
+    kind: str
+    issues: Sequence[IssuedForecast]
+    delay: float
+    verified: Sequence[IssuedForecast]
+    finest_lead: int = 1
+    notes: tuple[str, ...] = ()
+
+    @property
+    def members(self) -> int:
+        """Number of members of each issue."""
+        return len(self.issues[0].rain)
+
+
+def find_newest_issue(first: datetime, hour: int) -> tuple[int, int]:
+    """Return the time of the issue that is the newest in an hour of the records.
+
+    An issue counts as known from its time of issue on; callers subtract a service's delay from
+    ``hour``. It is the newest until the next one. If records do not begin on a whole hour of UTC,
+    an issue counts from the first hour of the records that begins after it. An issue made before
+    the records keeps its own time; the first record then stands for the hours before it.
+
+    Args:
+        first: start of hour 0.
+        hour: index of the hour.
+
+    Returns:
+        Hours since 1970, and the index of the first hour of the records from then on, negative if
+        it was made before them.
+    """
+    since_1970 = hours_since_1970(first)
+    issue = (since_1970 + hour) // ISSUE_HOURS * ISSUE_HOURS
+    return issue, issue - since_1970

@@ -1,0 +1,238 @@
+"""Hourly records of weather: their missing hours, and several files as one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import to_minutes
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.quantities import DEW_POINT, HUMIDITY, TEMPERATURE
+
+_MINUTE = timedelta(minutes=1)
+
+
+@dataclass(frozen=True)
+class Records:
+    """Consecutive hours; each record is for the hour that starts at its time.
+
+    Attributes:
+        files: where they come from, in order of time.
+        first: start of the first hour, with its offset from UTC.
+        values: of each quantity of :data:`.quantities.QUANTITIES` that the files have, in its unit
+            there, or of each forecast by its column, shape (hours,); NaN if missing.
+        method: of the evapotranspiration among them; empty if there is none.
+        shifted: quantities that the files have at the end of their hour, moved to its start.
+        rain_late: delay of the rain's time (h): 1 if the files give rain at the end of its hour and
+            it was not moved to the start, otherwise 0.
+        filled: for each quantity, whether an hour was missing and filled, shape (hours,).
+        left_out: what could not be used as it is, in sentences that name it.
+        empty: quantities of the files without any value.
+        places: latitude and longitude (degrees) of each file that gives them, by file.
+        wind_height: height at which the wind was measured (m); None if it is in the site file.
+    """
+
+    files: tuple[Path, ...]
+    first: datetime
+    values: dict[str, NDArray[np.float64]]
+    method: str = ""
+    shifted: tuple[str, ...] = ()
+    rain_late: int = 0
+    filled: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    empty: tuple[str, ...] = ()
+    places: dict[Path, tuple[float, float]] = field(default_factory=dict)
+    wind_height: float | None = None
+
+    @property
+    def hours(self) -> int:
+        """Number of hours."""
+        return len(next(iter(self.values.values())))
+
+    @property
+    def source(self) -> str:
+        """Name of all files, for messages and tables."""
+        return name_files(self.files)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the files' values, apart from filling gaps."""
+        if not self.shifted:
+            return self.left_out
+        return (
+            f"{' and '.join(self.shifted)} in the files are for the hour before their time, and "
+            "were moved back an hour", *self.left_out,
+        )
+
+
+def arrange_by_hour(
+    columns: Mapping[str, NDArray[np.float64]], hours: NDArray[np.intp]
+) -> dict[str, NDArray[np.float64]]:
+    """Arrange the rows of columns by hour, NaN in hours without a row.
+
+    Args:
+        columns: values by name, shape (rows,).
+        hours: of each row, from 0.
+    """
+    values = {name: np.full(hours[-1] + 1, np.nan) for name in columns}
+    for name, series in columns.items():
+        values[name][hours] = series
+    return values
+
+
+def add_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Return values with the dew point in place of relative humidity, by FAO-56 Eqs. 11 and 14."""
+    rest = {name: series for name, series in values.items() if name != HUMIDITY}
+    if HUMIDITY in values and TEMPERATURE in values:
+        share, warmth = np.maximum(values[HUMIDITY], 1.0) / 100, values[TEMPERATURE]
+        vapour = np.log(share) + 17.27 * warmth / (warmth + 237.3)
+        dew_point = 237.3 * vapour / (17.27 - vapour)
+        given = values.get(DEW_POINT, dew_point)
+        rest[DEW_POINT] = np.where(np.isnan(given), dew_point, given)
+    return rest
+
+
+def bridge_gaps(series: NDArray[np.float64], max_hours: int) -> NDArray[np.float64]:
+    """Return hourly values with gaps of at most ``max_hours`` hours bridged by a straight line."""
+    filled = series.copy()
+    for low, high in find_gaps(np.isnan(series)):
+        if high - low <= max_hours and low > 0 and high < len(series):
+            filled[low:high] = np.interp(
+                np.arange(low, high), [low - 1, high], series[[low - 1, high]]
+            )
+    return filled
+
+
+def name_files(files: Sequence[Path]) -> str:
+    """Return one name for files: the path of a single one, or their number, first and last.
+
+    Empty if there are none.
+    """
+    if not files:
+        return ""
+    if len(files) == 1:
+        return str(files[0])
+    return str(files[0].parent / f"{len(files)} files, {files[0].name} to {files[-1].name}")
+
+
+def find_gaps(missing: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the gaps in which values are missing, each as (first, one past the last)."""
+    padded = np.concatenate(([False], missing, [False])).astype(np.int8)
+    edges = np.flatnonzero(np.diff(padded))
+    return [(int(low), int(high)) for low, high in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
+    """Name hours by the spans that they form.
+
+    Args:
+        first: start of hour 0.
+        hours: indices.
+
+    Returns:
+        One text for each span: ``2021-07-20T13:00-05:00`` for a single hour, otherwise the first
+        and last hour and their number.
+    """
+    indices = np.sort(np.array(list(hours), dtype=np.intp))
+    spans = []
+    for span in np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1):
+        times = [to_minutes(first + int(hour) * HOUR) for hour in span]
+        if len(times) > 1:
+            spans.append(f"{times[0]} to {times[-1]} ({len(times)} hours)")
+        else:
+            spans += times
+    return spans
+
+
+def number_days(days: NDArray[np.datetime64]) -> NDArray[np.int64]:
+    """Return the number of each day in its year, from 1."""
+    since = (days - days.astype("datetime64[Y]")).astype("timedelta64[D]")
+    return np.asarray(since.astype(np.int64) + 1)
+
+
+def join_records(parts: Sequence[Records]) -> Records:
+    """Join the records of several files.
+
+    They are sorted by time. A value that no file has is missing (NaN). If several files have it,
+    they must agree. If hours of a file do not begin with hours of the first, each of its values is
+    the mean of the two hours in which it lies; values of other files then go before.
+
+    Raises:
+        ConfigurationError: two files have different values for an hour, different quantities,
+            methods of evapotranspiration or conventions of time. The message names both.
+    """
+    first = min(parts, key=lambda part: part.first)
+    for part in parts:
+        _check_same_kind(first, part)
+    moved = [part for part in parts if (part.first - first.first) % HOUR]
+    parts = [
+        *sorted((part for part in parts if part not in moved), key=lambda part: part.first),
+        *(_shift_to_hours_of(first, part) for part in moved),
+    ]
+    begins = [(part.first - first.first) // HOUR for part in parts]
+    hours = max(begin + part.hours for begin, part in zip(begins, parts, strict=True))
+    values = {quantity: np.full(hours, np.nan) for quantity in first.values}
+    for begin, part in zip(begins, parts, strict=True):
+        for quantity, series in part.values.items():
+            joined = values[quantity][begin : begin + part.hours]
+            known = ~np.isnan(series)
+            if part.source in [other.source for other in moved]:
+                known &= np.isnan(joined)
+            unequal = np.flatnonzero(known & ~np.isnan(joined) & (joined != series))
+            if unequal.size:
+                hour = int(unequal[0])
+                other = next(
+                    part for at, part in zip(begins, parts, strict=True)
+                    if 0 <= begin + hour - at < part.hours
+                    and not np.isnan(part.values[quantity][begin + hour - at])
+                )
+                raise ConfigurationError(
+                    f"must be {joined[hour]:g}, as in {other.source}, or the files must not "
+                    "overlap", file=part.source,
+                    key=f"{quantity} at {to_minutes(part.first + hour * HOUR)}",
+                    value=float(series[hour]),
+                )
+            joined[known] = series[known]
+    parts = sorted(parts, key=lambda part: part.first)
+    files = tuple(file for part in parts for file in part.files)
+    left_out = tuple(note for part in parts for note in part.left_out)
+    places = {file: place for part in parts for file, place in part.places.items()}
+    return replace(first, files=files, values=values, left_out=left_out, places=places)
+
+
+def _check_same_kind(first: Records, part: Records) -> None:
+    for aspect, expected, present in (
+        ("quantities", sorted(first.values), sorted(part.values)),
+        ("method of evapotranspiration", [first.method], [part.method]),
+        ("quantities for the hour before their time", first.shifted, part.shifted),
+        ("delay of the rain in hours", [str(first.rain_late)], [str(part.rain_late)]),
+    ):
+        if expected != present:
+            raise ConfigurationError(
+                f"must have the same {aspect} as {first.source}, {', '.join(expected) or 'none'}; "
+                f"it has {', '.join(present) or 'none'}",
+                file=part.source,
+            )
+
+
+def _shift_to_hours_of(first: Records, part: Records) -> Records:
+    """Return records on hours that begin with another's, as local hours at UTC-3:30 do not."""
+    late = (part.first - first.first) % HOUR
+    share = late / HOUR
+    return replace(
+        part, first=part.first - late + HOUR,
+        values={
+            quantity: share * series[:-1] + (1 - share) * series[1:]
+            for quantity, series in part.values.items()
+        },
+        left_out=(*part.left_out, (
+            f"{part.source}: its hours begin {late // _MINUTE} min after the hours of "
+            f"{first.source}; each value is the mean of the two hours in which it lies"
+        )),
+    )

@@ -1,0 +1,334 @@
+"""What is implausible in measurements: one list of rules, for weather and for roofs.
+
+The weather command, runs, studies and calibration share it. A rule yields a sentence for each thing
+that it finds; it finds nothing in a record that lacks its columns. A new rule is a function, a row
+of :data:`RULES` and a test. What a single cell may hold, :mod:`.cells` and :mod:`.quantities` tell.
+
+The bounds separate the records of two roofs (Neubrandenburg 2014 and 2015, Berlin 2019, April to
+October, in windows of 30 to 100 days) from the same records with a wrong unit, a shifted clock or a
+broken sensor. Bounds for levels do so with simulated levels of these roofs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from datetime import timedelta
+from typing import NamedTuple
+
+import numpy as np
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import to_minutes
+from greenroof_ros.formats.hourly import Records, find_gaps, number_days
+from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
+from greenroof_ros.formats.step_record import (
+    DAY_S,
+    HOUR_S,
+    StepRecord,
+    Steps,
+    find_storms,
+    name_time,
+    prolong_steps,
+)
+from greenroof_ros.model.site import Site
+
+
+class Rule(NamedTuple):
+    """A rule."""
+
+    find: Callable[[StepRecord, Site], Iterator[str]]
+    """yields a sentence for each implausible thing"""
+    refuses: bool = False
+    """whether a record is refused in which it finds something; otherwise its sentences warn"""
+
+
+def check_steps(record: StepRecord, site: Site) -> list[str]:
+    """Return what is implausible in a record, each in a sentence.
+
+    Args:
+        record: the measurements; those that do not count are left out of it.
+        site: its roof and place.
+
+    Raises:
+        ConfigurationError: a rule refuses it.
+    """
+    warnings = []
+    for rule in RULES:
+        for sentence in rule.find(record, site):
+            if rule.refuses:
+                raise ConfigurationError(sentence, file=record.source)
+            warnings.append(sentence)
+    return warnings
+
+
+def check_hours(records: Records, site: Site, hours: range) -> list[str]:
+    """Return what is implausible in some hours of weather; see :func:`check_steps`."""
+    nothing = np.zeros(records.hours)
+    steps = np.zeros(records.hours, dtype=bool)
+    steps[hours.start : hours.stop] = True
+    record = StepRecord(
+        records.files[0], records.first, HOUR_S, records.values[PRECIPITATION], nothing, nothing,
+        None, None, records.values.get(TEMPERATURE),
+    )
+    return check_steps(record.select(steps), site)
+
+
+# --- units ----------------------------------------------------------------------------------------
+
+# More rain than falls in most places on earth in a week or longer (mm a day).
+_MAX_A_DAY, _MIN_DAYS = 60.0, 7.0
+# More evapotranspiration than any day has (mm). Alfalfa, with 1.15 times the evapotranspiration of
+# grass, had 14 mm, weighed, on the windiest days of four years in Texas (Evett, Howell, Todd,
+# Schneider and Tolk, Alfalfa reference ET measurement and prediction, 4th Decennial National
+# Irrigation Symposium, 2000).
+_MAX_EVAPORATED = 20.0
+# Less movement of a level (m) than any roof has in 20 mm of water.
+_MIN_MOVEMENT = 0.002
+
+
+def find_much_rain(record: StepRecord, _site: Site) -> Iterator[str]:
+    """Find more rain and pumped water than a place gets in weeks."""
+    days = float(np.count_nonzero(~np.isnan(record.rain))) * record.step_s / DAY_S
+    water, limit = float(record.water.sum()), _MAX_A_DAY * max(days, _MIN_DAYS)
+    if water > limit:
+        yield (
+            f"rain is {water:.4g} mm in {days:.3g} days, with pumped water; more than "
+            f"{limit:.4g} mm is rare: is the unit of the column right?"
+        )
+
+
+def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
+    """Find evapotranspiration and levels that no roof has."""
+    amounts = []
+    if record.reference_column:
+        _, day = np.unique(record.seconds // DAY_S, return_inverse=True)
+        highest = float(np.bincount(day, record.reference).max())
+        amounts.append((record.reference_column, "mm in a day", highest, 0.0, _MAX_EVAPORATED))
+    if record.level is not None and not np.isnan(record.level).all():
+        highest, lowest = float(np.nanmax(record.level)), float(np.nanmin(record.level))
+        amounts += [
+            ("level", "m at its highest", highest, -math.inf, site.max_roof_level),
+            ("level", "m from lowest to highest", highest - lowest, _MIN_MOVEMENT, math.inf),
+        ]
+    for column, what, value, low, high in amounts:
+        if not low <= value <= high:
+            bound = f"at most {high:.4g}" if value > high else f"at least {low:.4g}"
+            yield (
+                f"{column}: is {value:.3g} {what}; it must be {bound}: is the unit of the column "
+                "right, and those of the others?"
+            )
+
+
+# The largest excess of runoff over water, summed over storms, as a share of their runoff: at most
+# 0.13 for both roofs; with a wrong unit at least 0.21, mostly 0.4. A few drops (mm) do not count.
+_MAX_EXCESS, _DROPS = 0.25, 5.0
+# A roof keeps at most the soil's volume and this much more of a storm (mm).
+_EXTRA_STORAGE = 20.0
+
+
+def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
+    """Compare runoff with water, in each storm and the day after it."""
+    if record.runoff is None:
+        return
+    water = record.rain + record.pumped
+    sums = np.array([
+        (np.sum(water[storm]), np.sum(record.runoff[storm])) for storm in find_storms(record)
+    ]).reshape(-1, 2)
+    came, gone = sums[~np.isnan(sums).any(axis=1)].T
+    excess = float(np.sum(np.maximum(gone - came, 0.0)))
+    if excess > max(_DROPS, _MAX_EXCESS * float(np.sum(gone))):
+        yield (
+            f"runoff is {excess:.3g} mm more than the water of its storms: are the units right, "
+            "and a2?"
+        )
+    kept = float(np.max(came - gone, initial=0.0))
+    if kept > 1000 * site.z_soil + _EXTRA_STORAGE:
+        yield (
+            f"rain is {kept:.3g} mm more than the runoff of a storm, and the soil cannot hold it: "
+            "are the units right, and z_soil?"
+        )
+
+
+# --- clocks ---------------------------------------------------------------------------------------
+
+# Water reaches a level sensor within minutes and leaves a roof within hours; a longer delay means a
+# shifted clock. So does a response before the rain by more than this many steps, or by two hours:
+# clocks can differ by minutes, and a level's rises are between means of half an hour.
+_MAX_DELAY_S, _MAX_SHIFT_S = 4 * HOUR_S, 26 * HOUR_S
+_EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
+# The minimum correlation that counts, and the minimum ratio of the best correlation to the one
+# without a shift. An early response is always wrong: in 64 windows of 30 and 60 days of the two
+# roofs this ratio is at most 1.03; with a clock an hour early it is above 1.1 in 47 of
+# them.
+_CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
+
+
+def find_shifted_clock(record: StepRecord, _site: Site) -> Iterator[str]:
+    """Find a roof that responds before the rain, or hours after it.
+
+    Only rises of runoff or level count: how long runoff continues after rain indicates nothing
+    about clocks. A level's rise is between two means of half an hour, to reduce a sensor's noise.
+    """
+    if not record.measured:
+        return
+    column, series = next(iter(record.measured.items()))
+    if column == "runoff":
+        rises = np.diff(series, prepend=np.nan)
+    else:
+        count = max(1, round(1800 / record.step_s))
+        weights = np.repeat([1.0, -1.0], count) / count
+        rises = np.convolve(np.nan_to_num(series), weights)[count:len(series)]
+        rises = np.append(rises, np.zeros(count))
+    usual_s = (
+        -min(_EARLY_STEPS[column] * record.step_s, _EARLY_S), max(_MAX_DELAY_S, record.step_s),
+    )
+    # Square roots reduce the weight of one large storm.
+    inflow, answers = (
+        roots - roots.mean()
+        for roots in (np.sqrt(record.water), np.sqrt(np.maximum(np.nan_to_num(rises), 0.0)))
+    )
+    scale = np.sqrt(np.sum(inflow**2) * np.sum(answers**2))
+    if scale == 0:
+        return
+    reach = int(_MAX_SHIFT_S // record.step_s)
+    lags = record.step_s * np.arange(-reach, reach + 1)
+    correlations = np.correlate(np.pad(answers, reach), inflow, "valid") / scale
+    lag, best = float(lags[np.argmax(correlations)]), float(correlations.max())
+    usual = float(correlations[(lags >= usual_s[0]) & (lags <= usual_s[1])].max())
+    early = lag < usual_s[0]
+    better = _EARLY_BETTER if early else _LATE_BETTER
+    if (early or lag > usual_s[1]) and best > _CLEAR and best > better * usual:
+        yield (
+            f"{column} follows the rain best {name_time(abs(lag))} "
+            f"{'before' if early else 'after'} it falls (correlation {best:.2f}, {usual:.2f} as it "
+            "stands): is a clock shifted, or in another time zone?"
+        )
+
+
+# --- sensors --------------------------------------------------------------------------------------
+
+# A sensor is stuck if its reading stays the same for this long (s) while this much rain falls (mm),
+# and in this many steps: with steps of a day, a roof can have equal levels on two wet days.
+_STUCK_S, _STUCK_RAIN, _RAIN_STUCK_S, _SAME_STEPS = DAY_S, 10.0, 6 * HOUR_S, 6
+# More water than this (mm) must cause some runoff if it also exceeds what the soil can hold. Both
+# roofs had no runoff from 44 mm in four weeks.
+_LEAVES_SOME = 80.0
+# A watered roof evaporates at the full rate, at most 1.3 times the rate of the reference grass
+# (FAO-56, Eq. 72: 1.05 to 1.3). The two roofs are not watered, and dry out.
+_FULL_RATE = 1.3
+# More runoff than this (mm), after this long (s) without rain, has no explanation.
+_UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
+
+
+def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
+    """Find sensors that show one value, apart from gaps, while it must change.
+
+    A flow meter must change from 0 if more water comes than the soil can hold. From a roof with a
+    pump, evapotranspiration is subtracted at its full rate, because a good controller pumps no more
+    than that, and nothing while it rains often enough.
+    """
+    rate = max(_FULL_RATE, site.crop_coefficient) * bool(np.nansum(record.pumped) > 0)
+    gained = record.water - rate * record.reference
+    holds = max(_LEAVES_SOME, 1000 * site.z_soil)
+    for column, values in {**record.measured, "rain": record.rain}.items():
+        known = np.flatnonzero(~np.isnan(values))
+        for low, high in find_gaps(np.diff(values[known]) == 0):
+            same, value = known[low:high + 1], values[known[low]]
+            same_s = len(same) * record.step_s
+            if column == "rain":
+                stuck = value > 0 and same_s >= _RAIN_STUCK_S
+            elif column == "runoff" and value == 0:
+                stuck = float(np.sum(gained[same])) > holds
+            else:
+                stuck = same_s >= _STUCK_S and float(np.nansum(record.rain[same])) >= _STUCK_RAIN
+            if stuck and len(same) >= _SAME_STEPS:
+                yield (
+                    f"{column} is {value:g} {'m' if column == 'level' else 'mm'} for "
+                    f"{same_s / HOUR_S:.0f} h from {record.time(int(same[0]))}, in which "
+                    f"{np.sum(record.water[same]):.3g} mm of water came: is the sensor stuck or "
+                    "dead? Leave these cells empty"
+                )
+                break
+
+
+def find_blocked_gauge(record: StepRecord, _site: Site) -> Iterator[str]:
+    """Find runoff without rain."""
+    if record.runoff is None:
+        return
+    wet: Steps = (record.water > 0) | np.isnan(record.rain) | np.isnan(record.pumped)
+    since = math.ceil(_DRY_S / record.step_s)
+    for low, high in find_gaps(~prolong_steps(wet, since)):
+        outflow = float(np.nansum(record.runoff[low:high]))
+        if low > 0 and outflow > _UNEXPLAINED:
+            yield (
+                f"rain is 0 for {(high - low + since - 1) * record.step_s / DAY_S:.0f} days before "
+                f"{record.time(high)}, while {outflow:.3g} mm run off: is the gauge blocked or "
+                "stuck, or is it melted snow? Leave the cells empty there"
+            )
+            return
+
+
+_PERCENTILE = 95
+# Factor of the percentile from which rain is an outlier; the second below 0 degC.
+_FACTOR, _FROST_FACTOR = 9.0, 5.0
+# Days of the year to either side; minimum number of wet hours in them for a check.
+_DAYS, _MIN_WET = 14, 20
+_YEAR = 366
+
+
+def find_outlying_rain(record: StepRecord, _site: Site) -> Iterator[str]:
+    """Find hours with more rain than is plausible by the station's own records.
+
+    The limit is 9 times the 95th percentile of the wet hours within 14 days of the hour's day of
+    the year, in all years of the records; 5 times below 0 degC. With fewer than 20 wet hours there
+    is no check. It is the climatological outlier check for daily precipitation of GHCN-Daily
+    (Durre, Menne, Gleason, Houston and Vose 2010, J. Appl. Meteor. Climatol. 49:1615,
+    doi:10.1175/2010JAMC2375.1), applied to hours.
+    """
+    if record.step_s > HOUR_S:
+        return
+    hour = record.seconds // HOUR_S - record.seconds[0] // HOUR_S
+    rain, counted = (
+        np.bincount(hour, np.nan_to_num(series))
+        for series in (record.rain if record.all_rain is None else record.all_rain, record.rain)
+    )
+    wet = np.flatnonzero(rain > 0)
+    first = record.times[0].astype("datetime64[h]")
+    days = number_days((first + wet).astype("datetime64[D]"))
+    frost = np.zeros(len(rain), dtype=bool)
+    if record.temperature is not None:
+        frost[hour[record.temperature < 0]] = True
+    there = counted[wet] > 0
+    outliers: list[tuple[int, float]] = []
+    for day in np.unique(days[there]):
+        apart = np.abs(days - day)
+        near = rain[wet[np.minimum(apart, _YEAR - apart) <= _DAYS]]
+        if len(near) < _MIN_WET:
+            continue
+        usual = float(np.percentile(near, _PERCENTILE))
+        outliers += [
+            (int(at), usual) for at in wet[there & (days == day)]
+            if rain[at] >= (_FROST_FACTOR if frost[at] else _FACTOR) * usual
+        ]
+    start = record.start.replace(second=0)
+    if record.step_s < HOUR_S:
+        start = start.replace(minute=0)
+    for at, usual in sorted(outliers):
+        yield (
+            f"rain is {rain[at]:g} mm at {to_minutes(start + at * timedelta(hours=1))}, "
+            f"{rain[at] / usual:.1f} times the 95th percentile of wet hours at that time of the "
+            f"year, {usual:.3g} mm"
+        )
+
+
+RULES = (
+    Rule(find_wrong_amounts, refuses=True),
+    Rule(find_much_rain),
+    Rule(find_imbalance),
+    Rule(find_shifted_clock),
+    Rule(find_stuck_sensor),
+    Rule(find_blocked_gauge),
+    Rule(find_outlying_rain),
+)
+"""All rules, in the order in which they are applied."""
