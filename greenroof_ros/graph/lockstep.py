@@ -115,8 +115,8 @@ class Lockstep:
         """Join the run that the plant has published.
 
         Raises:
-            LockstepError: this is another run, so this node's run has ended; or the plant is of
-                another version.
+            LockstepError: this is another run, so this node's run has ended; the plant is of
+                another version; or a message arrived after the last tick.
         """
         if len(values) != len(RunIdentity._fields):
             raise LockstepError(
@@ -129,6 +129,12 @@ class Lockstep:
                 "the plant was started again, or there are two; a run ends with its plant"
             )
         if before is None and self.done:  # /run arrived after the messages of the last tick
+            end = round(self.run.last_tick) + 1
+            early = self._of_tick if self.tick > end else self._of_tick - self.awaited
+            if early:
+                raise LockstepError(
+                    f"{min(early)} has a second message in tick {end} (after the last)"
+                )
             self.awaited.clear()
             self._finish()
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
+import sysconfig
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +17,8 @@ from graphs import Process, bag_file, bring_up, environment, summary_of
 from places import CHECKOUT
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
+
+import rclpy
 
 # On a starved machine its command may be 3 s late; the flow would then be 0, in one of the bags.
 DRIVER = (CHECKOUT / "examples" / "pump_driver.py").read_text().replace(
@@ -86,6 +90,45 @@ def test_it_gives_the_bag_of_the_same_controller_inside(
     controller = start_node(domain, tmp_path, "controller_node", EXAMPLE)
     outside, inside = bags_outside_and_inside(domain, tmp_path, controller, pump)
     assert outside == inside
+
+
+def test_a_node_in_c_gives_the_same_bag_and_passes_the_check(domain: int, tmp_path: Path) -> None:
+    program = build_with_rcl(Path(__file__).with_name("controller_node.c"), tmp_path)
+    environ = environment(domain)
+    controller = subprocess.Popen([program], cwd=tmp_path, env=environ)
+    outside, inside = bags_outside_and_inside(domain, tmp_path, controller)
+    assert outside == inside
+    arguments = "--ros-args", "-r", "__ns:=/site1"
+    with ending(subprocess.Popen([program, *arguments], cwd=tmp_path, env=environ)) as controller:
+        check = Process(domain, "check_controller", "--node", "/site1/controller", cwd=tmp_path)
+        assert check.wait(120) == 0, check.stdout()
+        assert controller.wait(60) == 0
+
+
+def build_with_rcl(source: Path, directory: Path) -> Path:
+    """Compile and link a C program that needs rcl, ROS 2's client library in C."""
+    prefix, compiler = Path(rclpy.__file__).parents[4], shutil.which("cc")
+    if compiler is None or not (prefix / "include" / "rcl").is_dir():
+        pytest.skip("needs a C compiler and the headers of rcl")
+    program = directory / source.stem
+    libraries = (
+        "rcl", "rcutils", "rmw", "rosidl_runtime_c", "std_msgs__rosidl_generator_c",
+        "std_msgs__rosidl_typesupport_c",
+    )
+    python = sysconfig.get_config_vars("LIBDIR", "LDVERSION")
+    subprocess.run(
+        [
+            compiler, "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off",
+            *(f"-I{path}" for path in (prefix / "include").iterdir()),
+            source, "-o", program, f"-L{prefix / 'lib'}", "-Wl,--allow-shlib-undefined",
+            *(f"-l{name}" for name in libraries), "-lm",
+            # Some of ROS 2's wheels need symbols of Python's.
+            "-Wl,--no-as-needed", f"-L{python[0]}", f"-Wl,-rpath,{python[0]}",
+            f"-lpython{python[1]}",
+        ],
+        check=True,
+    )
+    return program
 
 
 @pytest.mark.parametrize("case", BROKEN)
