@@ -108,7 +108,7 @@ setup(
         # Studies of many runs, and reports with figures; neither needs a ROS.
         "study": [
             "polars>=1.33,<3",  # trajectories as parquet; from 1.33 on it takes metadata
-            "rosbags>=0.10,<1",  # reads any bag, of any storage
+            "rosbags>=0.11,<1",  # reads any bag, of any storage
             "altair>=6,<7",  # figures: one description for page, PNG and SVG
             "vl-convert-python>=1.8,<2",  # draws them without a browser; brings the page's scripts
             "Jinja2>=3,<4",  # the page

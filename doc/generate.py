@@ -37,7 +37,7 @@ from greenroof_ros.__main__ import COMMANDS, GROUPS
 from greenroof_ros.common.alarms import Alarm
 from greenroof_ros.common.conditions import LATCHED, Interlock, read_conditions, read_interlocks
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.interface import Topic, read_topics, roles
+from greenroof_ros.common.interface import Topic, describe_roles, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.forecast.skill import Climate, Errors
@@ -136,13 +136,13 @@ def topics() -> str:
             f"`{topic.name}`", ", ".join(filter(None, (topic.unit, kind))),
             topic.meaning,
             sentences(
-                f"From {roles(topic.publishers, topic.live_publishers)}",
+                f"From {describe_roles(topic.publishers, topic.live_publishers)}",
                 f"To {readers}" if readers else "",
             ),
         )
         for topic in read_topics().values()
         for kind in [topic.type.replace("/msg/", "/")]
-        for readers in [roles(topic.subscribers, topic.live_subscribers)]
+        for readers in [describe_roles(topic.subscribers, topic.live_subscribers)]
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from greenroof_ros import __version__
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command
-from greenroof_ros.common.errors import did_you_mean
+from greenroof_ros.common.errors import suggest_names
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ GROUPS = {
         "hold": Command("pump_requests", "keep the pump off, until a release or a time", "HOLD"),
         "release": Command("pump_requests", "end the hold of the pump", "RELEASE"),
         "reset": Command("pump_requests", "clear a latched fault of the pump", "RESET"),
-        "dose": Command("dose", "pump a given volume now"),
+        "dose": Command("pump_requests", "pump a given volume now", "DOSE"),
     },
     "see what it does, or did": {
         "watch": Command("watch", "show a run or a site, on a page in a browser"),
@@ -116,7 +116,7 @@ def _explain() -> int:
     if name.startswith("-"):
         parser.parse_args()
     elif name and not any(entry.startswith(f"{name} ") for entry in COMMANDS):
-        parser.error(f"there is no command {name}; {did_you_mean(name, COMMANDS)}")
+        parser.error(f"there is no command {name}; {suggest_names(name, COMMANDS)}")
     parser.print_help()
     return EXIT_DONE
 

@@ -52,7 +52,7 @@ class Hardware(Simulator):
             .replace("period: 1.0", "period: 0.5")
         )
         write_forecast(self.cwd / "forecast.csv", timedelta(days=2000), 0.0, 12.0)
-        (self.cwd / "nodes.yaml").write_text(f"{QUICK}    least_off: 1.0\n{parameters}")
+        (self.cwd / "nodes.yaml").write_text(f"{QUICK}    min_off: 1.0\n{parameters}")
         return (
             "--controller", "onoff", "--sensors", "sensors.yaml", "--forecast", "forecast.csv",
             "--drive", self.file, "--drive-at", self.address, "--node-parameters", "nodes.yaml",

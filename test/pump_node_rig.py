@@ -20,7 +20,7 @@ from greenroof_ros.common.states import PumpState
 # The node's tau, and a drive that ramps ten times as fast as in real time.
 PERIOD_S = 0.1
 PACE = ("--speed", "10", "--boot", "0.1", "--timeout", "1.5")
-MIN_TIMES = {"least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0}
+MIN_TIMES = {"min_on": 1.0, "min_off": 1.0, "starts_per_hour": 3600.0}
 
 
 def state_in(message: String) -> str:

@@ -15,4 +15,4 @@ def main() -> int:
     """Start the site, and keep it running until it is stopped."""
     arguments = make_parser().parse_args()
     site = LiveSite(arguments)
-    return bring_up(arguments, site.site_file, partial(run_live, site, arguments), EXIT_DONE)
+    return bring_up(arguments, partial(run_live, site, arguments), EXIT_DONE)

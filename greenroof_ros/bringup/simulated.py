@@ -178,4 +178,4 @@ def main() -> int:
     """Start the graph, watch it, and end it."""
     arguments = make_parser().parse_args()
     run = simulated_run(arguments)
-    return bring_up(arguments, run.site_file, partial(run_graph, run, arguments))
+    return bring_up(arguments, partial(run_graph, run, arguments))

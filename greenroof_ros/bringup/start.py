@@ -12,7 +12,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
 from greenroof_ros.common.processes import InterruptedRun, Signals, child_environment
@@ -23,21 +22,19 @@ _ENDING_S = 3.0
 
 
 def bring_up(
-    arguments: argparse.Namespace, site_file: Path, start: Callable[[Signals], int],
-    stopped: int = EXIT_INTERRUPTED,
+    arguments: argparse.Namespace, start: Callable[[Signals], int], stopped: int = EXIT_INTERRUPTED
 ) -> int:
     """Start a graph, with ``--watch`` and ``--foxglove`` its watchers; return the exit code.
 
     Args:
         arguments: the command line.
-        site_file: the site file, for the page.
         start: runs the graph and returns the exit code.
         stopped: the exit code if a signal comes before any node was started.
 
     Raises:
         ConfigurationError: Foxglove cannot be served at the port.
     """
-    watchers = {"watch": ("--site", str(site_file))} if arguments.watch else {}
+    watchers: dict[str, tuple[str, ...]] = {"watch": ()} if arguments.watch else {}
     if arguments.foxglove is not None:
         from greenroof_ros.watch.foxglove_server import refuse_unusable
 

@@ -9,7 +9,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED, Parser, command, within
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    Parser,
+    command,
+    make_number_type,
+)
 from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
 from greenroof_ros.experiment.plan import PlanResult, recursion_plan
@@ -91,12 +97,12 @@ def make_parser() -> Parser:
     add_site_arguments(parser.add_argument_group("the run"))
     group = parser.add_argument_group("the bound")
     group.add_argument(
-        "--block", type=within(1e-9, 1e9), metavar="S",
+        "--block", type=make_number_type(1e-9, 1e9), metavar="S",
         help="seconds that share one variable: shorter is tighter and slower, one tick is exact "
         f"and takes a minute for 12 h (default: {_BLOCK_S:g}, or one tick if that is longer)",
     )
     group.add_argument(
-        "--max-command", type=within(1e-9, 100.0), default=1.0, metavar="U",
+        "--max-command", type=make_number_type(1e-9, 100.0), default=1.0, metavar="U",
         help="maximum command, a share of the maximum flow (default: %(default)g)",
     )
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 from contextlib import suppress
 
 from greenroof_ros.common.command_line import Parser, add_namespace, command
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import parse_broker
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.bridge import Bridge
@@ -62,11 +60,6 @@ def make_parser() -> Parser:
         "--authority", default="", metavar="FILE",
         help="trusted certificates for mqtts://, PEM (default: the system's)",
     )
-    parser.add_argument(
-        "--prefix", default="homeassistant", metavar="NAME",
-        help="start of Home Assistant's discovery topics, as set in its MQTT integration "
-        "(default: %(default)s)",
-    )
     add_namespace(
         parser, "; also the site's name on MQTT (roof without a namespace). Two sites on one "
         "broker need different ones",
@@ -78,15 +71,10 @@ def make_parser() -> Parser:
 def main() -> None:
     """Publish a site until the command is ended."""
     arguments = make_parser().parse_args()
-    if not re.fullmatch(r"[A-Za-z0-9_-]+(/[A-Za-z0-9_-]+)*", arguments.prefix):
-        raise ConfigurationError(
-            "must be letters, digits, _ and -, such as homeassistant", key="--prefix",
-            value=arguments.prefix,
-        )
     broker = parse_broker(arguments.broker, "--broker", arguments.login, arguments.authority)
     os.nice(_NICENESS)
     # A script that starts this in its background has it ignore SIGINT.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     store, signals = GraphStore(arguments.namespace), Signals()
     with suppress(InterruptedRun), Feed(store) as feed:
-        Bridge(store, feed, broker, arguments.prefix).run(signals)
+        Bridge(store, feed, broker).run(signals)

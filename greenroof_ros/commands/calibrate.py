@@ -27,8 +27,8 @@ from greenroof_ros.analysis.calibration.site_file import (
     list_sheet_entries,
 )
 from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
-from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import naming
+from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.experiment.progress import ProgressBar
 from greenroof_ros.formats.cells import read_table
@@ -115,7 +115,7 @@ def main() -> None:
         text, page = _calibrate(arguments, site_file, site, sheet)
         texts = {page_file: page, output: text}
     for file, text in texts.items():
-        with naming(file):
+        with add_path_to_errors(file):
             file.write_text(text, encoding="utf-8")
     written = ", ".join(map(str, reversed(texts)))
     Console().print(f"written: {written}", soft_wrap=True, highlight=False)
@@ -167,7 +167,7 @@ def _calibrate(
         site: its site, with the pumps of the data sheet if there is one.
         sheet: the pump curve already fitted to the data sheet, if any.
     """
-    with in_extra("study"):
+    with require_extra("study"):
         from greenroof_ros.analysis.calibration.page import render
     measured: Path = arguments.measured
     months: str | None = arguments.months

@@ -9,8 +9,8 @@ from greenroof_ros.common.command_line import (
     Parser,
     add_site,
     command,
+    make_number_type,
     print_check_results,
-    within,
 )
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import controller_names, find_controller
@@ -69,16 +69,16 @@ def make_parser() -> Parser:
     )
     node = parser.add_argument_group("options with --node")
     node.add_argument(
-        "--horizon", type=within(0.0, MAX_HORIZON), default=0.0, metavar="H",
+        "--horizon", type=make_number_type(0.0, MAX_HORIZON), default=0.0, metavar="H",
         help="how far the forecasts reach (h), as for 'greenroof run --controller external' "
         "(default: 0, the next M ticks)",
     )
     node.add_argument(
-        "--answer-within", type=within(0.001, 3600.0), default=5.0, metavar="S",
+        "--answer-within", type=make_number_type(0.001, 3600.0), default=5.0, metavar="S",
         help="how long a command may take after the last input of a tick (default: 5)",
     )
     node.add_argument(
-        "--wait", type=within(0.0, 3600.0), default=10.0, metavar="S",
+        "--wait", type=make_number_type(0.0, 3600.0), default=10.0, metavar="S",
         help="how long the node may take to join the graph (default: 10)",
     )
     add_site(parser, "site with which it is checked")

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from greenroof_ros.common.command_line import Parser, add_site, command, print_check_results, within
+from greenroof_ros.common.command_line import (
+    Parser,
+    add_site,
+    command,
+    make_number_type,
+    print_check_results,
+)
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.model.site import read_site
 
@@ -61,7 +67,7 @@ def make_parser() -> Parser:
         help="name of the driver's node, with its namespace if it has one: /site1/pump",
     )
     parser.add_argument(
-        "--command", type=within(0.001, 1.0), default=0.5, metavar="SHARE",
+        "--command", type=make_number_type(0.001, 1.0), default=0.5, metavar="SHARE",
         help="command at which the pump runs, a share of its maximum flow (default: 0.5)",
     )
     parser.add_argument(
@@ -70,8 +76,8 @@ def make_parser() -> Parser:
     )
     for option, limit, minimum, default, meaning in _TIMES:
         parser.add_argument(
-            option, dest=limit, type=within(minimum, 3600.0), default=default, metavar="S",
-            help=f"{meaning} (default: {default:g})",
+            option, dest=limit, type=make_number_type(minimum, 3600.0), default=default,
+            metavar="S", help=f"{meaning} (default: {default:g})",
         )
     add_site(parser, "site whose levels and ticks it is sent")
     return parser

@@ -10,7 +10,7 @@ from greenroof_ros.common.command_line import (
     Parser,
     add_site,
     command,
-    within,
+    make_number_type,
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_people
@@ -51,7 +51,7 @@ def make_parser() -> Parser:
         "choice for the place)",
     )
     parser.add_argument(
-        "--days", type=within(1, MAX_DAYS, int), default=7, metavar="N",
+        "--days", type=make_number_type(1, MAX_DAYS, int), default=7, metavar="N",
         help="days that it covers, from today (default: %(default)s)",
     )
     parser.add_argument(
@@ -67,7 +67,7 @@ def make_parser() -> Parser:
         "--forecast of simulate, read it",
     )
     parser.add_argument(
-        "--every", type=within(10, 1440), metavar="MINUTES",
+        "--every", type=make_number_type(10, 1440), metavar="MINUTES",
         help="minutes after which it fetches again, until Ctrl-C; after a failure it tries "
         "again after 1, 2, 4, ... min, or when the service permits",
     )

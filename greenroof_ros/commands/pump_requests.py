@@ -1,4 +1,4 @@
-"""Requests to the pump node: ``greenroof hold``, ``release`` and ``reset``."""
+"""Requests to the pump node: ``greenroof hold``, ``release``, ``reset`` and ``dose``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from greenroof_ros.common.command_line import (
     Parser,
     add_namespace,
     command,
-    within,
+    make_number_type,
 )
 from greenroof_ros.common.states import PUMP
 from greenroof_ros.common.times import parse_time, to_people
@@ -27,11 +27,11 @@ from greenroof_ros.watch.registry import Registry
 
 # Longest wait for the pump node (s): to discover it takes seconds.
 _PATIENCE_S = 20.0
-# Longest wait for its report before the question of a reset (s).
+# How long its reports are awaited (s): before the question of a reset, and while a dose is given.
 _REPORT_S = 5.0
 _POLL_S = 0.1
-# Longest hold with an end (h): ten years.
-_LONGEST_HOLD_H = 87_600
+# Maximum hold with an end (h): ten years.
+_MAX_HOLD_H = 87_600
 _QUESTION = (
     "The pump may start as soon as the fault is cleared. Is its cause remedied, and is no one "
     "working on the pump? [y/N] "
@@ -40,14 +40,14 @@ _QUESTION = (
 
 @dataclass(frozen=True)
 class PumpRequest:
-    """A command that makes one request to the pump node, and prints its answer.
+    """A command that makes one request to the pump node, and prints how it ended.
 
     Attributes:
         name: of the command.
         done: what the pump is when the request was granted, for the list of exit codes.
         description: for the help.
-        request: makes the request, with the command line and the nodes' reports, and returns the
-            answer.
+        request: makes the request, with the command line and the nodes' reports, and returns how
+            it ended.
         add_options: adds the command's own options.
         examples: for the help.
     """
@@ -63,8 +63,8 @@ class PumpRequest:
         """Return the command's parser."""
         parser = Parser(
             prog=f"greenroof {self.name}", description=self.description,
-            epilog=f"{self.examples}exit codes: 0 {self.done}, 1 the pump node did not confirm it, "
-            "2 bad usage",
+            epilog=f"{self.examples}exit codes: 0 {self.done}, 1 it is not, or that "
+            "was not confirmed, 2 bad usage",
         )
         self.add_options(parser)
         add_namespace(parser)
@@ -79,7 +79,7 @@ class PumpRequest:
         reports = Registry(arguments.namespace)
 
         def receive(name: str, message: bytes, *_: Any) -> None:
-            if name == DIAGNOSTICS and (received := wire.statuses(message)) is not None:
+            if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
                 reports.receive(time.monotonic(), received[1])
 
         try:
@@ -100,7 +100,7 @@ def _add_hold_options(parser: Parser) -> None:
         "from UTC: 2026-12-24T08:00-05:00 (default: no end)",
     )
     end.add_argument(
-        "--for", dest="hours", type=within(0.001, _LONGEST_HOLD_H), metavar="HOURS",
+        "--for", dest="hours", type=make_number_type(0.001, _MAX_HOLD_H), metavar="HOURS",
         help="its length (h; default: no end)",
     )
     parser.add_argument(
@@ -135,6 +135,37 @@ def _hold(client: GraphClient, arguments: argparse.Namespace, _: Registry) -> st
 
 def _release(client: GraphClient, _: argparse.Namespace, __: Registry) -> str:
     return client.release_pump(_PATIENCE_S)
+
+
+def _add_dose_options(parser: Parser) -> None:
+    parser.add_argument(
+        "--volume", type=make_number_type(0.001, 1e6), required=True, metavar="M3",
+        help="volume to deliver (m3)",
+    )
+
+
+def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Registry) -> str:
+    """Request a dose, and print its progress until it ends."""
+    requested_at, said = time.time(), ""
+    client.request_dose(arguments.volume, requested_at, _PATIENCE_S)
+    accepted = time.monotonic()
+    print(f"dose {requested_at:.6f} of {arguments.volume:g} m3 is accepted", flush=True)
+    while True:
+        client.receive(_POLL_S)
+        now, pump = time.monotonic(), reports.node(PUMP)
+        if now - max(accepted, pump.received_at if pump else 0.0) > _REPORT_S:
+            raise PumpRequestError("unknown whether the dose goes on: the pump node is silent")
+        dose = None if pump is None else pump.values.get("dose")
+        if isinstance(dose, dict) and dose.get("id") == requested_at:
+            before, said = said, str(dose.get("said", ""))
+            if dose.get("over") == "done":
+                return said
+            if dose.get("over"):
+                raise PumpRequestError(said)
+            if said != before:
+                print(said, flush=True)
+        elif said or now > accepted + _REPORT_S:
+            raise PumpRequestError("the pump node was restarted, which ended the dose")
 
 
 def _add_reset_options(parser: Parser) -> None:
@@ -184,4 +215,12 @@ RESET = PumpRequest(
     "release'. Afterwards the pump starts when the controller asks for it and nothing else keeps "
     "it off.",
     _reset, _add_reset_options,
+)
+DOSE = PumpRequest(
+    "dose", "delivered",
+    "Deliver a given volume now, regardless of the controller's command, if the site file allows "
+    "it (max_dose) and no interlock is active, but never above the roof's target. An interlock "
+    "ends a dose for good; a dose that cannot begin within a minute ends, too. Ctrl-C ends this "
+    "command but not the dose: to end that, stop the pump.",
+    _dose, _add_dose_options, "example:\n  greenroof dose --volume 0.2\n\n",
 )

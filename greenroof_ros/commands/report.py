@@ -9,9 +9,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from greenroof_ros.common.command_line import Parser, command, within
-from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import naming
+from greenroof_ros.common.command_line import Parser, command, make_number_type
+from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.experiment.run_directory import writable
 
 # A report's directory holds this file and figures/.
@@ -61,11 +61,11 @@ def make_parser() -> Parser:
     )
     group = parser.add_argument_group("assumptions")
     group.add_argument(
-        "--energy-price", type=within(0, 1e9), default=0.115, metavar="PRICE",
+        "--energy-price", type=make_number_type(0, 1e9), default=0.115, metavar="PRICE",
         help="price of a kWh of electric energy (default: %(default)s, Ontario 2021)",
     )
     group.add_argument(
-        "--water-price", type=within(0, 1e9), default=4.1346, metavar="PRICE",
+        "--water-price", type=make_number_type(0, 1e9), default=4.1346, metavar="PRICE",
         help="price of a m3 of mains water (default: %(default)s, Toronto 2021)",
     )
     group.add_argument(
@@ -104,7 +104,7 @@ def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) 
 def main() -> None:
     """Make the report that the command line asks for."""
     arguments = make_parser().parse_args()
-    with in_extra("study"):
+    with require_extra("study"):
         from greenroof_ros.analysis.report import figures, page
         from greenroof_ros.analysis.report.groups import Assumptions, Report
         from greenroof_ros.analysis.report.sources import find_runs
@@ -125,7 +125,7 @@ def main() -> None:
             (output / "figures").mkdir(parents=True, exist_ok=True)
         for figure in progress.track(made, description="drawing figures"):
             figure.save(output / "figures")
-    with naming(output / _PAGE):
+    with add_path_to_errors(output / _PAGE):
         (output / _PAGE).write_text(page.render(report, made), encoding="utf-8")
     names = {figure.name for figure in made}
     for file in former:

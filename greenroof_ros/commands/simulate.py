@@ -9,9 +9,9 @@ from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, command, refuse_unwritable, within
-from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import naming
+from greenroof_ros.common.command_line import Parser, command, make_number_type, refuse_unwritable
+from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.closed_loop import Simulation, Tick, record
 from greenroof_ros.experiment.options import (
@@ -51,7 +51,7 @@ def make_parser() -> Parser:
         "trajectory.csv in the run's directory, which greenroof report draws",
     )
     group.add_argument(
-        "--trajectory-every", type=within(0, 1e9), default=0.0, metavar="S",
+        "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
         help="write a tick every S seconds, and the last, instead of all: at a hundred bytes per "
         "tick a year takes gigabytes",
     )
@@ -114,7 +114,7 @@ def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterato
         raise ConfigurationError(
             f"cannot be written: {error.strerror}", key="--trajectory", value=str(file)
         ) from error
-    with naming(file), stream:
+    with add_path_to_errors(file), stream:
         rows = csv.writer(stream)
         rows.writerow(("time", "time_s", *(column.name for column in columns)))
         for tick in ticks:
@@ -133,12 +133,12 @@ def _plotter(file: Path, run: Run) -> Callable[[Trajectory], None]:
             is not installed.
     """
     refuse_unwritable(file, _PICTURES, "--plot")
-    with in_extra("study"):
+    with require_extra("study"):
         from greenroof_ros.analysis.report.trajectories import overlay_simulations
 
     def draw(trajectory: Trajectory) -> None:
         chart = overlay_simulations({run.controller.name: (run.site, trajectory)})
-        with naming(file):
+        with add_path_to_errors(file):
             if file.suffix == _PAGE:
                 chart.save(file, inline=True)
             else:  # of inline Altair warns here

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_namespace, command
-from greenroof_ros.watch.document import document
+from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import SPACE, UNKNOWN
@@ -20,9 +20,9 @@ _STATES = {EXIT_DONE: "well", WARNING: "warning", ALARM: "alarm", NOTHING: "noth
 
 # How long it subscribes at least, once it has found a node, and how long in all (s). Each node
 # reports at least once a second, but the middleware may take seconds to find it.
-_SETTLED_S, _LONGEST_S = 2.0, 5.0
+_SETTLED_S, _MAX_S = 2.0, 5.0
 _POLL_S = 0.1
-_MOST_LINES = 15
+_MAX_LINES = 15
 _TILES = "roof", "cistern", "pump", "rain", "controller"
 # For a pump that should be off. Its drive reports standstill, or its timeout must have stopped it.
 _STANDS = {
@@ -84,11 +84,11 @@ def _read_status(store: GraphStore) -> dict[str, Any]:
     while True:
         time.sleep(_POLL_S)
         now = time.monotonic()
-        shown = document(store, now)
+        shown = make_document(store, now)
         if shown["mode"] != "none" and first is None:
             first = now
         settled = first is not None and now - first >= _SETTLED_S and not _unknown(shown)
-        if settled or now - began >= _LONGEST_S:
+        if settled or now - began >= _MAX_S:
             return shown
 
 
@@ -135,7 +135,7 @@ def _lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str
         lines.append(f"{tile['label']:14} {tile['value']:14} {sentence}".rstrip())
     warning = filter(None, [shown["stop"]["warning"]])
     lines += [*warning, *map(_alarm, _present(shown)), *shown["notes"]]
-    if (hidden := len(lines) - _MOST_LINES + 1) > 1:
+    if (hidden := len(lines) - _MAX_LINES + 1) > 1:
         lines[-hidden:] = [f"and {hidden} more: see 'greenroof watch', or --json"]
     return lines
 

@@ -25,7 +25,7 @@ from greenroof_ros.common.command_line import (
     EXIT_INTERRUPTED,
     Parser,
     command,
-    within,
+    make_number_type,
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
@@ -76,7 +76,7 @@ def make_parser() -> Parser:
         "the record of years for config/studies/seasons.yaml",
     )
     parser.add_argument(
-        "--jobs", type=within(1, 1024, int), metavar="N",
+        "--jobs", type=make_number_type(1, 1024, int), metavar="N",
         help="runs at a time (default: one per core)",
     )
     parser.add_argument(
@@ -86,7 +86,7 @@ def make_parser() -> Parser:
     )
     trajectories = parser.add_mutually_exclusive_group()
     trajectories.add_argument(
-        "--trajectory-every", type=within(0, 1e9), default=0.0, metavar="S",
+        "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
         help="keep a sample of each run every S seconds, in whole ticks: half a year in ticks of a "
         "second takes a gigabyte of memory (default: every tick)",
     )

@@ -17,9 +17,15 @@ from rich.table import Table
 from greenroof_ros.analysis.verification.checks import check_forecasts
 from greenroof_ros.analysis.verification.pairs import Class, Sum, read_issued_forecasts, tally_pairs
 from greenroof_ros.analysis.verification.scores import SHOWN, Tally
-from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable, within
-from greenroof_ros.common.errors import ConfigurationError, in_extra
-from greenroof_ros.common.files import naming
+from greenroof_ros.common.command_line import (
+    Parser,
+    add_site,
+    command,
+    make_number_type,
+    refuse_unwritable,
+)
+from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
 from greenroof_ros.experiment.progress import ProgressBar
@@ -71,14 +77,14 @@ def make_parser() -> Parser:
         "out",
     )
     add_site(parser, "site file, for its place")
-    whole_hours = within(1, _MAX_HOURS, int)
+    whole_hours = make_number_type(1, _MAX_HOURS, int)
     parser.add_argument(
         "--sums", type=whole_hours, nargs="+", metavar="H",
         help="hours of a sum; several may be given (default: 1, 6, 12 and 24, if they divide "
              "--lead)",
     )
     parser.add_argument(
-        "--events", type=within(1e-3, 1e3), nargs="+", metavar="MM",
+        "--events", type=make_number_type(1e-3, 1e3), nargs="+", metavar="MM",
         help="for each of --sums, the mm from which a sum is an event (default: 1, 2, 3 and 5)",
     )
     parser.add_argument(
@@ -105,7 +111,7 @@ def main() -> None:
     sums = _read_sums(arguments)
     for file in arguments.output:
         refuse_unwritable(file, (".html", ".csv"), "--output")
-    with in_extra("study"):  # fail before the work if a page needs it
+    with require_extra("study"):  # fail before the work if a page needs it
         if any(file.suffix == ".html" for file in arguments.output):
             from greenroof_ros.analysis.verification.page import render
     choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
@@ -139,7 +145,7 @@ def main() -> None:
             _write_csv(tallies) if file.suffix == ".csv"
             else render(forecasts, records, tallies, warnings)
         )
-        with naming(file):
+        with add_path_to_errors(file):
             file.write_text(text, encoding="utf-8")
     console = Console()
     console.print(_make_table(

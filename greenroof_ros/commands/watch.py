@@ -8,8 +8,14 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, add_foxglove, add_namespace, command, within
-from greenroof_ros.common.errors import ConfigurationError, with_extra
+from greenroof_ros.common.command_line import (
+    Parser,
+    add_foxglove,
+    add_namespace,
+    command,
+    make_number_type,
+)
+from greenroof_ros.common.errors import ConfigurationError, describe_extra
 from greenroof_ros.common.files import state_directory
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.feed import Feed
@@ -65,11 +71,6 @@ def make_parser() -> Parser:
         "at the address that is printed.",
     )
     parser.add_argument(
-        "--site", type=Path, metavar="FILE",
-        help="site file by which levels are judged (default: the site file of the graph's "
-        "nodes, otherwise the paper's, config/site.yaml)",
-    )
-    parser.add_argument(
         "--allow-release", action="store_true",
         help="allow the page to release the pump, whoever holds it, and to clear the "
         "fault speed_not_followed; if the site file allows it, also to ask for a dose. "
@@ -83,7 +84,7 @@ def make_parser() -> Parser:
         f"(default: {LOOPBACK})",
     )
     parser.add_argument(
-        "--port", type=within(1, 65535, int), metavar="N",
+        "--port", type=make_number_type(1, 65535, int), metavar="N",
         help=f"TCP port of the page (default: {PORTS[0]}, and if it is in use, the next free "
              "port)",
     )
@@ -97,12 +98,12 @@ def make_parser() -> Parser:
 
 
 def _refuse_wrong(arguments: argparse.Namespace) -> None:
-    """Refuse wrong options; a site file is refused when it is read.
+    """Refuse wrong options.
 
     Raises:
         ConfigurationError: an option is wrong.
     """
-    for option in ("site", "allow_release", "host", "port", "token_file"):
+    for option in ("allow_release", "host", "port", "token_file"):
         if arguments.foxglove is not None and getattr(arguments, option):
             raise ConfigurationError(
                 "is for the page; omit it, or --foxglove", key=f"--{option.replace('_', '-')}"
@@ -149,7 +150,7 @@ def main() -> None:
     try:
         from greenroof_ros.watch.server import serve
     except ModuleNotFoundError as error:
-        raise ConfigurationError(f"needs {error.name}: {with_extra('watch')}") from error
+        raise ConfigurationError(f"needs {error.name}: {describe_extra('watch')}") from error
     host, port = arguments.host or LOOPBACK, arguments.port
     # Releasing always needs a token: behind a proxy each request comes from this machine.
     needed = store.allow_release or not is_loopback(host)
@@ -159,9 +160,7 @@ def main() -> None:
     signals = Signals()
     with (
         suppress(InterruptedRun),
-        Feed(
-            store, site_file=arguments.site, past_file=_past_file(arguments.namespace)
-        ) as feed,
+        Feed(store, _past_file(arguments.namespace)) as feed,
     ):
         serve(
             store, feed, host=host, port=port, token=token, signals=signals,

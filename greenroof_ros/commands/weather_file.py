@@ -14,7 +14,7 @@ from rich.console import Console
 
 from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import naming
+from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.summary_table import grid
 from greenroof_ros.formats.cells import HOUR
@@ -83,7 +83,7 @@ def main() -> None:
     measured = read_measured(find_files(arguments.files, "FILE"), anywhere)
     about = _describe(measured, site)
     if output is not None:
-        with naming(output):
+        with add_path_to_errors(output):
             output.write_text(
                 write_records(measured, f"{about['format']}; written by greenroof weather"),
                 encoding="utf-8",

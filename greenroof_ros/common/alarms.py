@@ -92,7 +92,9 @@ class StatusDiagnosis:
         )
 
 
-def observed(level: int, role: str, code: str, *cases: str, **values: Value) -> StatusDiagnosis:
+def make_diagnosis(
+    level: int, role: str, code: str, *cases: str, **values: Value
+) -> StatusDiagnosis:
     """Return a diagnosis that a receiver of reports makes itself."""
     return StatusDiagnosis(level, Diagnosis.of(code, *cases, **values).sentence, code, role)
 
@@ -187,7 +189,7 @@ class PartReport:
     again: bool
 
     @classmethod
-    def after(
+    def receive(
         cls, before: PartReport | None, level: int, sentence: str, values: Mapping[str, str],
         wall: float,
     ) -> PartReport:
@@ -264,21 +266,21 @@ class NodeReport:
         self, part: str, wall: float, level: int, sentence: str, values: Mapping[str, str]
     ) -> None:
         """Receive the status of a part."""
-        self.parts[part] = PartReport.after(self.parts.get(part), level, sentence, values, wall)
+        self.parts[part] = PartReport.receive(self.parts.get(part), level, sentence, values, wall)
 
     def diagnoses(self, wall: float) -> Iterator[tuple[str, StatusDiagnosis]]:
         """Yield what is wrong with it and its parts, each by the name of its status."""
         if self.has_ended:
             failure = self.values.get("failure")
             if isinstance(failure, str) and failure:
-                failed = observed(ERROR, self.role, "node_failed", failure=failure)
+                failed = make_diagnosis(ERROR, self.role, "node_failed", failure=failure)
                 sentence = self.ended or failed.sentence
                 yield self.name, replace(failed, sentence=sentence, since=self.heard)
             return
         online = self.is_online(wall)
         lost = replace(
-            observed(STALE, self.role, "not_heard", "ended", why=self.ended) if self.ended
-            else observed(STALE, self.role, "not_heard", "silent", time=SILENT_S),
+            make_diagnosis(STALE, self.role, "not_heard", "ended", why=self.ended) if self.ended
+            else make_diagnosis(STALE, self.role, "not_heard", "silent", time=SILENT_S),
             since=self.heard,
         )
         waiting = self.values.get("waiting")
@@ -286,11 +288,11 @@ class NodeReport:
             yield self.name, lost
         elif self.state == STARTING and isinstance(waiting, list):
             peers = tuple(map(str, waiting[:_MAX_ABOUT]))
-            waits = observed(WARN, self.role, "waits", peers=", ".join(peers))
+            waits = make_diagnosis(WARN, self.role, "waits", peers=", ".join(peers))
             yield self.name, replace(waits, about=peers, age_s=wall - self.since)
         if wall - self.refused_at <= SILENT_S:
             topics = ", ".join(self.refused)
-            refused = observed(WARN, self.role, "values_refused", topics=topics)
+            refused = make_diagnosis(WARN, self.role, "values_refused", topics=topics)
             yield f"{self.name}: refused", replace(refused, about=self.refused)
         namespace = self.name.rpartition("/")[0]
         for part, report in self.parts.items():

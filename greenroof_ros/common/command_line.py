@@ -20,8 +20,8 @@ from greenroof_ros import INTERRUPTED, end_interrupted
 from greenroof_ros.common.errors import (
     ConfigurationError,
     OccupiedError,
-    alike,
-    must_be_one_of,
+    describe_choices,
+    find_similar,
 )
 from greenroof_ros.common.processes import end_with_parent
 from greenroof_ros.common.ranges import Range
@@ -144,7 +144,8 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             option = next((word[2:] for word in unknown if word.startswith("--")), "")
             known = [known[2:] for known in self._option_string_actions if known.startswith("--")]
-            meant = " or ".join(f"--{name}" for name in alike(option.partition("=")[0], known))
+            similar = find_similar(option.partition("=")[0], known)
+            meant = " or ".join(f"--{name}" for name in similar)
             self.error(
                 f"unrecognized arguments: {' '.join(unknown)}"
                 + (f"; did you mean {meant}?" if meant else "")
@@ -155,11 +156,11 @@ class Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Refuse a value that is not among the option's choices; state what it may mean."""
         if action.choices is not None and value not in action.choices:
-            wrong = f"{value!r} {must_be_one_of([*action.choices], str(value))}"
+            wrong = f"{value!r} {describe_choices([*action.choices], str(value))}"
             raise argparse.ArgumentError(action, wrong)
 
 
-def within(
+def make_number_type(
     low: float, high: float, kind: type[float] = float, *, word: str = ""
 ) -> Callable[[str], float]:
     """Return a parser of an option that must be a number in a range; a whole number for ``int``.
@@ -183,7 +184,7 @@ def within(
     return parse
 
 
-def refuse(*rules: tuple[bool, str, object, str]) -> None:
+def refuse(*rules: tuple[object, str, object, str]) -> None:
     """Refuse a command line if it breaks a rule; report the first one that it breaks.
 
     Args:
@@ -197,7 +198,7 @@ def refuse(*rules: tuple[bool, str, object, str]) -> None:
             raise ConfigurationError(expected, key=option, value=value)
 
 
-def namespace(text: str) -> str:
+def parse_namespace(text: str) -> str:
     """Return a namespace as ROS writes it, ``/site1``; empty if there is none."""
     name = text.strip("/")
     if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
@@ -206,13 +207,13 @@ def namespace(text: str) -> str:
 
 
 # argparse shows this in its error message
-namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
+parse_namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
 
 
 def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Add the option that names the graph of a command which joins one, with more help on it."""
     parser.add_argument(
-        "--namespace", type=namespace, default="", metavar="NAME",
+        "--namespace", type=parse_namespace, default="", metavar="NAME",
         help=f"namespace of the graph, as given to greenroof run or live{more} (default: none)",
     )
 
@@ -230,7 +231,7 @@ def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> No
 def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
     """Add the option that serves a graph to Foxglove; its port is the one that viewers suggest."""
     parser.add_argument(
-        "--foxglove", nargs="?", const=8765, type=within(0, 65535, int), metavar="PORT",
+        "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
         help=f"{about} PORT is 8765 unless given, and 0 means any that is free. Needs the extra "
         "[foxglove]",
     )

@@ -152,11 +152,11 @@ class Diagnosis:
     def __str__(self) -> str:
         return self.sentence
 
-    def under(self, code: str) -> Diagnosis:
+    def change_code(self, code: str) -> Diagnosis:
         """Return it under another code, with the same sentence and values."""
         return replace(self, code=code, text=self.sentence)
 
-    def plus(self, case: str, **values: Value) -> Diagnosis:
+    def add_case(self, case: str, **values: Value) -> Diagnosis:
         """Return it with one more of its sentences."""
         return Diagnosis.of(self.code, str(self.values["case"]), case, **{**self.values, **values})
 
@@ -169,7 +169,9 @@ class Diagnosis:
 Value = float | str | Diagnosis
 
 
-def joined(problems: Sequence[Diagnosis], worst: Diagnosis | None = None) -> Diagnosis | None:
+def join_diagnoses(
+    problems: Sequence[Diagnosis], worst: Diagnosis | None = None
+) -> Diagnosis | None:
     """Return problems as one, with the code and the values of the worst; None if there is none.
 
     Args:

@@ -46,7 +46,7 @@ class OccupiedError(ConfigurationError):
     """Another graph already runs where this one should run; commands end with exit code 3."""
 
 
-def with_extra(extra: str) -> str:
+def describe_extra(extra: str) -> str:
     """Return a clause for a message: how to get the packages of an extra.
 
     It names no command, since the package may come from an index, a wheel or a checkout.
@@ -55,7 +55,7 @@ def with_extra(extra: str) -> str:
 
 
 @contextmanager
-def in_extra(extra: str) -> Iterator[None]:
+def require_extra(extra: str) -> Iterator[None]:
     """Guard the import of a package that a plain installation does not have.
 
     Args:
@@ -68,14 +68,14 @@ def in_extra(extra: str) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
-        raise ConfigurationError(f"needs {package}: {with_extra(extra)}") from error
+        raise ConfigurationError(f"needs {package}: {describe_extra(extra)}") from error
 
 
 # The minimum similarity of two names, 0 to 1: one of three letters may be wrong.
 _ALIKE, _SHORT_ALIKE = 0.6, 0.5
 
 
-def alike(name: str, known: Collection[str]) -> list[str]:
+def find_similar(name: str, known: Collection[str]) -> list[str]:
     """Return the known names that a shortened or mistyped name probably means."""
     alikeness = {
         word: 1.0 if name and word.casefold().startswith(name.casefold())
@@ -88,13 +88,13 @@ def alike(name: str, known: Collection[str]) -> list[str]:
     return [word for word in known if alikeness[word] == best]
 
 
-def did_you_mean(name: str, known: Collection[str]) -> str:
+def suggest_names(name: str, known: Collection[str]) -> str:
     """Return a clause for a message: what a name probably means, or all known names."""
-    meant = alike(name, known)
+    meant = find_similar(name, known)
     return f"did you mean {' or '.join(meant)}?" if meant else f"choose from {', '.join(known)}"
 
 
-def must_be_one_of(known: Collection[str], name: str, otherwise: str = "") -> str:
+def describe_choices(known: Collection[str], name: str, otherwise: str = "") -> str:
     """Return a message about a wrong name: what it probably means, or all that it may be.
 
     Args:
@@ -102,6 +102,6 @@ def must_be_one_of(known: Collection[str], name: str, otherwise: str = "") -> st
         name: the wrong one.
         otherwise: what else it may be, at the end of the list, such as ``, or a FILE.yaml``.
     """
-    if alike(name, known):
-        return f"is unknown; {did_you_mean(name, known)}"
+    if find_similar(name, known):
+        return f"is unknown; {suggest_names(name, known)}"
     return f"must be one of {', '.join(known)}{otherwise}"

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import yaml
 
@@ -76,7 +76,7 @@ def file_digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
-MOST_BYTES = 100_000_000
+MAX_BYTES = 100_000_000
 """Most that is read of a file of a user (bytes): 100 years of hourly weather, a minute's record of
 three years, or the hourly runs of a year with one member. So no file exhausts the memory."""
 
@@ -99,10 +99,10 @@ def read_lines(path: Path) -> Iterator[str]:
     try:
         with path.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
-            if size > MOST_BYTES:
+            if size > MAX_BYTES:
                 raise ConfigurationError(
                     f"has {size / 1e6:.0f} MB to read; a file may have at most "
-                    f"{MOST_BYTES / 1e6:g} MB: leave out what no run needs, or split it, since "
+                    f"{MAX_BYTES / 1e6:g} MB: leave out what no run needs, or split it, since "
                     "weather can be several files and forecasts a directory of files", file=path,
                 )
             for number, raw in enumerate(stream, start=1):
@@ -293,7 +293,7 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
 
 
 @contextmanager
-def naming(path: Path) -> Iterator[None]:
+def add_path_to_errors(path: Path) -> Iterator[None]:
     """Add a path to an error that lacks it, as the errors of reading and writing an open file do.
 
     Raises:
@@ -308,11 +308,18 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def replace_text(file: Path, text: str, *, parents: bool = False) -> None:
+    """Write a text as :func:`replace_file` writes a file."""
+    replace_file(file, lambda stream: stream.write(text.encode()), parents=parents)
+
+
+def replace_file(
+    file: Path, write: Callable[[BinaryIO], object], *, parents: bool = False
+) -> None:
     """Write a file as a whole: after a power cut it is the old one or the new one.
 
     Args:
-        file: the file.
-        text: its content.
+        file: the file; one process at a time may replace it.
+        write: writes its content.
         parents: whether a missing directory is made. Not where the file's disk may be gone.
 
     Raises:
@@ -322,8 +329,8 @@ def replace_text(file: Path, text: str, *, parents: bool = False) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_name(f".{file.name}.part")
     try:
-        with naming(part), part.open("w", encoding="utf-8") as stream:
-            stream.write(text)
+        with add_path_to_errors(part), part.open("wb") as stream:
+            write(stream)
             stream.flush()
             os.fsync(stream.fileno())
         part.replace(file)

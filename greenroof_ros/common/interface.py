@@ -61,13 +61,13 @@ class Age:
         parameter: its name.
         quantity: what the values are, in words.
         default: s.
-        most: maximum value of the parameter (s).
+        max: maximum value of the parameter (s).
     """
 
     parameter: str
     quantity: str
     default: float
-    most: float
+    max: float
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Topic:
     live: bool = True
     live_publishers: tuple[str, ...] = ()
     live_subscribers: tuple[str, ...] = ()
-    greatest_age: Age | None = None
+    max_age: Age | None = None
 
     @property
     def range(self) -> Range:
@@ -111,11 +111,11 @@ def _topics() -> dict[str, Topic]:
     """Read the interface, once per process: every site, node and page asks for it."""
     interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
     profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
-    ages = {name: Age(parameter=name, **age) for name, age in interface["greatest_ages"].items()}
+    ages = {name: Age(parameter=name, **age) for name, age in interface["max_ages"].items()}
     return {
         name: _topic(
             name, profiles[entry.pop("qos")],
-            greatest_age=ages.get(entry.pop("greatest_age", "")), **entry,
+            max_age=ages.get(entry.pop("max_age", "")), **entry,
         )
         for name, entry in interface["topics"].items()
     }
@@ -224,7 +224,7 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
     return namespaces[0] if namespaces else ""
 
 
-def roles(simulated: Collection[str], live: Collection[str]) -> str:
+def describe_roles(simulated: Collection[str], live: Collection[str]) -> str:
     """Return who publishes or subscribes, first in a simulation, then in a live graph."""
     words = [", ".join(simulated)] if simulated else []
     return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)
@@ -247,7 +247,7 @@ def main() -> None:
     for topic in read_topics().values():
         print(
             f"| `{topic.name}` | {topic.unit} | {topic.meaning} "
-            f"| {roles(topic.publishers, topic.live_publishers)} "
-            f"| {roles(topic.subscribers, topic.live_subscribers)} "
+            f"| {describe_roles(topic.publishers, topic.live_publishers)} "
+            f"| {describe_roles(topic.subscribers, topic.live_subscribers)} "
             f"| {topic.type.replace('/msg/', '/')} |"
         )

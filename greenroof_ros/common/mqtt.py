@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import check_private, read_yaml
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _PORT, _TLS_PORT = 1883, 8883
 # Keep-alive (s): a broker that is silent for one and a half times as long is treated as lost.
 _KEEP_ALIVE_S = 5
 # Waits between two attempts to connect (s): the first and the longest.
-_FIRST_WAIT_S, _LONGEST_WAIT_S = 1, 5
+_FIRST_WAIT_S, _MAX_WAIT_S = 1, 5
 # The reason code if a connection ends without one.
 _UNSPECIFIED = 0x80
 
@@ -129,7 +129,7 @@ def make_client(
     Raises:
         ConfigurationError: the MQTT library is missing, or the login or certificate file is wrong.
     """
-    with in_extra("mqtt"):
+    with require_extra("mqtt"):
         from paho.mqtt.client import Client, MQTTv311
         from paho.mqtt.enums import CallbackAPIVersion
     client = Client(
@@ -171,7 +171,7 @@ def make_client(
     client.on_message = lambda client, data, message: on_message(
         message.topic, bytes(message.payload), message.retain
     )
-    client.reconnect_delay_set(_FIRST_WAIT_S, _LONGEST_WAIT_S)
+    client.reconnect_delay_set(_FIRST_WAIT_S, _MAX_WAIT_S)
     client.connect_async(broker.host, broker.port, keepalive=_KEEP_ALIVE_S)
     return client
 

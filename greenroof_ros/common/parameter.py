@@ -18,7 +18,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NewType, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean, must_be_one_of
+from greenroof_ros.common.errors import ConfigurationError, describe_choices, suggest_names
 from greenroof_ros.common.files import YamlMapping, read_yaml
 from greenroof_ros.common.ranges import Range
 
@@ -201,7 +201,7 @@ def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
     entries, by_name = _mapping(value, parts), {key.name: key for key in keys(kind)}
     for name in entries:
         if name not in by_name:
-            wrong = f"is not a key here; {did_you_mean(name, by_name)}"
+            wrong = f"is not a key here; {suggest_names(name, by_name)}"
             raise _Wrong((*parts, name), wrong, entries[name])
     fields = {}
     for name, key in by_name.items():
@@ -262,7 +262,7 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
         if not isinstance(value, str) or not (value.strip() or value in entry.among):
             raise _Wrong(parts, "must be text", value)
         if entry.among and value not in entry.among:
-            raise _Wrong(parts, must_be_one_of([*filter(None, entry.among)], value), value)
+            raise _Wrong(parts, describe_choices([*filter(None, entry.among)], value), value)
         return " ".join(value.split())
     if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
         value = int(value, 16)
@@ -273,11 +273,11 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
         raise _Wrong(parts, f"{error}{example}", value) from None
 
 
-def no_such_parameter(name: str, names: Iterable[str]) -> str:
+def suggest_parameter(name: str, names: Iterable[str]) -> str:
     """Return that there is no parameter of a name, and the closest of the names that there are."""
-    return f"there is no such parameter; the closest is {closest(name, names)}"
+    return f"there is no such parameter; the closest is {find_closest(name, names)}"
 
 
-def closest(name: str, names: Iterable[str]) -> str:
+def find_closest(name: str, names: Iterable[str]) -> str:
     """Return the name that is closest to another."""
     return get_close_matches(name, list(names), 1, 0.0)[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import faulthandler
 import fcntl
 import hashlib
 import os
@@ -66,7 +67,7 @@ def end_with(process: int) -> None:
 _FLAGS = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
 # Length of an address of a Unix socket (bytes), and what the kernel reports of its listener:
 # process, user and group.
-_LONGEST_ADDRESS = 107
+_MAX_ADDRESS = 107
 _CREDENTIALS = struct.Struct("3i")
 
 
@@ -97,7 +98,7 @@ def acquire_name_lock(name: str) -> socket.socket:
         OSError: the system refuses such sockets.
     """
     address = f"\0greenroof_ros-{name}"
-    if len(address.encode()) > _LONGEST_ADDRESS:
+    if len(address.encode()) > _MAX_ADDRESS:
         address = f"\0greenroof_ros-{hashlib.sha256(name.encode()).hexdigest()}"
     lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
@@ -239,6 +240,8 @@ class Signals:
 def time_limit(seconds: float) -> Iterator[None]:
     """End Python code of the main thread that takes too long, and once a second if it goes on.
 
+    Compiled code cannot be ended; standard error then has the place from which it was called.
+
     Raises:
         HangError: it took longer than this (s).
     """
@@ -249,9 +252,11 @@ def time_limit(seconds: float) -> Iterator[None]:
 
     before = signal.signal(signal.SIGALRM, end)
     signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)
+    faulthandler.dump_traceback_later(seconds + 1.0)
     try:
         yield
     finally:
+        faulthandler.cancel_dump_traceback_later()
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from greenroof_ros.common.disk import DiskThread
 
 # How many lines may wait, and how long the end of the process waits for them (s).
-_MOST, _END_S = 1000, 2.0
+_MAX_LINES, _END_S = 1000, 2.0
 # How often progress is printed (s).
 _EVERY_S = 10.0
 
@@ -47,7 +47,7 @@ class Lines:
     def write(self, text: str) -> None:
         """Queue a text for writing; with the next two methods this is a file for progress bars."""
         with self._lock:
-            if len(self._waiting) == _MOST:
+            if len(self._waiting) == _MAX_LINES:
                 self._waiting.popleft()
                 self._dropped += 1
             self._waiting.append(text)

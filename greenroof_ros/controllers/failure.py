@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import traceback
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,8 @@ from typing import Any
 import greenroof_ros
 from greenroof_ros.common.errors import ConfigurationError
 
-_PACKAGE = str(Path(greenroof_ros.__file__).parent)
+# Where no code of a user is: this package, and what Python imports with.
+_NO_USERS = str(Path(greenroof_ros.__file__).parent), importlib.__file__, "<frozen importlib"
 
 
 class ControllerError(ConfigurationError):
@@ -24,12 +26,11 @@ def locate_error(kind: Any, error: BaseException) -> ControllerError:
     """
     name = getattr(kind, "__name__", str(kind))
     file, line = None, None
-    frames = traceback.extract_tb(error.__traceback__)
-    users = [frame for frame in frames if not frame.filename.startswith(_PACKAGE)]
-    if users or kind.__module__.startswith("greenroof_ros."):
-        file = (users[0] if users else frames[-1]).filename
-        last = next(frame for frame in reversed(frames) if frame.filename == file)
-        line, name = last.lineno, f"{name}.{last.name}"
+    last = _last_frame(error)
+    if last is None and kind.__module__.startswith("greenroof_ros."):
+        last = traceback.extract_tb(error.__traceback__)[-1]
+    if last is not None:
+        file, line, name = last.filename, last.lineno, f"{name}.{last.name}"
     else:
         for method in ("__init__", "command", "skip", "statistics"):
             if f"{method}()" in str(error):
@@ -40,7 +41,29 @@ def locate_error(kind: Any, error: BaseException) -> ControllerError:
     )
 
 
+def not_imported(reference: str, error: BaseException) -> ConfigurationError:
+    """Return that a controller cannot be imported, with the file and line in a user's code."""
+    last = _last_frame(error)
+    file, line = (None, None) if last is None else (last.filename, last.lineno)
+    if isinstance(error, SyntaxError):
+        file, line = error.filename, error.lineno
+    return ConfigurationError(
+        f"cannot be imported: {type(error).__name__}: {error}", file=file, line=line,
+        key="controller", value=reference,
+    )
+
+
+def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
+    """Return the last place in the first file of a user that an error came through, if any."""
+    frames = [
+        frame for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith(_NO_USERS)
+    ]
+    return next((each for each in reversed(frames) if each.filename == frames[0].filename), None)
+
+
 def find_place(kind: Any, method: str) -> tuple[str | None, int | None]:
-    """Return the file and line of a method; None for what is not a function in a file."""
-    code = getattr(getattr(kind, method), "__code__", None)
+    """Return the file and line of a method or property; None for what is no function in a file."""
+    member = getattr(kind, method)
+    code = getattr(getattr(member, "fget", member), "__code__", None)
     return (None, None) if code is None else (code.co_filename, code.co_firstlineno)

@@ -16,12 +16,12 @@ from typing import Any, cast
 from greenroof_ros.common.errors import (
     ConfigurationError,
     HangError,
-    did_you_mean,
-    must_be_one_of,
+    describe_choices,
+    suggest_names,
 )
 from greenroof_ros.common.files import YamlMapping, read_ros_parameters
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.failure import locate_error
+from greenroof_ros.controllers.failure import locate_error, not_imported
 from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_optional
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
@@ -48,8 +48,9 @@ OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_override
 _OTHER_NODES = {"plant", "weather", "recorder", "pump", "bringup"}
 # Every controller's node has these parameters.
 _OF_EVERY_NODE = {
-    "site_file", "state_file", "use_sim_time", "level_limit", "forecast_limit", "frost_limit",
-    "gauge_limit", "flow_limit", "recovery_time", "frozen_movement", "jump_tolerance",
+    "site_file", "state_file", "given_up", "use_sim_time", "level_limit", "forecast_limit",
+    "frost_limit", "gauge_limit", "flow_limit", "recovery_time", "frozen_movement",
+    "jump_tolerance",
 }
 
 
@@ -102,8 +103,8 @@ class ControllerChoice:
             sys.path.insert(0, str(Path.cwd()))
         try:
             return getattr(importlib.import_module(module_name), class_name)
-        except Exception as error:  # anything that a user's module raises
-            raise self._not_imported(error) from error
+        except (Exception, SystemExit) as error:  # anything that a user's module raises
+            raise not_imported(self.reference, error) from error
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -150,18 +151,12 @@ class ControllerChoice:
             ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
             set_optional(controller, forecast_ends=ends)
         except ImportError as error:
-            raise self._not_imported(error) from error
+            raise not_imported(self.reference, error) from error
         except (ConfigurationError, HangError):
             raise
         except (Exception, SystemExit) as error:
             raise locate_error(kind, error) from error
         return controller
-
-    def _not_imported(self, error: Exception) -> ConfigurationError:
-        return ConfigurationError(
-            f"cannot be imported: {type(error).__name__}: {error}",
-            key="controller", value=self.reference,
-        )
 
     def parameters_on(self, site: Site) -> list[Parameter]:
         """Return its parameters, each with its default for a site's roof."""
@@ -209,7 +204,7 @@ class ControllerChoice:
         """
         if key not in self.parameters:
             raise ConfigurationError(
-                f"is not a parameter of {self.name}; {did_you_mean(key, self.parameters)}",
+                f"is not a parameter of {self.name}; {suggest_names(key, self.parameters)}",
                 file=path, line=line, key=key,
             )
 
@@ -247,7 +242,7 @@ def find_controller(reference: str) -> ControllerChoice:
     if ":" not in reference:
         path = BUILT_IN.get(reference) or _of_other_packages().get(reference)
         if path is None:
-            expected = must_be_one_of(controller_names(), reference, ", or package.module:Class")
+            expected = describe_choices(controller_names(), reference, ", or package.module:Class")
             raise ConfigurationError(expected, key="controller", value=reference)
         return ControllerChoice(reference, reference, path)
     if not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):

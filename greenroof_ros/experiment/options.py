@@ -8,7 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import Parser, add_foxglove, add_site, namespace, within
+from greenroof_ros.common.command_line import (
+    Parser,
+    add_foxglove,
+    add_site,
+    make_number_type,
+    parse_namespace,
+)
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START
@@ -122,7 +128,7 @@ def _add_parameters(
         unit = "" if parameter.unit in ("", "1") else f"{parameter.unit}, "
         group.add_argument(
             _option(parameter.name), dest=f"{prefix}{parameter.name}", metavar="X",
-            type=within(parameter.low, parameter.high, type(parameter.default)),
+            type=make_number_type(parameter.low, parameter.high, type(parameter.default)),
             help=f"{parameter.meaning} ({unit}default: {parameter.default:g})",
         )
 
@@ -147,7 +153,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
         f"UTC, the weather file's is used (default: {DEFAULT_START}, the paper's window)",
     )
     group.add_argument(
-        "--hours", type=within(1e-9, 1e9), metavar="H",
+        "--hours", type=make_number_type(1e-9, 1e9), metavar="H",
         help="length of the run in simulated hours (default: N of the site file, 12 h)",
     )
     group.add_argument(
@@ -172,11 +178,11 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
         "the site file, low-low if it gives none)",
     )
     group.add_argument(
-        "--cistern", type=within(0, 1e9), metavar="V",
+        "--cistern", type=make_number_type(0, 1e9), metavar="V",
         help="instead of --initial: volume in the cistern (m3); --roof must be given too",
     )
     group.add_argument(
-        "--roof", type=within(0, 1e9), metavar="V",
+        "--roof", type=make_number_type(0, 1e9), metavar="V",
         help="instead of --initial: volume on the roof (m3)",
     )
     group.add_argument(
@@ -199,7 +205,7 @@ def add_forecast_options(group: argparse._ArgumentGroup) -> None:
     _add_parameters(group, (NUMBERS["seed"], NUMBERS["members"]))
     delay = NUMBERS["delay"]
     group.add_argument(
-        "--forecast-delay", type=within(delay.low, delay.high), metavar="H",
+        "--forecast-delay", type=make_number_type(delay.low, delay.high), metavar="H",
         help="errors, ensemble, a file: hours from an issue's nominal time until it is available "
         f"(default: {SERVICE_DELAY_H:g} for errors and ensemble; for a file, the usual delay of "
         "its kind, 0 for this project's format, which states when it was available)",
@@ -229,7 +235,8 @@ def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
         help="directory of the run, new or empty (default: a dated one under runs/)",
     )
     group.add_argument(
-        "--speed", type=within(1e-9, 1e9, word="max"), default=0.0, metavar="{max|FACTOR}",
+        "--speed", type=make_number_type(1e-9, 1e9, word="max"), default=0.0,
+        metavar="{max|FACTOR}",
         help="simulated time per wall time; 1 is real time (default: max)",
     )
     group.add_argument(
@@ -252,12 +259,12 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         + (f" (default: {pump})" if pump else ""),
     )
     group.add_argument(
-        "--namespace", type=namespace, default="", metavar="NAME",
+        "--namespace", type=parse_namespace, default="", metavar="NAME",
         help="put the whole graph, including its clock, under /NAME, so that several run side by "
         "side in one domain (default: none)",
     )
     group.add_argument(
-        "--peer-limit", type=within(2, 1e6), default=5.0, metavar="S",
+        "--peer-limit", type=make_number_type(2, 1e6), default=5.0, metavar="S",
         help="longest wait for a node, in wall time, at least 2 s: joining nodes listen for one "
         "second (default: %(default)s s)",
     )

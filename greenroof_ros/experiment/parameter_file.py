@@ -15,7 +15,7 @@ from pathlib import Path
 from greenroof_ros.common.command_line import refuse
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import YamlMapping, default_site_file, read_ros_parameters
-from greenroof_ros.common.parameter import closest, no_such_parameter
+from greenroof_ros.common.parameter import find_closest, suggest_parameter
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.model.site import read_site
 
@@ -80,7 +80,7 @@ def _refuse_unknown(file: Path, nodes: Mapping[str, str], controller: Controller
         if not matching:
             raise ConfigurationError(
                 "bringup starts no such node; the closest is "
-                f"/**/{closest(section.rpartition('/')[2], last)}; it starts "
+                f"/**/{find_closest(section.rpartition('/')[2], last)}; it starts "
                 f"{', '.join(sorted(known))}", file=file, line=line, key=section or _SECTION,
             )
         if not isinstance(content, YamlMapping):
@@ -99,7 +99,7 @@ def _refuse_unknown(file: Path, nodes: Mapping[str, str], controller: Controller
                     )
             if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:
                 raise ConfigurationError(
-                    f"{no_such_parameter(name, sorted(names))}; --help of the node lists all",
+                    f"{suggest_parameter(name, sorted(names))}; --help of the node lists all",
                     file=file, line=content.lines[name], key=f"{section}: {name}", value=value,
                 )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from greenroof_ros.common.errors import ConfigurationError, must_be_one_of
+from greenroof_ros.common.errors import ConfigurationError, describe_choices
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.forecast.skill import REAL, SKILLS
 from greenroof_ros.formats.reading import SUFFIXES
@@ -95,7 +95,7 @@ def check_skill(text: str, key: str) -> None:
     """
     if text not in SKILLS and not text.lower().endswith(".yaml"):
         raise ConfigurationError(
-            must_be_one_of(SKILLS, text, ", or a FILE.yaml"), key=key, value=text
+            describe_choices(SKILLS, text, ", or a FILE.yaml"), key=key, value=text
         )
 
 
@@ -114,4 +114,4 @@ def choose(text: str, key: str) -> ForecastChoice:
     if text.lower().endswith((*SUFFIXES, "/")) or (text and Path(text).is_dir()):
         return ForecastChoice(FILE, file=Path(text))
     files = f", or forecasts: a file ({', '.join(SUFFIXES)}) or a directory of files"
-    raise ConfigurationError(must_be_one_of(MODELS, text, files), key=key, value=text)
+    raise ConfigurationError(describe_choices(MODELS, text, files), key=key, value=text)

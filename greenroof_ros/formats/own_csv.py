@@ -16,7 +16,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import read_lines
 from greenroof_ros.common.ranges import Range, read_number
 from greenroof_ros.common.times import duration, parse_time, to_minutes
@@ -220,7 +220,7 @@ def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
         quantity = _SYNONYMS.get(quantity, quantity)
         if quantity not in QUANTITIES:
             known = [f"{key} [{value.unit}]" for key, value in QUANTITIES.items()]
-            raise table.refuse(f"is not a known column; {did_you_mean(column, known)}", column)
+            raise table.refuse(f"is not a known column; {suggest_names(column, known)}", column)
         units = QUANTITIES[quantity].columns
         if unit not in units:
             raise table.refuse(f"the unit of {name} must be [{'] or ['.join(units)}]", column)

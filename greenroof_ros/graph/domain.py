@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError, OccupiedError, with_extra
+from greenroof_ros.common.errors import ConfigurationError, OccupiedError, describe_extra
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import LockedError, acquire_name_lock
 from greenroof_ros.common.ranges import Range
@@ -51,7 +51,7 @@ def importing_ros() -> Iterator[None]:
         yield
     except ImportError as error:
         raise ConfigurationError(
-            f"there is no ROS 2 here: source yours, or {with_extra('ros')}; "
+            f"there is no ROS 2 here: source yours, or {describe_extra('ros')}; "
             f"greenroof simulate needs none ({error})"
         ) from error
 

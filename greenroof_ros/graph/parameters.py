@@ -24,7 +24,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
-from greenroof_ros.common.parameter import Parameter, no_such_parameter
+from greenroof_ros.common.parameter import Parameter, suggest_parameter
 from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import Site, read_site
 
@@ -173,6 +173,6 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
         ours = of in ("", node.get_name()) and not name.startswith("qos_overrides.")
         if option in ("-p", "--param") and ours and not node.has_parameter(name):
             raise ConfigurationError(
-                f"{no_such_parameter(name, node.get_parameters_by_prefix(''))}; --help lists all",
+                f"{suggest_parameter(name, node.get_parameters_by_prefix(''))}; --help lists all",
                 key=f"parameter {name} of {node.get_name()}", value=value,
             )

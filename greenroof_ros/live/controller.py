@@ -12,9 +12,10 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import NumberFile
@@ -22,18 +23,21 @@ from greenroof_ros.common.errors import ConfigurationError, HangError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import time_limit
+from greenroof_ros.common.states import ENDED
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.controllers.decide import decide, shape_rain
-from greenroof_ros.controllers.failure import ControllerError, locate_error
+from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
-from greenroof_ros.controllers.protocol import knows_time, set_optional
+from greenroof_ros.controllers.protocol import ControllerClass, knows_time, set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.node import LiveNode, live_command
+from greenroof_ros.live.supervisor_socket import supervisor_socket
 from greenroof_ros.model.plant import pump_flow
+from greenroof_ros.model.site import Site
 
 # The inputs; without the forecasts, the flow or the gauge it still commands.
 _INPUTS = (
@@ -48,11 +52,18 @@ _GIVEN_UP = 3
 _ASKED_AGAIN = 60
 # How long it may take to decide, if the tick is not longer (s): the supervisor kills a node that is
 # silent for 5 s.
-_LONGEST_S = 3.0
+_DECIDING_S = 3.0
+# How long its class may take to be imported, and then to be made for the first time, which imports
+# a solver (s): both, and ROS before them, end within the 30 s that a starting node may be silent.
+_STARTING_S = 12.0
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
     "state_file", "", meaning="file that keeps what waiting for rain has cost so far "
     "across restarts; empty: none",
+)
+GIVEN_UP = Parameter(
+    "given_up", "", meaning="why the controller cannot be run, and on/off commands in its place; "
+    "bringup sets it; empty: it is run",
 )
 # How often learned values are saved (s).
 _SAVE_S = 600.0
@@ -61,7 +72,7 @@ _SAVE_S = 600.0
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     """Return the parameters of a controller's node; without a controller, the common ones."""
     of_class = [] if choice is None else choice.kind.parameters
-    return [site_file(), STATE_FILE, *of_class, *LIVE_PARAMETERS]
+    return [site_file(), STATE_FILE, GIVEN_UP, *of_class, *LIVE_PARAMETERS]
 
 
 class LiveControllerNode(LiveNode):
@@ -72,6 +83,9 @@ class LiveControllerNode(LiveNode):
     that failed is asked again every 60 times recovery_time. After on/off has pumped, the controller
     restarts, since its knowledge of the roof and its plan are outdated. What waiting for rain has
     cost is kept, also across restarts of the node, in ``state_file``.
+
+    A controller with which the node cannot run ends the node; then bringup starts it again with
+    ``given_up``, and on/off commands until the site is started again.
     """
 
     def __init__(self, controller: str) -> None:
@@ -83,9 +97,14 @@ class LiveControllerNode(LiveNode):
         Raises:
             ConfigurationError: there is no such controller.
         """
-        self._choice = choice = find_controller(controller)
-        _ = choice.kind  # fail before a node is made
+        choice = find_controller(controller)
         super().__init__(choice.name, "controller")
+        values = declare(self, [STATE_FILE, GIVEN_UP])
+        if why := values[GIVEN_UP.name]:
+            choice = replace(choice, given=_given_up(why))
+        self._choice = choice
+        with time_limit(_STARTING_S):
+            _ = choice.kind
         self._site = site = self.declare_site()
         self._tick = 0
         self._settings = ControllerParameters(self, choice, site, lambda: self._tick)
@@ -110,10 +129,12 @@ class LiveControllerNode(LiveNode):
         self._lacking_since = math.inf  # a forecast, or a controller that works (steady clock, s)
         self._stand_in_since = ""  # when on/off took over, in words; empty if not
         self._outdated = False
-        file = declare(self, [STATE_FILE])[STATE_FILE.name]
+        file = values[STATE_FILE.name]
         self._learned_file = NumberFile(Path(file)) if file else None
         self._learned = self._load_learned()
         self._saved_at = time.monotonic()
+        with self._controllers_code(_STARTING_S):
+            self._make()
 
     def on_inputs(self) -> None:
         """Publish the command and the controller's optional outputs."""
@@ -124,7 +145,7 @@ class LiveControllerNode(LiveNode):
         command, decides = 0.0, False
         failed_for = time.monotonic() - self._failed_at
         if not self._failure or not self._stand_in_since or failed_for >= self._asked_again_after:
-            with self._controllers_code():
+            with self._controllers_code(max(_DECIDING_S, self._site.tau)):
                 command, decides = self._ask(allowed)
         if decides and failed_for >= self._stand_in_after:
             self._failure = ""
@@ -140,7 +161,7 @@ class LiveControllerNode(LiveNode):
             command = 0.0
         self.publish("/pump/command", command)
         self._tick += 1
-        with self._controllers_code():
+        with self._controllers_code(_DECIDING_S):
             for topic, attribute in self._optional:
                 of_controller = decides and self._settings.controller is not None
                 self.publish(
@@ -156,10 +177,10 @@ class LiveControllerNode(LiveNode):
         }
 
     @contextmanager
-    def _controllers_code(self) -> Iterator[None]:
-        """Keep an error of the controller's code, also that it does not return, as its failure."""
+    def _controllers_code(self, limit: float) -> Iterator[None]:
+        """Keep an error of the controller's code, also that it takes longer (s), as its failure."""
         try:
-            with time_limit(max(_LONGEST_S, self._site.tau)):
+            with time_limit(limit):
                 yield
             return
         except (ConfigurationError, HangError) as error:
@@ -187,8 +208,25 @@ class LiveControllerNode(LiveNode):
             self._rain.refuse(str(error))
             decides = allowed and not self._forecast_problem()
             command = self._decide(decides)
-        self._learned = getattr(self._settings.controller, "learned", None)
+        self._learned = self._read_learned()
         return command, decides
+
+    def _read_learned(self) -> dict[str, float] | None:
+        """Return what the controller has learned, which must be numbers to be saved."""
+        controller = self._settings.controller
+        learned = getattr(controller, "learned", None)
+        if learned is None:
+            return None
+        if isinstance(learned, dict) and all(
+            isinstance(value, (float, int)) and math.isfinite(value) for value in learned.values()
+        ):
+            return {name: float(value) for name, value in learned.items()}
+        kind = type(controller)
+        file, line = find_place(kind, "learned")
+        raise ControllerError(
+            "must be finite numbers by name", file=file, line=line,
+            key=f"{kind.__name__}.learned = {learned!r}",
+        )
 
     def _make(self) -> None:
         """Make a new controller, which knows what the last one had learned."""
@@ -317,10 +355,36 @@ class LiveControllerNode(LiveNode):
         return {**self._settings.changes(), **self._values}
 
 
+def _given_up(why: str) -> ControllerClass:
+    """Return the class of a controller that cannot be made, for this reason."""
+
+    class GivenUp(OnOff):
+        parameters = ()
+
+        def __init__(self, site: Site) -> None:
+            raise ConfigurationError(why)
+
+    return cast(ControllerClass, GivenUp)
+
+
+def make_node(controller: str) -> LiveControllerNode:
+    """Return the node; bringup is told why there is none.
+
+    Raises:
+        ConfigurationError: the node cannot run with this controller.
+    """
+    try:
+        return LiveControllerNode(controller)
+    except ConfigurationError as error:
+        report = {"role": "controller", "state": ENDED, "failure": str(error)}
+        supervisor_socket().report(report)
+        raise
+
+
 _help = partial(
     controller_help, module="live.controller", purpose=__doc__, common=parameters(None)
 )
-main = live_command(LiveControllerNode, _help, "--controller")
+main = live_command(make_node, _help, "--controller")
 
 
 if __name__ == "__main__":

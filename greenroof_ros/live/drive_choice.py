@@ -10,7 +10,7 @@ from typing import Any
 from greenroof_ros.common.command_line import refuse
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
+from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.supervisor import StopDrive
 
 _MAY_RUN = (
@@ -96,26 +96,14 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
         "The pump node takes the commands and runs a drive over Modbus, or a relay over MQTT,\n"
         "real or simulated.",
     )
-    group.add_argument(
-        "--drive", metavar="{NAME,FILE}",
-        help="make of the drive: a name in config/drives/, or a drive file",
-    )
-    group.add_argument(
-        "--drive-at", metavar="ADDRESS",
-        help="its address: tcp://HOST:PORT if it has its own Ethernet port, gateway://HOST:PORT "
-        "for a gateway to its serial port, or a serial line such as /dev/ttyUSB0; append a comma "
-        "and its device id if that differs from its file's, such as gateway://HOST:PORT,17; for a "
-        "relay mqtt://HOST[:PORT]/DEVICE (its topic at a broker), mqtts:// for TLS",
-    )
-    for option, meaning in (
-        ("--broker-login", "for a relay: YAML file with username and password"),
-        ("--broker-authority", "for a relay: file of trusted certificates (PEM), if the system "
-         "does not know the broker's"),
+    for parameter, option, metavar in zip(
+        CHOICE, ("--drive", "--drive-at", "--broker-login", "--broker-authority"),
+        ("{NAME,FILE}", "ADDRESS", "FILE", "FILE"), strict=True,
     ):
-        group.add_argument(option, default="", metavar="FILE", help=meaning)
+        group.add_argument(option, default="", metavar=metavar, help=parameter.meaning)
 
 
-def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
+def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
     """Return the drive that the command line names; None if it names none.
 
     Raises:
@@ -123,16 +111,16 @@ def chosen_drive(arguments: argparse.Namespace) -> DriveChoice | None:
     """
     drive, at = arguments.drive, arguments.drive_at
     refuse(
-        (drive is None and at is not None, "--drive-at", at,
+        (at and not drive, "--drive-at", at,
          "needs --drive, the make of the drive"),
-        (drive is not None and at is None, "--drive", drive,
+        (drive and not at, "--drive", drive,
          "needs --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
          "mqtt://..."),
-        (drive is not None and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
+        (drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
          "leaves the pump to someone else's node, --drive to the pump node; give only one"),
     )
     files = [
         str(Path(file).resolve()) if file else ""
         for file in (arguments.broker_login, arguments.broker_authority)
     ]
-    return None if drive is None else DriveChoice(find_drive_file(drive).resolve(), at, *files)
+    return DriveChoice(find_drive_file(drive).resolve(), at, *files) if drive else None

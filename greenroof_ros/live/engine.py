@@ -50,9 +50,9 @@ _JUMP_TOLERANCE = Parameter(
 # The maximum age of each topic that nodes act on in a live graph.
 LIMITS = {
     topic.name: Parameter(
-        age.parameter, age.default, "s", 0.1, age.most, f"maximum age of {age.quantity}"
+        age.parameter, age.default, "s", 0.1, age.max, f"maximum age of {age.quantity}"
     )
-    for topic in read_topics().values() if (age := topic.greatest_age) is not None
+    for topic in read_topics().values() if (age := topic.max_age) is not None
 }
 _LEVEL = LIMITS["/roof/level"]
 
@@ -203,7 +203,6 @@ class SampleAndHold:
                 entry.check()
 
     def _diagnose_inputs(self) -> None:
-        """Report which of the required inputs are not good, and why."""
         required = self.required
         if required:
             bad = bad_inputs(required)

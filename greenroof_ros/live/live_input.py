@@ -13,7 +13,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from greenroof_ros.common.conditions import Diagnosis, joined
+from greenroof_ros.common.conditions import Diagnosis, join_diagnoses
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.inputs import Input
@@ -182,4 +182,5 @@ def bad_inputs(inputs: Iterable[Input]) -> Diagnosis | None:
     That is the first that breaks a rule, or else the first that is awaited.
     """
     problems = [problem for entry in inputs if (problem := entry.problem) is not None]
-    return joined(problems, min(problems, key=lambda each: each.code in AWAITED, default=None))
+    worst = min(problems, key=lambda each: each.code in AWAITED, default=None)
+    return join_diagnoses(problems, worst)

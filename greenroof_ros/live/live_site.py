@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, add_site, refuse, within
+from greenroof_ros.common.command_line import Parser, add_site, make_number_type, refuse
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.states import PUMP, RECORDER
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
@@ -20,13 +22,12 @@ from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
-from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, chosen_drive
+from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, read_drive_choice
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.model.site import read_site
 
-# Largest size of one file of the bag (MB); a tenth of the bag's limit if that is smaller. The
-# smallest limit (MB).
-_BAG_FILE_MB, MIN_BAG_MB = 100.0, 2.0
+# The minimum size of a bag (MB).
+MIN_BAG_MB = 2.0
 
 
 class LiveSite:
@@ -41,9 +42,6 @@ class LiveSite:
         weather: whether bringup starts the weather node; otherwise the user runs one.
         forecast: forecast file, or ``open-meteo`` to fetch it from there; None if there is none or
             the user runs the weather node.
-        fetch_model: weather model to fetch; empty for the service's choice.
-        fetch_url: URL of the forecast server; empty for Open-Meteo's.
-        fetch_every: time between two forecasts (min); None for the weather node's default.
         drive: the pump's drive; None if the user's own node runs the pump.
         bag_limit: size beyond which the bag's oldest files are removed (MB); None for no bag.
     """
@@ -57,7 +55,7 @@ class LiveSite:
         self.site_file: Path = arguments.site
         site = read_site(self.site_file)
         self.controller, self.parameters = controller_from_arguments(arguments, site)
-        self.drive = drive = chosen_drive(arguments)
+        self.drive = drive = read_drive_choice(arguments)
         others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
         refuse(
             (arguments.sensors is None, "--sensors FILE", None,
@@ -103,9 +101,6 @@ class LiveSite:
         )
         self.weather = not others_weather
         self.forecast = _forecast(arguments)
-        self.fetch_model: str = arguments.fetch_model
-        self.fetch_url: str = arguments.fetch_url
-        self.fetch_every: float | None = arguments.fetch_every
         self.bag_limit: float | None = None if arguments.no_record else arguments.bag_limit
 
     def files(self) -> dict[str, Path]:
@@ -116,16 +111,13 @@ class LiveSite:
         }
         return {name: file for name, file in files.items() if file is not None}
 
-    def forecast_parameters(self, state: Path) -> dict[str, str | float]:
+    def forecast_parameters(self, state: Path) -> dict[str, str]:
         """Return the weather node's forecast parameters; ``state`` is the site's directory."""
         if self.forecast != OPEN_METEO:
             return {"forecast": str(self.forecast or "")}
         return {
             "forecast": str(state / "forecast.csv"),
             "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
-            "fetch_model": self.fetch_model,
-            "fetch_url": self.fetch_url,
-            **({} if self.fetch_every is None else {"fetch_every": self.fetch_every}),
         }
 
     def nodes(self, state: Path, directory: Path) -> Iterator[NodeStart]:
@@ -161,6 +153,7 @@ class LiveSite:
                 # One controller cannot use what another has learned.
                 "state_file": str(state / f"{self.controller.name}.json"),
             },
+            instead=partial(_give_up, self.controller.name),
         )
         if self.drive is not None:
             drive = replace(self.drive, file=copies["drive"])
@@ -173,7 +166,6 @@ class LiveSite:
                 RECORDER, "greenroof_ros.live.recorder", (),
                 {
                     "directory": str(state / "bag"),
-                    "file_limit": min(_BAG_FILE_MB, self.bag_limit / 10),
                     "total_limit": self.bag_limit,
                 },
             )
@@ -204,20 +196,9 @@ def make_parser() -> Parser:
     group.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",
         help="forecasts, read again when the file is replaced; open-meteo: fetched from "
-        "Open-Meteo for the site's place, and kept in the state directory (as 'greenroof "
-        "fetch-forecast' does); with a thermometer, onoff and lookahead need no forecast",
-    )
-    group.add_argument(
-        "--fetch-model", default="", metavar="NAME",
-        help="weather model of open-meteo, such as icon_seamless (default: its own choice)",
-    )
-    group.add_argument(
-        "--fetch-url", default="", metavar="URL",
-        help="another server with the interface of Open-Meteo",
-    )
-    group.add_argument(
-        "--fetch-every", type=within(10, 1440), metavar="MIN",
-        help="minutes between two forecasts of Open-Meteo (default: 30)",
+        "Open-Meteo for the site's place, as the weather node's parameters fetch_... say "
+        "(--node-parameters), and kept in the state directory; with a thermometer, onoff and "
+        "lookahead need no forecast",
     )
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],
@@ -230,7 +211,7 @@ def make_parser() -> Parser:
         help="external: your own node publishes weather and forecast",
     )
     group.add_argument(
-        "--restarts", type=within(0, 1000, int), default=10, metavar="N",
+        "--restarts", type=make_number_type(0, 1000, int), default=10, metavar="N",
         help="a node that fails is started again after 1, 2, 4, ... 10 s; after more than N times "
         "in ten minutes the site is stopped (default: %(default)s)",
     )
@@ -241,7 +222,7 @@ def make_parser() -> Parser:
     )
     group.add_argument("--no-record", action="store_true", help="no bag")
     group.add_argument(
-        "--bag-limit", type=within(MIN_BAG_MB, 1e9), default=10_000.0, metavar="MB",
+        "--bag-limit", type=make_number_type(MIN_BAG_MB, 1e9), default=10_000.0, metavar="MB",
         help="size of the bag beyond which its oldest files are removed (default: %(default)g MB); "
         "at most nine tenths of the room on its disk at the start",
     )
@@ -250,21 +231,23 @@ def make_parser() -> Parser:
     return parser
 
 
+def _give_up(node: str, why: str) -> tuple[str, ...]:
+    """Return the arguments of a controller's node that does not run its controller any more."""
+    text = json.dumps(why.encode(errors="replace").decode(), ensure_ascii=False)  # as YAML
+    return (
+        "--controller", "onoff",
+        "--ros-args", "-r", f"__node:={node}", "-p", f"given_up:={text}", "--",
+    )
+
+
 def _forecast(arguments: argparse.Namespace) -> Path | str | None:
     """Return the forecast file, or ``open-meteo`` if forecasts are fetched; None for neither.
 
     The file may be written later: the weather node reports what is missing.
 
     Raises:
-        ConfigurationError: it is not the name of a CSV file, or a fetch option is given without a
-            fetch.
+        ConfigurationError: it is not the name of a CSV file.
     """
-    for option in ("fetch_model", "fetch_url", "fetch_every"):
-        value = getattr(arguments, option)
-        refuse((
-            bool(value) and arguments.forecast != OPEN_METEO, f"--{option.replace('_', '-')}",
-            value, f"is for --forecast {OPEN_METEO}",
-        ))
     if arguments.forecast in (None, OPEN_METEO):
         return arguments.forecast
     file = Path(arguments.forecast).resolve()

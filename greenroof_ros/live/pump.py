@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -38,13 +38,13 @@ from greenroof_ros.common.times import boot_time, suspended_time
 from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.live.devices.drive import DriveStatus
-from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S, find_drive_file
-from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
-from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange
+from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
+from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
+from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange, DriveSnapshot
 from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.live.pump_reports import PumpReports, second_publisher
-from greenroof_ros.live.pumping.ledger import MOST, Ledger
+from greenroof_ros.live.pumping.ledger import MAX_NUMBER, Ledger
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
 from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
@@ -58,22 +58,7 @@ _REPORTED_S = 60.0
 _AGAIN_S, _REPORT_S = 0.5, 0.2
 
 _OWN = (
-    Parameter("drive", "", meaning="make of drive, a file of config/drives, or a file's path"),
-    Parameter(
-        "address", "", meaning="address of the drive: tcp://HOST:PORT if it has its own Ethernet "
-        "port, gateway://HOST:PORT for a gateway to its serial port, or /dev/tty... for a serial "
-        "line; append a comma and its device id if that differs from its file's, such as "
-        "gateway://HOST:PORT,17; or of a relay: mqtt://HOST[:PORT]/DEVICE (its topic at a "
-        "broker), mqtts:// for TLS",
-    ),
-    Parameter(
-        "broker_login", "", meaning="relay only: YAML file with the broker's username and "
-        "password; empty: the broker needs none",
-    ),
-    Parameter(
-        "broker_authority", "", meaning="relay only: file of trusted certificates (PEM); empty: "
-        "the system's",
-    ),
+    *CHOICE,
     Parameter(
         "exchange_period", 0.1, "s", 0.02, 1.0, "time between two rounds of requests to the drive",
     ),
@@ -130,10 +115,10 @@ class PumpNode(LiveNode):
         )
         self._timeout_waived: bool = values["run_without_drive_timeout"]
         settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
-        settings["least_speed"] = max(settings["least_speed"], endpoint.file.least_speed)
+        settings["min_speed"] = max(settings["min_speed"], endpoint.file.min_speed)
         self._settings = PumpSettings(**settings)
         # Time after which a drive that is not responding is stopped (s).
-        self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + LONGEST_RAMP_S
+        self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + MAX_RAMP_S
         if self._timeout_waived:
             self._drive_stops_after = math.inf
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
@@ -164,11 +149,13 @@ class PumpNode(LiveNode):
             self.reports, self._by_name, self._exchange, waived=self._timeout_waived
         )
         self.open_outputs("/pump/flow", "/pump/state")
-        self.create_service(SetBool, "~/stop", self._on_stop_request)
-        self.create_service(SetParametersAtomically, "~/hold", self._on_hold_request)
-        self.create_service(Trigger, "~/clear", self._on_clear_request)
-        self.create_service(Trigger, "~/reset", self._on_reset_request)
-        self.create_service(SetParametersAtomically, "~/dose", self._on_dose_request)
+        self._open_service("stop", SetBool, self._stop_or_release)
+        self._open_service(
+            "hold", SetParametersAtomically, lambda request: self._hold(**_parse_hold(request))
+        )
+        self._open_service("clear", Trigger, self._clear)
+        self._open_service("reset", Trigger, self._reset)
+        self._open_service("dose", SetParametersAtomically, self._dose)
 
     # --- state kept across restarts ---------------------------------------------------------------
 
@@ -196,81 +183,65 @@ class PumpNode(LiveNode):
 
     # --- services ---------------------------------------------------------------------------------
 
-    def _on_stop_request(
-        self, request: SetBool.Request, response: SetBool.Response
-    ) -> SetBool.Response:
-        self._acquire_state()
-        if request.data:
-            self._ledger.hold("the operator")
-        else:
-            self._ledger.release()
+    def _open_service(
+        self, name: str, kind: Any, act: Callable[[Any], tuple[bool, str]]
+    ) -> None:
+        """Offer a service, which answers whether it was done, and how; a ValueError refuses it."""
+
+        def answer(request: Any, response: Any) -> Any:
+            self._acquire_state()
+            try:
+                done, said = act(request)
+            except ValueError as error:
+                done, said = False, str(error)
+            if kind is SetParametersAtomically:
+                response.result.successful, response.result.reason = done, said
+            else:
+                response.success, response.message = done, said
+            self.get_logger().info(f"{name} requested: {said}")
+            return response
+
+        self.create_service(kind, f"~/{name}", answer)
+
+    def _saved(self, said: str) -> tuple[bool, str]:
+        """Return that a request was done, only if the state is saved for a restart; and how."""
+        problem = self._ledger.flush()
+        return not problem, f"{said}; but {problem}" if problem else said
+
+    def _hold(self, **fields: Any) -> tuple[bool, str]:
+        self._ledger.hold(**fields)
         self._step()
+        self._exchange.stop()
+        return self._saved(str(self._state))
+
+    def _stop_or_release(self, request: SetBool.Request) -> tuple[bool, str]:
         if request.data:
-            self._exchange.stop()
-        response.success, response.message = self._service_result(str(self._state))
-        return response
+            return self._hold(owner="the operator")
+        self._ledger.release()
+        self._step()
+        return self._saved(str(self._state))
 
-    def _on_hold_request(
-        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
-    ) -> SetParametersAtomically.Response:
-        self._acquire_state()
-        result = response.result
-        try:
-            self._ledger.hold(**_parse_hold(request))
-        except ValueError as error:
-            result.successful, result.reason = False, str(error)
-        else:
-            self._step()
-            self._exchange.stop()
-            result.successful, result.reason = self._service_result(str(self._state))
-        self.get_logger().info(f"hold requested: {result.reason}")
-        return response
-
-    def _on_reset_request(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        self._acquire_state()
+    def _reset(self, request: Trigger.Request) -> tuple[bool, str]:
         cleared = self._control.reset()
         self._exchange.reset()
         self._resetting_until = boot_time() + RESET_S
-        response.success, response.message = self._service_result(
-            f"cleared: {cleared}" if cleared else "there was no fault"
-        )
-        self.get_logger().info(f"reset: {response.message}")
-        return response
+        return self._saved(f"cleared: {cleared}" if cleared else "there was no fault")
 
-    def _on_clear_request(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        self._acquire_state()
+    def _clear(self, request: Trigger.Request) -> tuple[bool, str]:
         if refusal := self._control.clear_refusal:
-            response.success, response.message = False, refusal
-            return response
+            raise ValueError(refusal)
         self._control.clear()
         self._step()
-        response.success, response.message = self._service_result(str(self._state))
-        self.get_logger().info(f"fault cleared: {response.message}")
-        return response
+        return self._saved(str(self._state))
 
-    def _on_dose_request(
-        self, request: SetParametersAtomically.Request, response: SetParametersAtomically.Response
-    ) -> SetParametersAtomically.Response:
+    def _dose(self, request: SetParametersAtomically.Request) -> tuple[bool, str]:
         fields = {parameter.name: parameter.value.double_value for parameter in request.parameters}
-        self._step()  # a reason against it may have just arrived
         if fields.keys() != {"volume", "asked_at"}:
-            refusal = "a dose needs volume (m3) and asked_at (s since 1970), and nothing else"
-        else:
-            refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
+            raise ValueError("a dose needs volume (m3) and asked_at (s since 1970), and no more")
+        self._step()  # a reason against it may have just arrived
+        refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
         self._step()
-        response.result.successful = not refusal
-        response.result.reason = refusal or str(self._state)
-        self.get_logger().info(f"dose requested: {response.result.reason}")
-        return response
-
-    def _service_result(self, message: str) -> tuple[bool, str]:
-        """Return a service's success, only if the state is saved for a restart, and its message."""
-        problem = self._ledger.flush()
-        return not problem, f"{message}; but {problem}" if problem else message
+        return not refusal, refusal or str(self._state)
 
     # --- by the clock -----------------------------------------------------------------------------
 
@@ -287,10 +258,11 @@ class PumpNode(LiveNode):
         now = boot_time()
         self._check_suspend(now)
         self._save_state(now)
-        command, status = self._by_name["command"], self._exchange.status(now)
+        command, snapshot = self._by_name["command"], self._exchange.snapshot
+        status = snapshot.status_at(now)
         command.check()  # only its age depends on the time
         reasons = (
-            [*self._reasons_against(now)], command.good, _fault(status),
+            [*self._reasons_against(snapshot, now)], command.good, _fault(status),
             status is not None and status.at_rest,
             # Decide again every second, since a drive that is not responding comes to rest at some
             # time.
@@ -338,42 +310,37 @@ class PumpNode(LiveNode):
 
     @property
     def _drive_state(self) -> DriveState:
-        """Whether the drive is there and may run."""
-        now, record = boot_time(), self._ledger.record
+        record, snapshot = self._ledger.record, self._exchange.snapshot
         if record.fault or record.unknown:
             return DriveState.FAULT
-        if self._exchange.absence(now):
+        if snapshot.absence_at(boot_time()):
             return DriveState.CONNECTING
-        if any(self._unfit_drive()):
+        if any(self._unfit_drive(snapshot)):
             return DriveState.REFUSED
         return DriveState.STOPPED if self._ledger.active_hold else DriveState.READY
 
-    def _unfit_drive(self) -> Iterator[Diagnosis]:
+    def _unfit_drive(self, snapshot: DriveSnapshot) -> Iterator[Diagnosis]:
         """Yield why a drive that answers must not be run yet: nothing might stop it."""
-        snapshot = self._exchange.snapshot
         yield from filter(None, (
             snapshot.unguarded,
             None if self._timeout_waived else self._exchange.timeout_problem(snapshot),
             Diagnosis.if_any("state_not_kept", self._unsaved),
         ))
 
-    def _reasons_against(self, now: float) -> Iterator[Diagnosis]:
+    def _reasons_against(self, snapshot: DriveSnapshot, now: float) -> Iterator[Diagnosis]:
         """Yield this node's own reasons against running the pump."""
-        absence, status = self._exchange.absence(now), self._exchange.status(now)
-        if absence is not None:
+        if absence := snapshot.absence_at(now):
             yield absence
-        if status is not None:
-            snapshot = self._exchange.snapshot
+        if (status := snapshot.status_at(now)) is not None:
             if not status.remote:
                 yield Diagnosis.of("drive_local", "local")
             yield from filter(None, (snapshot.second_master, snapshot.start_failed))
-            yield from self._unfit_drive()
+            yield from self._unfit_drive(snapshot)
         # Another pump node may have the same drive: then neither runs it.
         if second := self._second_pump():
             yield second
 
     def _second_pump(self) -> Diagnosis | None:
-        """Return that another node publishes a flow; None if none does."""
         return second_publisher(self._flows, "two_pumps")
 
     def _value(self, name: str) -> float | None:
@@ -386,7 +353,8 @@ class PumpNode(LiveNode):
         now = boot_time()
         self._check_suspend(now)
         self._engine.check_inputs()
-        status = self._exchange.status(now)
+        snapshot = self._exchange.snapshot
+        status = snapshot.status_at(now)
         observation = Observation(
             **{row.name: self._value(row.name) for row in INPUTS},
             displacements=self._levels.displacements,
@@ -396,7 +364,7 @@ class PumpNode(LiveNode):
             drive_ready=status is not None and (status.ready or status.running),
             drive_fault="" if now < self._resetting_until else _fault(status),
             runs_on=status is not None and status.runs_on,
-            reasons=[*self._reasons_against(now)],
+            reasons=[*self._reasons_against(snapshot, now)],
         )
         dt = self._elapsed()
         # The drive is watched only while the machine is awake; this clock counts only that time.
@@ -443,7 +411,7 @@ class PumpNode(LiveNode):
                 "until": record.hold_until, "said": active_hold.sentence,
             } if active_hold else None,
             "max_dose": self._site.max_dose,
-            "least_dose": self._control.least_dose,
+            "min_dose": self._control.min_dose,
             "no_dose": self._control.dose_refusal,
             "dose": None if dose is None else {**asdict(dose), "said": dose.sentence},
         }
@@ -485,10 +453,10 @@ def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
             "a hold needs an owner (text), and may have a reason (text) and until (s since 1970, a "
             "floating-point number), and nothing else"
         )
-    if "until" in fields and not time.time() < fields["until"] <= MOST:
+    if "until" in fields and not time.time() < fields["until"] <= MAX_NUMBER:
         raise ValueError(
             f"until = {fields['until']:.15g}: must be in the future, in s since 1970, and at most "
-            f"{MOST:g}"
+            f"{MAX_NUMBER:g}"
         )
     return fields
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from greenroof_ros.common.conditions import Diagnosis, joined, read_interlocks
+from greenroof_ros.common.conditions import Diagnosis, join_diagnoses, read_interlocks
 from greenroof_ros.common.states import PumpState
 from greenroof_ros.graph.publishers import Publishers
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
@@ -66,7 +66,8 @@ class PumpReports:
             "pump", shown and replace(shown, text=str(state)), str(state), level,
             self._cause(first.code) if first else "", log=False,
         )
-        diagnose("limits", joined(decision.warnings), "nothing limits the pump", WARN, log=False)
+        warnings = join_diagnoses(decision.warnings)
+        diagnose("limits", warnings, "nothing limits the pump", WARN, log=False)
         if site.max_dose is not None:
             self._diagnose_dose(dose)
         diagnose("flow", second_pump, f"source: {decision.source}")
@@ -85,7 +86,6 @@ class PumpReports:
         self._diagnose_drive(now)
 
     def _diagnose_inputs(self, decision: Decision) -> None:
-        """Report what is wrong with the inputs, by part."""
         parts: dict[str, list[str]] = {}
         for row in INPUTS:
             if part := read_interlocks()[row.unknown].input if row.unknown else "":
@@ -98,7 +98,7 @@ class PumpReports:
                     if part in read_interlocks()[code].explained_by
                 ), None)
             elif part == "frost":
-                level, problem = WARN, problem.under(self._cause("frost_unknown"))
+                level, problem = WARN, problem.change_code(self._cause("frost_unknown"))
             well = " and ".join(name.replace("_", " ") for name in names)
             self._reports.diagnose(part, problem, f"known: {well}", level)
 
@@ -132,20 +132,20 @@ class PumpReports:
         self._reports.diagnose("dose", early, dose.sentence, WARN, dose.cause, log=False)
 
     def _diagnose_drive(self, now: float) -> None:
-        snapshot, status = self._exchange.snapshot, self._exchange.status(now)
+        snapshot = self._exchange.snapshot
+        status, absence = snapshot.status_at(now), snapshot.absence_at(now)
         file = self._exchange.endpoint.file
         if unverified := ", ".join(file.unverified_and_vital):
             self._reports.diagnose("drive file", Diagnosis.of(
                 "drive_file_unverified", file=str(file.path), settings=unverified
             ), level=WARN)
+        if absence is not None:
+            lost = bool(snapshot.errors)
+            self._reports.diagnose(
+                "drive", absence if lost else absence.change_code("drive_awaited"),
+                level=ERROR if lost else WARN,
+            )
         if status is None:
-            absence = self._exchange.absence(now)
-            if absence is not None:  # otherwise it has answered just now
-                lost = bool(snapshot.errors)
-                self._reports.diagnose(
-                    "drive", absence if lost else absence.under("drive_awaited"),
-                    level=ERROR if lost else WARN,
-                )
             return
         self._reports.hardware = snapshot.identity
         warning = "; ".join(filter(None, (snapshot.problem, status.warning)))
@@ -163,7 +163,6 @@ class PumpReports:
         self._diagnose_timeout(snapshot)
 
     def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
-        """Report whether the drive's own communication timeout stops the pump."""
         guard = self._exchange.endpoint.guard
         well = f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s"
         if guard is not None and guard.traps:
@@ -172,7 +171,7 @@ class PumpReports:
         if problem is None:
             problem, level = snapshot.unguarded, WARN
         elif self._waived:
-            problem, level = problem.under("drive_timeout_waived"), WARN
+            problem, level = problem.change_code("drive_timeout_waived"), WARN
         self._reports.diagnose("drive timeout", problem, well, level)
 
 

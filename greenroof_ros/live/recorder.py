@@ -22,7 +22,6 @@ from rclpy.serialization import deserialize_message
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import DISK
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
@@ -30,7 +29,8 @@ from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
 
-_MB = 1e6
+# A file of the bag is not larger than this, nor than a tenth of the whole.
+_FILE_BYTES, _MB = 100e6, 1e6
 # How often the node checks whether a flush is due, and how long its end waits for the disk (s).
 _UPDATE_S, _WRITTEN_S = 1.0, 4.0
 # How often a report on /diagnostics that shows no change is recorded (s).
@@ -43,12 +43,8 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     return [
         Parameter("directory", "bag", meaning="the bag; continues an existing one"),
         Parameter(
-            "file_limit", 100.0, "MB", 0.1, 1e6, "size at which a file of the bag ends and the "
-            "next begins",
-        ),
-        Parameter(
             "total_limit", 10_000.0, "MB", 0.2, 1e9, "size beyond which the bag's oldest files are "
-            "removed, at least twice file_limit",
+            "removed; a file has a tenth of that, or 100 MB",
         ),
     ]
 
@@ -93,20 +89,15 @@ class LiveRecorderNode(LiveNode):
         """Declare the parameters, read the existing bag and open the topics."""
         super().__init__("recorder", "recorder")
         values = declare(self, parameters())
-        file, total = values["file_limit"], values["total_limit"]
-        if total < 2 * file:
-            raise ConfigurationError(
-                f"must be at least twice file_limit, {file:g} MB",
-                key="parameter total_limit of recorder", value=total,
-            )
+        total = values["total_limit"] * _MB
         topics = {
             self.resolve_topic_name(topic.graph_name): topic for topic in self.interface.values()
         }
         self._bag = LiveBag(
             Path(values["directory"]).resolve(),
             [replace(topic, name=name) for name, topic in topics.items()],
-            file_bytes=int(file * _MB),
-            total_bytes=int(total * _MB),
+            file_bytes=int(min(_FILE_BYTES, total / 10)),
+            total_bytes=int(total),
         )
         self._reports = ReportFilter()
         self._unwritten = 0  # messages that found no room in memory

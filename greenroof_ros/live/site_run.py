@@ -14,12 +14,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-from greenroof_ros.common.alarm_log import with_alarms
+from greenroof_ros.common.alarm_log import add_alarm_count
 from greenroof_ros.common.alarms import WARN, Judge, advise
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.disk import DISK, LatestWriter
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.common.files import naming
+from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.processes import (
     IN_MEMORY,
     InterruptedRun,
@@ -30,7 +30,7 @@ from greenroof_ros.common.processes import (
     scratch_directory,
 )
 from greenroof_ros.common.standard_error import print_line
-from greenroof_ros.common.states import PUMP, DriveState, PumpState
+from greenroof_ros.common.states import PUMP, DriveState
 from greenroof_ros.common.times import iso
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary
@@ -130,7 +130,7 @@ def _supervise(
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
                 notified = now
-                status = unready or values_of(supervisor.last)
+                status = unready or levels_of(supervisor.last)
                 notify("WATCHDOG=1", f"STATUS={status}", *([] if ready else [_STILL_STARTING]))
     finally:
         notify("STOPPING=1")
@@ -144,7 +144,7 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
         record.write(summary.DONE, str(error))
         record.wait()
         print_line(f"{error}: the pump and the nodes are stopped")
-        print_line(with_alarms("done", record.alarms.log.count))
+        print_line(add_alarm_count("done", record.alarms.log.count))
         return EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):
@@ -198,7 +198,8 @@ class _StartReport:
                 missing[name, diagnosis.code] = f"  {name}: {diagnosis.sentence}. {advice}"
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
         why = unready or (
-            pump.get("drive_state") in _NOT_READY and f"the pump is kept off: {_pump_of(pump)}"
+            pump.get("drive_state") in _NOT_READY
+            and f"the pump is kept off: {pump.get('pump_why', '')}"
         )
         stopped = any(diagnosis.stops_pump for diagnosis in wrong.values())
         if why and not stopped:
@@ -308,21 +309,6 @@ class _SiteRecord:
         self._warn(self._warnings)
 
 
-def values_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return a line with both levels, and with command and pump state if they are known."""
-    values = _values(reports)
-    parts = [levels_of(reports)]
-    if values.get("command") is not None:
-        parts.append(f"command {values['command']:.3f}")
-    if "pump_state" in values:
-        parts.append(f"pump {_pump_of(values)}")
-    return ", ".join(parts)
-
-
-def _pump_of(values: Mapping[str, Any]) -> PumpState:
-    return PumpState(values.get("pump_state", "unknown"), values.get("pump_why", ""))
-
-
 def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
     """Return both levels as text; ``unknown`` if no node has reported one."""
     return ", ".join(
@@ -333,13 +319,8 @@ def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _levels(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
     """Return both levels (m); None if no node has reported one."""
-    values = _values(reports)
+    values = {name: value for report in reports.values() for name, value in report.items()}
     return {name: values.get(f"{name}_level") for name in _PLACES}
-
-
-def _values(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the entries of all nodes' last reports in one mapping."""
-    return {name: value for report in reports.values() for name, value in report.items()}
 
 
 def _last_time(state: Path) -> dict[str, Any] | None:
@@ -409,7 +390,7 @@ def _write_configuration(
         OSError: it cannot be written.
     """
     directory.chmod(0o755)  # the page may run as another user
-    with naming(directory):
+    with add_path_to_errors(directory):
         for name, file in [*site.files().items(), *(("nodes", file) for file in user_files)]:
             copy = directory / name / file.name
             copy.parent.mkdir()

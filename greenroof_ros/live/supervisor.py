@@ -15,7 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
@@ -43,7 +43,7 @@ KILLING_S = 5.0
 START_LIMIT_S = 30.0
 _LAST_LINES = 15
 # Largest report of a node; a line that is longer is none. More than a socket holds (both bytes).
-_LONGEST_REPORT, _MOST_READ = 10_000_000, 1 << 18
+_MAX_REPORT, _MAX_READ = 10_000_000, 1 << 18
 # Size at which a node's log is renamed to .log.1, replacing the previous one: a live site runs for
 # months. After the nodes have ended, how long to wait until their output is written (s).
 _LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
@@ -54,7 +54,7 @@ _PAUSE_S = 1.0
 # pump is stopped; nodes report four times a second.
 SILENT_S = 2.0
 # The longest wait before a restart (s): it is 1, 2, 4, ... s, by the restarts in the last 10 min.
-_LONGEST_WAIT_S = 10.0
+_MAX_WAIT_S = 10.0
 _WINDOW_S = 600.0
 # How long a killed node is still treated as a second publisher after its restart (s).
 _LIVE_LEASE_S = "3"
@@ -100,6 +100,8 @@ class NodeStart:
         arguments: its command-line arguments, without ROS arguments.
         parameters: the parameters that bringup sets, if they are not written elsewhere.
         several: the names of the nodes if the process has several.
+        instead: returns the arguments with which it is started once it is given up, for this
+            reason; None if the site ends then.
     """
 
     name: str
@@ -107,6 +109,7 @@ class NodeStart:
     arguments: tuple[str, ...] = ()
     parameters: dict[str, Any] = field(default_factory=dict)
     several: tuple[str, ...] = ()
+    instead: Callable[[str], tuple[str, ...]] | None = None
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -119,7 +122,6 @@ class NodeProcess:
 
     Attributes:
         process: the operating-system process.
-        socket: the supervisor's end of the socket to it.
         last_report_at: when it last reported or was started, or this process resumed (steady
             clock, s).
         has_reported: whether it has reported.
@@ -128,11 +130,9 @@ class NodeProcess:
     """
 
     def __init__(
-        self, name: str, process: subprocess.Popen[bytes], to_it: socket.socket,
-        log: RotatingFileHandler,
+        self, name: str, process: subprocess.Popen[bytes], log: RotatingFileHandler
     ) -> None:
-        self._name = name
-        self.process, self.socket = process, to_it
+        self._name, self.process = name, process
         self.last_report_at = time.monotonic()
         self.has_reported = False
         self.reports: dict[str, dict[str, Any]] = {}
@@ -145,7 +145,7 @@ class NodeProcess:
         self.has_reported = True
         self.last_report_at = time.monotonic()
         *lines, cut = (self._partial_line + data).split(b"\n")
-        self._partial_line = cut[-_LONGEST_REPORT:]
+        self._partial_line = cut[-_MAX_REPORT:]
         for report in filter(None, map(read_report, lines)):
             self.reports[report.get("node", self._name)] = report
 
@@ -175,7 +175,6 @@ class _NodeRecord:
     """A node of a live site: how to start it, and the history of its starts."""
 
     start: NodeStart
-    started: float = 0.0  # when it was last started (steady clock, s)
     starts_again: float | None = None  # when its restart is due; None while it runs
     restarts: deque[float] = field(default_factory=deque)  # times of restarts within the window
     was_ready: bool = False
@@ -191,6 +190,7 @@ class LiveSupervisor:
     It has no part in whether the pump may run. A node that ends or is silent for too long is
     restarted after a delay that grows. If a node needs too many restarts, it is given up: the pump
     is stopped and the site ends. The recorder is never given up: recording must not stop control.
+    A controller that is given up, or with which its node cannot run any more, is replaced.
     A pump node that has died cannot stop the drive: it is stopped from here, also at the end,
     regardless of what the pump node reports.
 
@@ -288,6 +288,7 @@ class LiveSupervisor:
                 stderr=subprocess.STDOUT,
                 env={
                     **child_environment(), LEASE: _LIVE_LEASE_S, SOCKET: str(theirs.fileno()),
+                    "PYTHONFAULTHANDLER": "1",  # a crash in compiled code shows its place
                 },
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
@@ -295,7 +296,7 @@ class LiveSupervisor:
             ends.pop_all()
         for end in (theirs, printing):
             end.close()
-        self.nodes[name] = running = NodeProcess(name, process, ours, self._logs[name])
+        self.nodes[name] = running = NodeProcess(name, process, self._logs[name])
         self._selector.register(ours, selectors.EVENT_READ, running.receive)
         self._selector.register(printed, selectors.EVENT_READ, running.log)
 
@@ -320,7 +321,7 @@ class LiveSupervisor:
     def _read(self, seconds: float) -> None:
         """Wait for data from the nodes, at most this long (s), and read all that is there."""
         for key, _ in self._selector.select(seconds):
-            data = os.read(key.fd, _MOST_READ)
+            data = os.read(key.fd, _MAX_READ)
             if data:
                 key.data(data)
             else:
@@ -382,16 +383,16 @@ class LiveSupervisor:
     def _start(self, name: str, now: float) -> None:
         """Start a node; if the system is out of processes or files, try again every 10 s."""
         record = self._records[name]
-        record.started, record.starts_again = now, None
+        record.starts_again = None
         try:
             self.start(record.start)
             record.cannot_start = ""
         except OSError as error:
-            record.starts_again = now + _LONGEST_WAIT_S
+            record.starts_again = now + _MAX_WAIT_S
             why, before = error.strerror or str(error), record.cannot_start
             record.cannot_start = why
             if why != before:
-                again = f"tried again every {_LONGEST_WAIT_S:g} s{_unrecorded(name)}"
+                again = f"tried again every {_MAX_WAIT_S:g} s{_unrecorded(name)}"
                 self._on_failure(name, f"cannot be started: {why}; {again}")
 
     def update(self) -> None:
@@ -440,7 +441,13 @@ class LiveSupervisor:
         record, code = self._records[name], self.nodes[name].process.returncode
         while record.restarts and now - record.restarts[0] > _WINDOW_S:
             record.restarts.popleft()
-        too_often = len(record.restarts) >= self._restarts
+        too_often, instead = len(record.restarts) >= self._restarts, record.start.instead
+        given_up = too_often or (record.was_ready and code == EXIT_USAGE)
+        replaced = instead(self._reason(name, failure)) if instead and given_up else ()
+        if replaced:
+            record.start = replace(record.start, arguments=replaced, instead=None)
+            record.restarts.clear()
+            too_often = False
         if name not in _NOT_REQUIRED:
             if not record.was_ready and code in (EXIT_USAGE, EXIT_OCCUPIED):
                 raise NodeFailed(f"node {name} {failure}", self.last_lines_of(name), code)
@@ -450,12 +457,20 @@ class LiveSupervisor:
                     f"last {_WINDOW_S / 60:g} minutes, and is given up",
                     self.last_lines_of(name), EXIT_FAILED,
                 )
-        wait = _WINDOW_S if too_often else min(2.0 ** len(record.restarts), _LONGEST_WAIT_S)
-        record.restarts.append(now)
+        wait = _WINDOW_S if too_often else min(2.0 ** len(record.restarts), _MAX_WAIT_S)
         record.starts_again = now + wait
-        self._on_failure(name, f"{failure}; starts again in {wait:g} s{_unrecorded(name)}")
+        if not replaced:
+            record.restarts.append(now)
+        how = "given up: " if replaced else ""
+        self._on_failure(name, f"{failure}; {how}starts again in {wait:g} s{_unrecorded(name)}")
         if name == PUMP and self._stop_drive is not None:
             self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
+
+    def _reason(self, name: str, failure: str) -> str:
+        """Return how a node failed, and where its Python code was if Python has printed that."""
+        lines = map(str.strip, self.nodes[name].last_lines)
+        places = [line for line in lines if line.startswith('File "')]
+        return ", ".join([failure, *places[:1]])
 
     @property
     def ready(self) -> set[str]:
@@ -480,7 +495,6 @@ class LiveSupervisor:
         )
 
     def _why_unready(self, name: str, node: str) -> str:
-        """Return why a node of a process is not ready; empty if it is."""
         record = self._records[name]
         if record.starts_again is not None or self.nodes[name].process.poll() is not None:
             return "is missing"

@@ -247,7 +247,7 @@ class LiveWeatherNode(LiveNode):
             return float(temperature <= 0)
         level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
         problem = Diagnosis.of("temperature_unknown", case, why=why)
-        self.reports.diagnose("frost", problem.under(self._temperature_code()), level=level)
+        self.reports.diagnose("frost", problem.change_code(self._temperature_code()), level=level)
         return self._unknown_frost
 
     def _temperature_code(self) -> str:

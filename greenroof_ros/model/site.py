@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
@@ -486,7 +486,7 @@ def read_site(path: Path) -> Site:
     for name, (file, line, _) in entries.items():
         if name not in by_name:
             raise ConfigurationError(
-                f"is not a parameter of a site; {did_you_mean(name, by_name)}",
+                f"is not a parameter of a site; {suggest_names(name, by_name)}",
                 file=file, line=line, key=name,
             )
     values: dict[str, Any] = {}

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime, tzinfo
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.interface import Topic, find_namespace, read_topics
 from greenroof_ros.common.times import epoch_ns, from_epoch_ns
@@ -39,7 +37,7 @@ _MAY_BE_UNKNOWN = ("/weather/frost",)
 
 # A smaller share of wrong values in a topic counts as a sensor's outliers; a larger is a
 # mistake.
-_MOST_OUTLIERS = 0.01
+_MAX_OUTLIERS = 0.01
 
 # Tolerance for a value at the limit that was rounded elsewhere.
 _ROUNDING = 1 + 1e-9
@@ -47,11 +45,11 @@ _ROUNDING = 1 + 1e-9
 # A time without messages is a gap if it exceeds both: in seconds, and in median spacings.
 _GAP_S, _GAP_SPACINGS = 600, 10
 
-_MOST_NAMED = 10
+_MAX_NAMED = 10
 
 # The forecasts that are read: their topic and type, how many, and how far ahead of each (s).
 _RAIN_FORECAST, _FORECAST_TYPE = "/forecast/precipitation", "std_msgs/msg/Float64MultiArray"
-_MOST_FORECASTS, _FORECAST_S = 500, 3600.0
+_MAX_FORECASTS, _FORECAST_S = 500, 3600.0
 
 
 def count_ticks(bag: Path) -> int | None:
@@ -144,23 +142,20 @@ def load_bag(
 
 
 def read_rain_forecasts(
-    bag: Path, start: datetime, most: int = _MOST_FORECASTS
+    bag: Path, start: datetime
 ) -> list[tuple[float, float, float]]:
-    """Read the forecasts of rain in a bag's directory: of each the rain in its first hour.
+    """Read the forecasts of rain in a bag: of each the rain in its first hour.
 
     If there are many, evenly spread ones are read. A forecast that ends earlier counts until then;
     of an ensemble the members' mean counts.
 
     Args:
-        bag: its directory; a single file has none.
+        bag: its directory, or a single MCAP file.
         start: of the trajectory.
-        most: number of forecasts to read, about.
 
     Returns:
         The time of each (s since the start), how far it counts (s), and its rain (m).
     """
-    if not bag.is_dir():
-        return []
     from rosbags.highlevel import AnyReader
 
     found = []
@@ -169,7 +164,7 @@ def read_rain_forecasts(
             each for each in reader.connections
             if each.topic.endswith(_RAIN_FORECAST) and each.msgtype == _FORECAST_TYPE
         ]
-        every = max(1, sum(each.msgcount for each in those) // most)
+        every = max(1, sum(each.msgcount for each in those) // _MAX_FORECASTS)
         messages = reader.messages(connections=those) if those else iter(())
         for connection, stamp, raw in itertools.islice(messages, None, None, every):
             message: Any = reader.deserialize(raw, connection.msgtype)
@@ -192,22 +187,25 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     Raises:
         ConfigurationError: the bag is damaged, or lacks a needed topic.
     """
-    with in_extra("study"):
+    with require_extra("study"):
         from rosbags import typesys
+        from rosbags.highlevel import AnyReader
     typestore = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     times: dict[str, list[int]] = {}
     values: dict[str, list[float]] = {}  # of the clock in ns
     try:
-        with _opened(bag, typestore) as reader:
-            types = dict(reader.types)
+        with AnyReader([bag], default_typestore=typestore) as reader:
+            types = {each.topic: each.msgtype for each in reader.connections}
             namespace = find_namespace(types, list(_NEEDED), bag)
             names = {f"{namespace}{topic}": topic for topic in _ATTRIBUTES}
             _check_topics(bag, types, names)
             clock = f"{namespace}{_CLOCK}"
             if types.get(clock) == _CLOCK_TYPE:
                 names[clock] = _CLOCK
-            for name, stamp, message in reader.messages([name for name in names if name in types]):
-                topic = names[name]
+            wanted = [each for each in reader.connections if each.topic in names]
+            for connection, stamp, raw in reader.messages(connections=wanted):
+                message: Any = reader.deserialize(raw, connection.msgtype)
+                topic = names[connection.topic]
                 times.setdefault(topic, []).append(stamp)
                 values.setdefault(topic, []).append(
                     message.clock.sec * 10**9 + message.clock.nanosec if topic == _CLOCK
@@ -261,49 +259,6 @@ def _by_clock(bag: Path, arrived: Mapping[str, Stamps], clock: Stamps) -> dict[s
             tick = np.searchsorted(arrived[_CLOCK], own, side="right") - 1
             stamps[topic] = clock[np.maximum(tick, 0)]
     return stamps
-
-
-class _Reader(NamedTuple):
-    types: Mapping[str, str]
-    """type of each topic"""
-    messages: Callable[[Sequence[str]], Iterator[tuple[str, int, Any]]]
-    """yields the messages of some topics by time: topic, when it was logged (ns), message"""
-
-
-@contextmanager
-def _opened(bag: Path, typestore: Any) -> Iterator[_Reader]:
-    """Open a bag, which is a directory or a single MCAP file."""
-    if bag.is_dir():
-        from rosbags.highlevel import AnyReader
-
-        with AnyReader([bag], default_typestore=typestore) as reader:
-
-            def of_directory(topics: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
-                wanted = [each for each in reader.connections if each.topic in topics]
-                for connection, stamp, raw in reader.messages(connections=wanted):
-                    message = reader.deserialize(raw, connection.msgtype)
-                    yield connection.topic, stamp, message
-
-            yield _Reader({each.topic: each.msgtype for each in reader.connections}, of_directory)
-        return
-    with bag.open("rb") as stream:
-        mcap = make_reader(stream)
-        summary = mcap.get_summary()
-        if summary is None:
-            raise ValueError("it was not closed.")
-
-        def of_file(topics: Sequence[str]) -> Iterator[tuple[str, int, Any]]:
-            for schema, channel, message in mcap.iter_messages(topics=topics):
-                assert schema is not None, "only channels with a schema are read"
-                yield (
-                    channel.topic, message.log_time,
-                    typestore.deserialize_cdr(message.data, schema.name),
-                )
-
-        yield _Reader({
-            channel.topic: summary.schemas[channel.schema_id].name
-            for channel in summary.channels.values() if channel.schema_id in summary.schemas
-        }, of_file)
 
 
 def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str]) -> None:
@@ -385,7 +340,7 @@ def _without_outliers(
     wrong = np.flatnonzero(~fine & ~unknown)
     large = np.count_nonzero(values > high)
     if len(wrong) and (
-        len(wrong) >= _MOST_OUTLIERS * len(values) or 2 * large >= np.count_nonzero(values)
+        len(wrong) >= _MAX_OUTLIERS * len(values) or 2 * large >= np.count_nonzero(values)
     ):
         raise ConfigurationError(
             f"{replace(topic.range, high=high).expected()}{why}, but is "
@@ -406,10 +361,10 @@ def _gap_note(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
             from_epoch_ns(int(samples[place])).astimezone(zone).isoformat(timespec="seconds")
             for place in (gap, gap + 1)
         ) + f" ({length:.3g} h)"
-        for gap, length in zip(gaps[:_MOST_NAMED], hours, strict=False)
+        for gap, length in zip(gaps[:_MAX_NAMED], hours, strict=False)
     ]
-    if len(gaps) > _MOST_NAMED:
-        named.append(f"and {len(gaps) - _MOST_NAMED} more, {hours.sum():.3g} h in all")
+    if len(gaps) > _MAX_NAMED:
+        named.append(f"and {len(gaps) - _MAX_NAMED} more, {hours.sum():.3g} h in all")
     return (
         f"no message came from {', '.join(named)}: command, weather and flows are unknown there "
         "and are treated as 0, and the levels keep their last values"

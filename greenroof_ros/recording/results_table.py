@@ -45,7 +45,7 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def differing(rows: Sequence[Mapping[str, object]]) -> list[str]:
+def find_differing_keys(rows: Sequence[Mapping[str, object]]) -> list[str]:
     """Return the keys that distinguish rows, those with more than one value, in their order.
 
     These alone name the runs in tables and titles. A key that a row lacks is treated as None.
@@ -54,7 +54,7 @@ def differing(rows: Sequence[Mapping[str, object]]) -> list[str]:
     return [key for key in keys if len({row.get(key) for row in rows}) > 1]
 
 
-def shortest(value: float) -> str:
+def format_exactly(value: float) -> str:
     """Write a number with few digits but exactly: 12, 0.5, 0.3333333333333333."""
     text = f"{value:g}"
     return text if float(text) == value else repr(value)

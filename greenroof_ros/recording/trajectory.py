@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.times import epoch_ns
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ class Trajectory:
         Raises:
             ConfigurationError: polars is not installed.
         """
-        with in_extra("study"):
+        with require_extra("study"):
             import polars
         since_1970 = epoch_ns(self.start) // 1000 + np.rint(1e6 * self.time).astype(np.int64)
         time = polars.Series(since_1970).cast(polars.Datetime("us", "UTC"))
@@ -142,7 +142,7 @@ def read_trajectory(path: Path) -> Trajectory:
         ConfigurationError: the file cannot be read, is damaged or is not a trajectory, or polars is
             not installed.
     """
-    with in_extra("study"):
+    with require_extra("study"):
         import polars
     try:
         content = path.read_bytes()

@@ -13,7 +13,7 @@ from greenroof_ros.common.alarms import Alarm, Judge
 from greenroof_ros.common.states import PUMP
 from greenroof_ros.watch.registry import Registry
 from greenroof_ros.watch.wire import WireStatus
-from greenroof_ros.watch.words import plain
+from greenroof_ros.watch.words import clean_text
 
 _MAX_ROWS, _MAX_EVENTS = 100, 50
 _SEVERITY = {"error": 0, "stale": 1, "warn": 2}
@@ -89,7 +89,7 @@ class Alarms:
         of the node's own words in ``what``.
         """
         return {
-            "id": alarm.name, "level": alarm.level, "what": plain(alarm.sentence),
+            "id": alarm.name, "level": alarm.level, "what": clean_text(alarm.sentence),
             "code": alarm.code, "do": alarm.advice, "plain": alarm.is_known, "since": alarm.since,
             "acknowledged": self._is_acknowledged(alarm), "over": alarm.ended,
             "follows": alarm.follows or None,
@@ -104,7 +104,7 @@ class Alarms:
 
     def add_event(self, now: float, text: str) -> None:
         """Add an event."""
-        self._events.append((now, plain(text)))
+        self._events.append((now, clean_text(text)))
 
     def acknowledge(self, alarm_id: str) -> bool:
         """Acknowledge an alarm, until it changes; False if there is no such alarm."""

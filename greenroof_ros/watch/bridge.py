@@ -14,7 +14,7 @@ from typing import Any
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.common.processes import Signals
 from greenroof_ros.common.standard_error import print_line
-from greenroof_ros.watch.document import document
+from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.home_assistant import (
@@ -23,6 +23,7 @@ from greenroof_ros.watch.home_assistant import (
     OFFLINE,
     ON,
     ONLINE,
+    PREFIX,
     STOP,
     base_of,
     discovery,
@@ -33,9 +34,9 @@ from greenroof_ros.watch.words import UNKNOWN, display_of
 
 # How often the state is checked, and how often it is sent even if unchanged (s): three times before
 # it expires in Home Assistant.
-_POLL_S, _AT_LEAST_S = 1.0, 10.0
+_POLL_S, _RENEW_S = 1.0, 10.0
 # Home Assistant accepts 255 characters as a state, and records 16 kB of attributes.
-_MOST_TEXT, _MOST_ALARMS = 255, 10
+_MAX_TEXT, _MAX_ALARMS = 255, 10
 # How long the last message may take (s).
 _LAST_S = 1.0
 # How long a stop is tried again (s): a pump node that died is back by then.
@@ -53,14 +54,13 @@ class Bridge:
     sender asked to retain it, and a person's stop must count. No stop is queued for this client.
     """
 
-    def __init__(self, store: GraphStore, feed: Feed, broker: Broker, prefix: str) -> None:
+    def __init__(self, store: GraphStore, feed: Feed, broker: Broker) -> None:
         """Start without a connection.
 
         Args:
             store: state of the graph, to publish.
             feed: stops the pump.
             broker: where to publish.
-            prefix: of Home Assistant's topics.
 
         Raises:
             ConfigurationError: the MQTT library is missing, or the login or certificate file is
@@ -68,8 +68,8 @@ class Bridge:
         """
         site = store.namespace.strip("/").replace("/", "_") or "roof"
         self._store, self._feed, self._broker = store, feed, broker
-        self._base, self._status = base_of(site), f"{prefix}/status"
-        self._discovery = discovery(site, prefix)
+        self._base, self._status = base_of(site), f"{PREFIX}/status"
+        self._discovery = discovery(site)
         self._stop, self._again = threading.Event(), threading.Event()
         self._why, self._ending = "", False  # why there is no connection
         self._availability = threading.Lock()  # in the order in which it is published
@@ -121,14 +121,14 @@ class Bridge:
 
     def _publish_state(self) -> None:
         parts = Parts()
-        shown = parts.make("The site", lambda: document(self._store, time.monotonic()), {})
+        shown = parts.make("The site", lambda: make_document(self._store, time.monotonic()), {})
         with self._store.lock:
             messages = {
                 "state": parts.make("The state", lambda: state_of(self._store, shown), None),
                 "alarms": parts.make("The alarms", lambda: alarms_of(shown), None),
             }
         now = time.monotonic()
-        if self._again.is_set() or now - self._sent_at >= _AT_LEAST_S:
+        if self._again.is_set() or now - self._sent_at >= _RENEW_S:
             self._again.clear()
             self._sent, self._sent_at = {}, now
         for name, content in messages.items():
@@ -211,7 +211,7 @@ def state_of(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
         **{key: _number(topic, numbers[key] if here else None)
            for key, (topic, _) in NUMBERS.items()},
         "pump": pump["value"] if here else UNKNOWN,
-        "plan": tiles["controller"]["sentence"][:_MOST_TEXT] if here else UNKNOWN,
+        "plan": tiles["controller"]["sentence"][:_MAX_TEXT] if here else UNKNOWN,
         "planned_volume": None if volume is None else round(volume * 1e3),
         "planned_start": None if begin is None or begin == now  # it pumps now
         else datetime.fromtimestamp(begin, timezone.utc).isoformat(timespec="seconds"),
@@ -237,6 +237,6 @@ def alarms_of(shown: Mapping[str, Any]) -> dict[str, Any]:
         "alarms": [
             {key: row[key] for key in ("code", "level", "id", "what", "do", "follows", "since")}
             for row in shown["alarms"] if row["over"] is None
-        ][:_MOST_ALARMS],
+        ][:_MAX_ALARMS],
         "notes": [*filter(None, [shown["stop"]["warning"]]), *shown["notes"]],
     }

@@ -20,17 +20,18 @@ from greenroof_ros.watch.history import stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S
 from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.stopping import bare_stop, stop_of
-from greenroof_ros.watch.store import EXPECTED, INTERVALS, LINES, GraphStore
+from greenroof_ros.watch.store import INTERVALS, LINES, GraphStore
 from greenroof_ros.watch.tiles import Tile, band_of
 
-_LEVELS = "roof", "cistern", EXPECTED  # change slowly, all other lines in steps
+_LEVELS = "roof", "cistern"  # change slowly, all other lines in steps
 # A value of a line holds at most for this time (s), as in a report.
 _HOLDS_S = 600.0
 
 # How much of the past a series may show (h), and about how many points a line has.
 HOURS, _POINTS = Range(0.1, 168.0), 400
-# The most characters of all alarms, and of all events: the document must stay below 100 kB.
-_MOST_ALARMS, _MOST_EVENTS = 55_000, 25_000
+# The maximum number of characters of all alarms, and of all events: the document must stay
+# below 100 kB.
+_MAX_ALARMS, _MAX_EVENTS = 55_000, 25_000
 
 _HEADINGS = {
     "none": "Nothing received yet", "ended": "Ended run", "live": "Live site",
@@ -38,7 +39,7 @@ _HEADINGS = {
 }
 
 
-def document(store: GraphStore, wall: float) -> dict[str, Any]:
+def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
     """Return everything that page and status show, below 100 kB, as plain texts.
 
     Each part is made on its own: one that cannot be made is replaced, and a note states this.
@@ -56,18 +57,21 @@ def _document(store: GraphStore, wall: float) -> dict[str, Any]:
     parts.make("What is overdue", lambda: store.update(wall), None)
     stop = parts.make("What may be done to the pump", lambda: stop_of(store), bare_stop())
     rows = parts.make("Alarms", lambda: _alarm_rows(store), [])
-    listed, present = _within(rows, _MOST_ALARMS), [row for row in rows if row["over"] is None]
+    listed, present = _within(rows, _MAX_ALARMS), [row for row in rows if row["over"] is None]
     shown = {
-        name: parts.make(f"The tile of the {name}", partial(make, *given), tiles.unknown(label))
+        name: parts.make(
+            f"The tile of the {name}", partial(make, *given), tiles.make_unknown_tile(label)
+        )
         for name, label, make, *given in (
-            ("roof", "Roof level", tiles.roof, store),
-            ("cistern", "Cistern level", tiles.cistern, store),
-            ("pump", "Pump", tiles.pump, store, present), ("rain", "Rain", tiles.rain, store),
-            ("controller", "Controller", tiles.controller, store, present),
+            ("roof", "Roof level", tiles.make_roof_tile, store),
+            ("cistern", "Cistern level", tiles.make_cistern_tile, store),
+            ("pump", "Pump", tiles.make_pump_tile, store, present),
+            ("rain", "Rain", tiles.make_rain_tile, store),
+            ("controller", "Controller", tiles.make_controller_tile, store, present),
         )
     }
     waits = parts.make(
-        "What is waited for", lambda: tiles.waiting(store, shown["pump"]["idle"]), ""
+        "What is waited for", lambda: tiles.describe_wait(store, shown["pump"]["idle"]), ""
     )
     serious, warnings, following = parts.make("Numbers of alarms", alarms.counts, (0, 0, 0))
     summary = parts.make("The summary", lambda: {
@@ -115,14 +119,14 @@ def _events(store: GraphStore) -> list[dict[str, Any]]:
     """Return the events, the newest first, as many as there is room for."""
     return _within([
         {**event, "at_text": store.time_of_day(event["at"])} for event in store.alarms.events()
-    ], _MOST_EVENTS)
+    ], _MAX_EVENTS)
 
 
 def _heading(store: GraphStore) -> str:
     heading, factor = _HEADINGS[store.mode], store.factor
     if factor is None or store.mode != "simulated":
         return heading
-    times = words.number(factor, 0 if factor >= 9.95 else 1).removesuffix(".0")
+    times = words.write_number(factor, 0 if factor >= 9.95 else 1).removesuffix(".0")
     return f"{heading}, " + ("at real time" if times == "1" else f"{times} times real time")
 
 
@@ -130,7 +134,7 @@ def _notes(store: GraphStore, hidden: int) -> list[str]:
     notes = [*store.notes]
     if missing := store.alarms.judge.missing:
         listed = [f"{name}: {diagnosis.sentence}." for name, diagnosis in missing.items()]
-        notes[:0] = ["The site is starting. Not there yet:", *map(words.plain, listed)]
+        notes[:0] = ["The site is starting. Not there yet:", *map(words.clean_text, listed)]
     if hidden:
         notes.append(f"{hidden} more alarms are not shown.")
     weather = store.graph.node("weather")
@@ -138,7 +142,7 @@ def _notes(store: GraphStore, hidden: int) -> list[str]:
         notes.append(f"{source[:1].upper()}{source[1:]}.")
     silent = store.silent_s
     if store.mode != "none" and silent and all(newest.stale for newest in store.newest.values()):
-        notes.insert(0, f"No values have come for {words.length_of_time(silent)}.")
+        notes.insert(0, f"No values have come for {words.write_duration(silent)}.")
     return [note for note in notes if note]
 
 
@@ -146,7 +150,6 @@ def _notes(store: GraphStore, hidden: int) -> list[str]:
 
 
 def _word(alarms: int, warnings: int, following: int) -> str:
-    """Return how many alarms and warnings there are."""
     counts = [
         f"{count} {name}" if count == 1 else f"{count} {name}s"
         for count, name in ((alarms, "alarm"), (warnings, "warning")) if count
@@ -198,7 +201,7 @@ def _pump_clause(pump: Tile) -> str:
         return "it is unknown what the pump does"
     if state in ("running", "starting", "stopping"):
         clause = f"the pump is {state}"
-        return f"{clause} at {tiles.flow(pump['number'])}" if pump["number"] else clause
+        return f"{clause} at {tiles.write_flow(pump['number'])}" if pump["number"] else clause
     if state == "fault":
         return f"the pump has a fault: {why}"
     if state == "held":
@@ -234,16 +237,16 @@ def _advice(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     return f"The roof is not watered, since the pump is {pump['state']}{why}."
 
 
-def _within(rows: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
+def _within(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
     """Return the first rows that together have at most this many characters as JSON."""
     lengths = accumulate(len(json.dumps(row)) + 2 for row in rows)
-    return [row for row, length in zip(rows, lengths, strict=True) if length <= most]
+    return [row for row, length in zip(rows, lengths, strict=True) if length <= max_length]
 
 
 # --- the charts -----------------------------------------------------------------------------------
 
 
-def series(store: GraphStore, hours: float) -> dict[str, Any]:
+def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
     """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
     A row covers a ``stretch`` (s), which is a share of the time with values: a run that has just

@@ -83,22 +83,16 @@ class Ticks:
 class Feed:
     """Feeds a :class:`~greenroof_ros.watch.store.GraphStore` while its context is entered."""
 
-    def __init__(
-        self, store: GraphStore, *, site_file: Path | None = None, past_file: Path | None = None,
-    ) -> None:
+    def __init__(self, store: GraphStore, past_file: Path | None = None) -> None:
         """Start with nothing.
 
         Args:
             store: the store to feed.
-            site_file: the site file by which levels are judged; None for the graph's own.
             past_file: keeps the past of a live site across restarts; None: it is not kept.
-
-        Raises:
-            ConfigurationError: the site file is wrong.
         """
         self._store = store
         self._graph = store.graph
-        self._site_file, self._past_file = site_file, past_file
+        self._past_file = past_file
         self._topics = read_topics()
         self._run = 0
         self._ticks = Ticks()
@@ -216,7 +210,6 @@ class Feed:
         self._excuse_own_pause()
 
     def _update_graph(self) -> None:
-        """Update which graph is there, and subscribe to as much as it can bear."""
         now, store = time.monotonic(), self._store
         mode = self._graph.mode(now)
         live = {"simulated": False, "live": True}.get(mode, self._live)
@@ -237,8 +230,8 @@ class Feed:
         self._choose_topics()
 
     def _set_site(self) -> None:
-        """Set the site by which levels are judged from a file, or to the paper's."""
-        path = self._site_file or self._graph.site()
+        """Set the site by which levels are judged: the graph's, or the paper's."""
+        path = self._graph.site()
         file = path or default_site_file()
         try:
             as_is = file, file.stat().st_mtime_ns
@@ -251,8 +244,6 @@ class Feed:
         try:
             site = read_site(file)
         except ConfigurationError as error:
-            if path is None or path == self._site_file:
-                raise
             note = f"The site file cannot be read, so levels are judged by the paper's: {error}"
             site = read_site(default_site_file())
         self._store.set_site(site, note)
@@ -280,7 +271,6 @@ class Feed:
 
     @property
     def _running(self) -> bool:
-        """Whether a simulation runs."""
         return self._store.mode == "simulated"
 
     # --- incoming messages ----------------------------------------------------------------------
@@ -299,11 +289,11 @@ class Feed:
     def _receive_message(self, name: str, message: bytes, number: int | None) -> None:
         self._excuse_own_pause()
         if name == DIAGNOSTICS:
-            if (received := wire.statuses(message)) is not None:
+            if (received := wire.read_statuses(message)) is not None:
                 stamp_ns, statuses = received
                 self._store.add_statuses(time.monotonic(), statuses, stamp_ns)
         elif name == _CLOCK:
-            if (time_ns := wire.clock(message)) is not None:
+            if (time_ns := wire.read_clock(message)) is not None:
                 self._ticks.clock(number, time_ns)
         elif time_ns := self._time_of(name, number):
             self._store.receive(name, time_ns, message)

@@ -11,7 +11,7 @@ import os
 import socket
 import time
 
-from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.processes import Signals
 from greenroof_ros.recording.bag_writer import message_definition
@@ -32,7 +32,7 @@ def refuse_unusable(port: int) -> None:
     Raises:
         ConfigurationError: it cannot be served at this port.
     """
-    with in_extra("foxglove"):
+    with require_extra("foxglove"):
         import foxglove  # noqa: F401
     try:
         socket.create_server((LOOPBACK, port)).close()
@@ -109,9 +109,9 @@ class FoxgloveServer:
         Before a run's second clock it has none. If its number is no tick's, as of a pump driver
         that was restarted, it has the newest time.
         """
-        if name == DIAGNOSTICS and (received := wire.statuses(message)) is not None:
+        if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
             self._update_run(*received)
-        if name == _CLOCK and (time_ns := wire.clock(message)) is not None:
+        if name == _CLOCK and (time_ns := wire.read_clock(message)) is not None:
             self._ticks.clock(number, time_ns)
         tick_ns = self._ticks.time(number) if self._topics[name].per_tick else None
         time_ns = arrived_ns if self._live else tick_ns or self._ticks.time(None)

@@ -6,8 +6,8 @@ A value that is unknown is NaN: the line has a gap from there to the next known 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.files import replace_file
+from greenroof_ros.common.processes import LockedError, acquire_file_lock
+
 Values = NDArray[np.float64]
 
 # Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept: a week.
 STRETCH_NS = 20_000_000_000
-MOST_STRETCHES = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
+MAX_STRETCHES = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
 
 # Of a stretch: when its greatest change happened, and when its last value came (ns since 1970); its
 # minimum, maximum and last value, and how great that change was.
@@ -40,15 +43,15 @@ class History:
         Args:
             rows: as in :attr:`rows`.
         """
-        kept = np.empty(0, ROW) if rows is None else rows[-MOST_STRETCHES:]
-        self._rows = np.empty(2 * MOST_STRETCHES, ROW)
+        kept = np.empty(0, ROW) if rows is None else rows[-MAX_STRETCHES:]
+        self._rows = np.empty(2 * MAX_STRETCHES, ROW)
         self._count = len(kept)
         self._rows[:self._count] = kept
 
     @property
     def rows(self) -> NDArray[np.void]:
         """The stretches, the oldest first: a view, for the next :meth:`add` to change."""
-        return self._rows[max(0, self._count - MOST_STRETCHES):self._count]
+        return self._rows[max(0, self._count - MAX_STRETCHES):self._count]
 
     @property
     def first_ns(self) -> int | None:
@@ -69,8 +72,8 @@ class History:
             change = 0.0 if math.isnan(value) and math.isnan(before) else math.inf
         if row is None or row["ended"] // STRETCH_NS != time_ns // STRETCH_NS:
             if self._count == len(self._rows):
-                self._rows[:MOST_STRETCHES] = self._rows[MOST_STRETCHES:]
-                self._count = MOST_STRETCHES
+                self._rows[:MAX_STRETCHES] = self._rows[MAX_STRETCHES:]
+                self._count = MAX_STRETCHES
             self._rows[self._count] = (time_ns, time_ns, value, value, value, change)
             self._count += 1
             return
@@ -154,18 +157,11 @@ def write_histories(file: Path, rows: Mapping[str, NDArray[np.void]]) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    file.parent.mkdir(parents=True, exist_ok=True)
-    new = file.with_name(f"{file.name}.{os.getpid()}")
     content: dict[str, Any] = {_FORMAT: np.array(_VERSION), **rows}
-    try:
-        with new.open("wb") as stream:
-            np.savez(stream, **content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        new.replace(file)
-    except OSError:
-        new.unlink(missing_ok=True)
-        raise
+    file.parent.mkdir(parents=True, exist_ok=True)
+    # If another watcher writes it just now, its rows are as good.
+    with suppress(LockedError), acquire_file_lock(file.with_suffix(".lock")):
+        replace_file(file, lambda stream: np.savez(stream, **content))
 
 
 def read_histories(file: Path, names: Iterable[str], until_ns: int) -> dict[str, History]:

@@ -13,6 +13,9 @@ from greenroof_ros import __version__
 from greenroof_ros.common.states import PUMP_STATES
 from greenroof_ros.watch.words import display_of
 
+PREFIX = "homeassistant"
+"""Start of the discovery topics, as in Home Assistant's MQTT integration."""
+
 ONLINE, OFFLINE, ON, OFF = "online", "offline", "ON", "OFF"
 STOP = "STOP"
 """The whole payload of a message that stops the pump."""
@@ -35,12 +38,11 @@ def base_of(site: str) -> str:
     return f"greenroof/{site}"
 
 
-def discovery(site: str, prefix: str) -> dict[str, str]:
+def discovery(site: str) -> dict[str, str]:
     """Return the discovery messages by their topics.
 
     Args:
         site: its name in topics and ids: letters, digits and _.
-        prefix: of Home Assistant's topics, as set in its MQTT integration.
     """
     base, node = base_of(site), f"greenroof_{site}"
     bridge = {"topic": f"{base}/availability"}
@@ -68,7 +70,7 @@ def discovery(site: str, prefix: str) -> dict[str, str]:
                 "state_topic": f"{base}/state", "value_template": f"{{{{ value_json.{key} }}}}",
                 "expire_after": EXPIRES_S,
             }
-        messages[f"{prefix}/{component}/{node}/{key}/config"] = json.dumps(config)
+        messages[f"{PREFIX}/{component}/{node}/{key}/config"] = json.dumps(config)
     return messages
 
 

@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from greenroof_ros.watch.words import plain
+from greenroof_ros.watch.words import clean_text
 
 _Part = TypeVar("_Part")
 # Failures that were printed: each place in the code once, since it fails again twice a second.
@@ -39,7 +39,7 @@ class Parts:
             part = make()
             json.dumps(part, allow_nan=False)
         except Exception as error:  # for any error, the stop and the other parts are shown
-            self.failed[name] = plain(f"{type(error).__name__}: {error}", 200)
+            self.failed[name] = clean_text(f"{type(error).__name__}: {error}", 200)
             text = traceback.format_exc()
             if text not in _PRINTED and len(_PRINTED) < 100:
                 _PRINTED.add(text)

@@ -26,22 +26,21 @@ from greenroof_ros.common.alarms import (
     PartReport,
     StatusDiagnosis,
     is_starting,
-    observed,
+    make_diagnosis,
 )
 from greenroof_ros.common.states import ENDED, FINISHED, PLANT, PUMP, STATES
 from greenroof_ros.watch.wire import WireStatus
-from greenroof_ros.watch.words import plain, sentence
+from greenroof_ros.watch.words import clean_sentence, clean_text
 
 # Other devices may be slower than this package's nodes: after this silence (s) they are lost.
 _FOREIGN_SILENT_S = 5.0
 # A silent node may be replaced by another process; after this time (s) it is gone.
 _GONE_S = 10.0
 # The time over which the speed of a simulation is measured, at least and at most (s).
-_SPEED_S, _SPEED_MOST_S = 1.0, 3.0
+_SPEED_S, _SPEED_MAX_S = 1.0, 3.0
 # Limits to what a hostile sender can fill, besides the limits of :mod:`.wire`: nodes, parts of
 # each, statuses of other devices, and characters of a name. A graph has seven nodes.
 _NODES, _PARTS, _FOREIGN, _NAME = 32, 24, 200, 160
-_NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
 # The maximum tick of a run, and the end of the times of a run (ns since 1970): the year 2116.
 _LAST_TICK, _LAST_NS = 2**40, 2**62
 # A name that ROS allows for a node; the name becomes part of commands that are advised.
@@ -78,7 +77,7 @@ class Node(NodeReport):
     def text(self, key: str) -> str:
         """Return a text that it reports; empty if it does not."""
         value = self.values.get(key)
-        return sentence(value) if isinstance(value, str) else ""
+        return clean_sentence(value) if isinstance(value, str) else ""
 
 
 class Registry:
@@ -134,7 +133,7 @@ class Registry:
             }
         # A node before its parts.
         for status in sorted(statuses, key=lambda status: ": " in status.name):
-            name = plain(status.name, _NAME)
+            name = clean_text(status.name, _NAME)
             values = self._values_of(name, status)
             if values is None:
                 self._receive_other(wall, name, status)
@@ -149,15 +148,15 @@ class Registry:
         """Receive a status of a part of a node, or of another device."""
         node_name, _, part = name.partition(": ")
         node = self._latest.get(node_name) if part else None
-        known, key, most = (
+        known, key, maximum = (
             (self._foreign, name, _FOREIGN) if node is None else (node.parts, part, _PARTS)
         )
-        if key in known or len(known) < most:
+        if key in known or len(known) < maximum:
             # An unknown level is an error.
             level = status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR
-            known[key] = PartReport.after(
-                known.get(key), level, sentence(status.message) or "reports nothing",
-                {key: plain(text) for key, text in status.values.items()}, wall,
+            known[key] = PartReport.receive(
+                known.get(key), level, clean_sentence(status.message) or "reports nothing",
+                {key: clean_text(text) for key, text in status.values.items()}, wall,
             )
 
     def _values_of(self, name: str, status: WireStatus) -> dict[str, Any] | None:
@@ -174,7 +173,7 @@ class Registry:
     def _receive_node(
         self, wall: float, now: float, name: str, state: str, values: dict[str, Any]
     ) -> Node | None:
-        role, process = (plain(values[key], _NAME) for key in ("role", "process"))
+        role, process = (clean_text(values[key], _NAME) for key in ("role", "process"))
         node = self._nodes.get((name, process))
         if node is None:
             if not self._make_room(wall):
@@ -229,26 +228,11 @@ class Registry:
                     self._remove(other)
 
     def _report_changes(self, node: Node, before: Mapping[str, Any]) -> None:
-        """Report changes in a node's values as events."""
-        values, name = node.values, node.name
-        changes, left_out = _new_changes(before, values)
-        if left_out:
-            self._on_event(
-                f"{name}: {left_out} changes of parameters before the next are not listed"
-            )
-        for change in changes:
-            if isinstance(change, dict):
-                what, old, new = (change.get(key) for key in ("parameter", "before", "value"))
-                self._on_event(f"{name}: {what} was changed from {old} to {new}")
-        known, warnings = before.get("warnings"), values.get("warnings")
-        if isinstance(known, list) and isinstance(warnings, list):
-            for warning in warnings[:_NEWEST]:
-                if warning not in known:
-                    self._on_event(f"{name} warns: {sentence(str(warning))}")
+        """Report a hold or a fault that has begun or ended as an event."""
         hold, fault = node.hold, node.text("fault")
         if _hold_text(before) != hold:
             self._on_event(f"the pump is held: {hold}" if hold else "the hold has ended")
-        if before.get("fault", "") != values.get("fault", ""):
+        if before.get("fault", "") != node.values.get("fault", ""):
             self._on_event(
                 f"the pump is off until it is reset: {fault}" if fault else "the fault was reset"
             )
@@ -258,7 +242,7 @@ class Registry:
         if type(tick) is not int or not 0 < tick <= _LAST_TICK:
             return  # before the first tick the stamp is not the run's
         self._ticks.append((wall, tick))
-        while wall - self._ticks[0][0] > _SPEED_MOST_S:
+        while wall - self._ticks[0][0] > _SPEED_MAX_S:
             self._ticks.popleft()
         if stamp_ns < _LAST_NS:
             self.time_ns = stamp_ns
@@ -323,7 +307,7 @@ class Registry:
         if node is None or rival is None:
             return ""
         two = " and ".join(f"{pump.name} ({pump.process})" for pump in (node, rival))
-        return plain(
+        return clean_text(
             f"Two nodes claim to be the pump node, {two}; which one controls the pump is unknown. "
             "A stop goes to both; nothing else is done from here. End the node that should not run."
         )
@@ -368,7 +352,7 @@ class Registry:
             silent = wall - part.received_at > _FOREIGN_SILENT_S
             # A device that reported only once may never have meant to report regularly.
             if silent and part.again and not self._has_ended(name, part):
-                silence = observed(STALE, "", "not_heard", "silent", time=_FOREIGN_SILENT_S)
+                silence = make_diagnosis(STALE, "", "not_heard", "silent", time=_FOREIGN_SILENT_S)
                 diagnoses[name] = replace(silence, code="")
             elif part.level != OK and not silent:
                 diagnoses[name] = part.diagnosis()
@@ -377,7 +361,7 @@ class Registry:
             twin = self._rival(node, wall, "name")
             if twin is not None:
                 older, newer = sorted((node, twin), key=lambda process: process.began)
-                diagnoses[node.name] = observed(
+                diagnoses[node.name] = make_diagnosis(
                     ERROR, node.role, "two_processes", older=older.process, newer=newer.process
                 )
         return diagnoses
@@ -408,16 +392,3 @@ def _read_value(text: str) -> Any:
         parse_float=lambda digits: value if math.isfinite(value := float(digits)) else None,
         parse_constant=lambda _: None,
     )
-
-
-def _new_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[list[Any], int]:
-    """Return the parameter changes since a node's last report, and how many more are not listed.
-
-    The node keeps only the newest, and counts all.
-    """
-    listed = values.get("parameter_changes")
-    first, last = (known.get("parameter_change_count") for known in (before, values))
-    if not (isinstance(listed, list) and isinstance(first, int) and isinstance(last, int)):
-        return [], 0
-    new = listed[-min(last - first, _NEWEST):] if last > first else []
-    return new, max(0, last - first) - len(new)

@@ -31,7 +31,7 @@ from aiohttp import web
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.watch import words
-from greenroof_ros.watch.document import HOURS, document, series
+from greenroof_ros.watch.document import HOURS, make_document, make_series
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.listening import Listener, listen
@@ -52,8 +52,8 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 # The most connections at a time, and the most streams among them. A browser has up to six.
-_MOST_CONNECTIONS = 128
-_MOST_STREAMS = 32
+_MAX_CONNECTIONS = 128
+_MAX_STREAMS = 32
 # How long a connection may wait before its first request, and between an answer and the next (s).
 _FIRST_S, _NEXT_S = 10.0, 60.0
 # How long a stream's reader may take nothing before it is disconnected (s).
@@ -61,11 +61,11 @@ _UNREAD_S = 30.0
 # How often that is checked (s).
 _DRAIN_S = 0.05
 _BODY_S = 5.0
-_MOST_BODY = 10_000
+_MAX_BODY = 10_000
 _HOURS = "12"
 # How often the document and the series are made, and how often they are sent even if unchanged (s):
 # a page that hears nothing for longer than that has lost its connection.
-_STATE_S, _SERIES_S, _AT_LEAST_S = 0.5, 2.0, 5.0
+_STATE_S, _SERIES_S, _RENEW_S = 0.5, 2.0, 5.0
 # The head of a gzip file without name and time (RFC 1952).
 GZIP_HEAD = b"\x1f\x8b\x08\0\0\0\0\0\0\xff"
 
@@ -150,7 +150,7 @@ class EventStream:
             now, lifetime = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
             self._newest = {  # events for readers who have gone are dropped
                 name: event for name, event in self._newest.items()
-                if now - event.checked_at < _AT_LEAST_S
+                if now - event.checked_at < _RENEW_S
             }
             old = self._newest.get(key)
             if old is not None and now - old.checked_at < lifetime:
@@ -161,7 +161,7 @@ class EventStream:
                 traceback.print_exc()
                 return None
             if old is not None and old.plain == new.plain and (
-                new.made_at - old.made_at < _AT_LEAST_S
+                new.made_at - old.made_at < _RENEW_S
             ):
                 old.checked_at, new = new.made_at, old  # nothing has changed
             self._newest[key] = new
@@ -170,9 +170,9 @@ class EventStream:
     def _build_event(self, key: str | float) -> ServerEvent:
         if not isinstance(key, str):
             parts = Parts()
-            content = parts.make("Series", lambda: series(self._store, key), {})
+            content = parts.make("Series", lambda: make_series(self._store, key), {})
             return ServerEvent("series", content or {"problem": parts.failed["Series"]})
-        return ServerEvent(key, document(self._store, time.monotonic()))
+        return ServerEvent(key, make_document(self._store, time.monotonic()))
 
 
 # --- connections ---------------------------------------------------------------------------------
@@ -190,7 +190,7 @@ class _Connections:
     def accept(self) -> web.RequestHandler:
         """Make the handler of another connection, for asyncio."""
         self._forget_closed()
-        if len(self._until) >= _MOST_CONNECTIONS:  # those just accepted count, too
+        if len(self._until) >= _MAX_CONNECTIONS:  # those just accepted count, too
             idle = {handler: at for handler, at in self._until.items() if at is not None}
             if idle:
                 self._drop(min(idle, key=idle.__getitem__))
@@ -236,8 +236,6 @@ class _Connections:
 
 
 class _PageApplication:
-    """Answers requests."""
-
     def __init__(
         self, store: GraphStore, feed: Feed, names: frozenset[str] | None, token: str | None
     ) -> None:
@@ -248,7 +246,7 @@ class _PageApplication:
         self.connections: _Connections | None = None
         self.event_stream = EventStream(store)
         self.app = web.Application(
-            middlewares=[self._refusals, self._check_origin], client_max_size=_MOST_BODY
+            middlewares=[self._refusals, self._check_origin], client_max_size=_MAX_BODY
         )
         for file in _PAGE.iterdir():
             if file.suffix in _TYPES:
@@ -301,7 +299,7 @@ class _PageApplication:
     async def _events(self, request: web.Request) -> web.StreamResponse:
         """Push events to one browser until it disconnects, or does not read."""
         hours = _hours(request.query.get("hours", _HOURS))
-        if self.event_stream.readers >= _MOST_STREAMS:
+        if self.event_stream.readers >= _MAX_STREAMS:
             raise web.HTTPServiceUnavailable(reason="too many pages are open; close one")
         compressed = "gzip" in request.headers.get("Accept-Encoding", "")
         answer = web.StreamResponse(headers={
@@ -373,7 +371,7 @@ class _PageApplication:
                 "It is unknown whether that was done: the watcher failed "
                 f"({type(error).__name__}: {error})."
             )
-        sentence = words.sentence(sentence)
+        sentence = words.clean_sentence(sentence)
         event = f"{action.capitalize()}, from {asker}: {sentence}"
         await asyncio.to_thread(self._store.add_event, event)
         return ok, sentence
@@ -441,9 +439,8 @@ def _hours(text: str) -> float:
 
 
 async def _body(request: web.Request) -> dict[str, Any]:
-    """Read the JSON object in a request."""
-    if (request.content_length or 0) > _MOST_BODY:
-        raise web.HTTPRequestEntityTooLarge(_MOST_BODY)
+    if (request.content_length or 0) > _MAX_BODY:
+        raise web.HTTPRequestEntityTooLarge(_MAX_BODY)
     try:
         content = json.loads(await asyncio.wait_for(request.read(), _BODY_S))
     except asyncio.TimeoutError:

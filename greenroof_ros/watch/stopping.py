@@ -12,7 +12,7 @@ from greenroof_ros.common.conditions import command_for
 from greenroof_ros.watch import words
 from greenroof_ros.watch.registry import Node
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.words import sentence
+from greenroof_ros.watch.words import clean_sentence
 
 LOCK_OUT = (
     "Anyone working on the pump must lock it out at the pump itself; this page does not."
@@ -79,7 +79,7 @@ def _allowed(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, A
     )
     doses = isinstance(maximum, (int, float))
     dose = {} if node is None else node.values.get("dose") or {}
-    minimum = 0.0 if node is None else float(node.values.get("least_dose") or 0.0)
+    minimum = 0.0 if node is None else float(node.values.get("min_dose") or 0.0)
     return {
         "release_here": bool(hold) and at_rest,
         "release_then": _then(fault, unknown) + LOCK_OUT,
@@ -87,9 +87,9 @@ def _allowed(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, A
         "clear_then": f"The fault is cleared: {fault}. " + _then(hold, unknown) + LOCK_OUT,
         "no_clear": refusal if fault else "",
         "max_dose": maximum if doses else None,
-        "least_dose": minimum if doses else None,
+        "min_dose": minimum if doses else None,
         "dose_limits": _limits(minimum, float(maximum or 0.0), area) if doses else "",
-        "dose": sentence(str(dose.get("said", ""))) if isinstance(dose, dict) else "",
+        "dose": clean_sentence(str(dose.get("said", ""))) if isinstance(dose, dict) else "",
         "dose_here": doses and not no_dose,
         "asked_at": time.time() if doses and not no_dose else None,
         "dose_then": "The pump then delivers this volume once, regardless of what the controller "
@@ -99,10 +99,10 @@ def _allowed(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, A
     }
 
 
-def _limits(minimum: float, most: float, area: float) -> str:
+def _limits(minimum: float, maximum: float, area: float) -> str:
     """Return between which volumes (m3) a dose must be, and how much that is on the roof (m2)."""
-    volumes = f"from {minimum:.3f} to {most:g} m³" if minimum else f"at most {most:g} m³"
-    depths = [words.rain(volume / area) for volume in (minimum, most) if volume and area]
+    volumes = f"from {minimum:.3f} to {maximum:g} m³" if minimum else f"at most {maximum:g} m³"
+    depths = [words.write_rain(volume / area) for volume in (minimum, maximum) if volume and area]
     return volumes + (f", which is {' to '.join(depths)} of water on the roof" if depths else "")
 
 

@@ -36,25 +36,20 @@ LINES = {
     "evapotranspiration": "/weather/evapotranspiration",
 }
 """Lines of the charts, each with its topic."""
-EXPECTED = "roof_expected"
-"""Another line: the roof level as expected an hour before."""
 _NAMES = {topic: name for name, topic in LINES.items()}
 
 _NUMBER = "std_msgs/msg/Float64"
 # No quantity of any site is greater than this in any unit, even if its topic has no limit.
-_LARGEST = 1e9
+_MAX_VALUE = 1e9
 # A value is stale after this many of its usual intervals, and at the earliest after the second (s).
 # The usual interval is assumed to be at most the third (s).
-INTERVALS, _STALE_S, _LONGEST_S = 3, 5.0, 600.0
+INTERVALS, _STALE_S, _MAX_S = 3, 5.0, 600.0
 # Times of a graph are before this (ns since 1970): the year 2116.
 _LATEST_NS = 2**62
 # How far the system's clock may be set back (s): that much is caught up within a minute.
 _SET_BACK_S = 60.0
-# How long ahead a level was predicted if it is compared with the measured level, and how often such
-# a prediction is kept (s).
-_LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
-# The most steps of a forecast or a plan, as the longest look-ahead has.
-_MOST_STEPS = 1000
+# The maximum number of steps of a forecast or a plan, as the longest look-ahead has.
+_MAX_STEPS = 1000
 
 
 class TopicValue:
@@ -84,7 +79,7 @@ class TopicValue:
         """Update whether the next value is overdue: never in an ended run."""
         if self._received or self._received_at is None:
             if self._received_at is not None:
-                self._intervals.append(min(wall - self._received_at, _LONGEST_S))
+                self._intervals.append(min(wall - self._received_at, _MAX_S))
             self._received, self._received_at = False, wall
         usual = float(np.median(self._intervals)) if self._intervals else 0.0
         self.stale = not ended and wall - self._received_at > max(_STALE_S, INTERVALS * usual)
@@ -145,8 +140,7 @@ class GraphStore:
 
     def _forget_values(self) -> None:
         self.newest: dict[str, TopicValue] = {}
-        self.past = {name: History() for name in (*LINES, EXPECTED)}
-        self._expected_at = -math.inf  # when an expected level was last kept (s since 1970)
+        self.past = {name: History() for name in LINES}
         self.forecast: Forecast | None = None
         self.plan: Plan | None = None
         self._controller: tuple[str, str] | None = None  # name and process
@@ -173,7 +167,7 @@ class GraphStore:
         """
         with self.lock:
             self.site = site
-            self.notes[0] = words.plain(note)
+            self.notes[0] = words.clean_text(note)
 
     def set_present(self, *, mode: str, factor: float | None, note: str) -> None:
         """Set how the graph is watched now.
@@ -186,7 +180,7 @@ class GraphStore:
         with self.lock:
             self.mode = mode
             self.factor = factor if factor is not None and math.isfinite(factor) else None
-            self.notes[1] = words.plain(note)
+            self.notes[1] = words.clean_text(note)
 
     def update(self, wall: float, system: float | None = None) -> None:
         """Update what is overdue; called often, even if no document is shown.
@@ -205,7 +199,7 @@ class GraphStore:
             ) > _SET_BACK_S:
                 self._forget_values()
                 self.add_event(
-                    f"The system's clock was set back by {words.length_of_time(back)}: the charts "
+                    f"The system's clock was set back by {words.write_duration(back)}: the charts "
                     "start again"
                 )
             self.wall = wall
@@ -250,13 +244,15 @@ class GraphStore:
             message: in CDR; an incomplete message is left out.
         """
         if topic in (PLAN, RAIN_FORECAST):
-            if (rows := wire.rows(message)) is not None:
+            if (rows := wire.read_rows(message)) is not None:
                 if topic == PLAN:
                     self.add_plan(time_ns, rows[0])
                 else:
                     self.add_forecast(time_ns, *rows)
-        elif self._interface[topic].type == _NUMBER and (value := wire.number(message)) is not None:
-            self.add(topic, time_ns, value)
+        elif self._interface[topic].type == _NUMBER:
+            value = wire.read_number(message)
+            if value is not None:
+                self.add(topic, time_ns, value)
 
     def add(self, topic: str, time_ns: int, value: float) -> None:
         """Add a value of a topic of single numbers.
@@ -270,7 +266,7 @@ class GraphStore:
             value: in the topic's unit.
         """
         entry = self._interface[topic]
-        low, high = max(entry.low, -_LARGEST), min(entry.high, _LARGEST)
+        low, high = max(entry.low, -_MAX_VALUE), min(entry.high, _MAX_VALUE)
         value = value + 0.0 if low <= value <= high else math.nan  # no minus zero
         with self.lock:
             newest = self.newest.get(topic) or TopicValue()
@@ -303,8 +299,8 @@ class GraphStore:
         members, steps = rain.shape if rain.ndim == 2 else (0, 0)
         ends = front[1:]
         fits = (
-            0 < members <= MAX_MEMBERS and 0 < steps <= _MOST_STEPS and len(ends) == steps
-            and np.all(np.diff(ends, prepend=0.0) > 0) and ends[-1] < _LARGEST
+            0 < members <= MAX_MEMBERS and 0 < steps <= _MAX_STEPS and len(ends) == steps
+            and np.all(np.diff(ends, prepend=0.0) > 0) and ends[-1] < _MAX_VALUE
             and np.all((rain >= limits.low) & (rain <= limits.high))
         )
         with self.lock:
@@ -329,13 +325,6 @@ class GraphStore:
         with self.lock:
             if np.size(rows) and (self.plan is None or at > self.plan.at):
                 self.plan = _plan_of(at, rows)
-            plan, later = self.plan, at + _LEAD_S
-            if plan is not None and later <= plan.ends[-1] and (
-                at >= self._expected_at + _EXPECTED_EVERY_S
-            ):
-                level = float(np.interp(later, plan.ends, plan.level))
-                self.past[EXPECTED].add(round(later * 1e9), level)
-                self._expected_at = at
 
     def add_statuses(
         self, wall: float, statuses: Sequence[WireStatus], stamp_ns: int = 0,
@@ -397,10 +386,10 @@ class GraphStore:
         on. It covers the longest chart.
         """
         now, zone = self.now, self.site.zone
-        if now is None or words.moment(now, zone) is None:
+        if now is None or words.convert_time(now, zone) is None:
             return {"now": now, "text": words.UNKNOWN, "clock": []}
-        text = f"{words.date_and_time(now, zone)} {words.clock_name(now, zone)}"
-        return {"now": now, "text": text, "clock": words.offsets(zone, int(now // 86400))}
+        text = f"{words.write_time(now, zone)} {words.name_clock(now, zone)}"
+        return {"now": now, "text": text, "clock": words.list_offsets(zone, int(now // 86400))}
 
     def time_of_day(self, at: float) -> str:
         """Write a time of the graph (s since 1970).
@@ -409,19 +398,19 @@ class GraphStore:
         """
         if self.now is not None and self.mode != "live" and at > self.now:
             return "the start"
-        return words.time_of_day(at, self.site.zone, at if self.now is None else self.now)
+        return words.write_clock_time(at, self.site.zone, at if self.now is None else self.now)
 
     def hour(self, at: float) -> str:
         """Write a time to come (s since 1970)."""
-        return words.hour_and_minute(at, self.site.zone, self.now or at)
+        return words.write_coming_time(at, self.site.zone, self.now or at)
 
 
 def _plan_of(at: float, rows: Values) -> Plan | None:
     """Return the plan made at a time (s since 1970); None if one of its numbers is impossible."""
     plan = np.asarray(rows, dtype=np.float64)
-    if plan.ndim != 2 or plan.shape[1] != 4 or len(plan) > _MOST_STEPS:
+    if plan.ndim != 2 or plan.shape[1] != 4 or len(plan) > _MAX_STEPS:
         return None
     ends, flow, level, _ = plan.T
-    if not np.all((plan >= 0) & (plan <= _LARGEST)) or np.any(np.diff(ends, prepend=0.0) <= 0):
+    if not np.all((plan >= 0) & (plan <= _MAX_VALUE)) or np.any(np.diff(ends, prepend=0.0) <= 0):
         return None
     return Plan(at, at + ends, flow, level)

@@ -27,8 +27,8 @@ _RENEWED_S, OLD_S = 3600.0, 6 * 3600.0
 _FLOW, _COMMAND, _RAIN = "/pump/flow", "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
 _GAUGE, _FILL_TO = "/gauge/precipitation", "/controller/fill_to"
-roof_level = partial(words.value_of, _ROOF)
-flow = partial(words.value_of, _FLOW)
+write_level = partial(words.write_value, _ROOF)
+write_flow = partial(words.write_value, _FLOW)
 
 Tile = dict[str, Any]
 
@@ -45,7 +45,7 @@ def _tile(
     newest = store.newest.get(topic)
     number = None if newest is None else newest.value
     if number is not None:
-        text, (state, sentence) = words.value_of(topic, number), judged(number)
+        text, (state, sentence) = words.write_value(topic, number), judged(number)
     elif newest is None:
         text, state, sentence = words.UNKNOWN, "unknown", "nothing received from it yet"
     else:
@@ -60,7 +60,7 @@ def _tile(
     }
 
 
-def unknown(label: str) -> Tile:
+def make_unknown_tile(label: str) -> Tile:
     """Return a tile that cannot be made."""
     return {
         "label": label, "value": words.UNKNOWN, "number": None, "state": "unknown",
@@ -73,7 +73,7 @@ def band_of(site: Site) -> list[float]:
     return [site.z_veg * (1 - NEAR_TARGET), site.z_veg * (1 + NEAR_TARGET)]
 
 
-def roof(store: GraphStore) -> Tile:
+def make_roof_tile(store: GraphStore) -> Tile:
     """Return the tile of the roof's level."""
     site, newest = store.site, store.newest.get(_ROOF)
     # The paper's soil is ten times as deep as the target level. Only if the level is above twice
@@ -81,9 +81,9 @@ def roof(store: GraphStore) -> Tile:
     full, (low, high) = site.roof_level(site.z_cap), band_of(site)
     shown = 0.0 if newest is None else newest.value or 0.0
     top = max(full, shown) if shown > 2 * site.z_veg else 2 * site.z_veg
-    marks = [{"at": site.z_veg, "label": f"target {roof_level(site.z_veg)}"}]
+    marks = [{"at": site.z_veg, "label": f"target {write_level(site.z_veg)}"}]
     if full <= top:
-        marks.append({"at": full, "label": f"soil is full at {roof_level(full)}"})
+        marks.append({"at": full, "label": f"soil is full at {write_level(full)}"})
 
     def judged(level: float) -> tuple[str, str]:
         state = "low" if level < low else "high" if level > high else "good"
@@ -97,17 +97,17 @@ def roof(store: GraphStore) -> Tile:
 
 def _versus_target(difference: float) -> str:
     """Write how far the roof's level is from its target (m): ``0.4 mm below its target``."""
-    text = roof_level(abs(difference))
-    if text == roof_level(0.0):
+    text = write_level(abs(difference))
+    if text == write_level(0.0):
         return "at its target"
     return f"{text} {'below' if difference < 0 else 'above'} its target"
 
 
-def cistern(store: GraphStore) -> Tile:
+def make_cistern_tile(store: GraphStore) -> Tile:
     """Return the tile of the cistern's level."""
     site, newest = store.site, store.newest.get(_CISTERN)
     marks = [
-        {"at": at, "label": f"{name} {words.value_of(_CISTERN, at)}"}
+        {"at": at, "label": f"{name} {words.write_value(_CISTERN, at)}"}
         for name, at in (
             ("suction level", site.suction_level), ("low outlet", site.low_outlet_level),
             ("outlet", site.z_o),
@@ -121,7 +121,7 @@ def cistern(store: GraphStore) -> Tile:
         if level > site.z_o:
             return "high", "above its outlet: it overflows to the sewer"
         drains = "; its low outlet drains it" if level > site.min_outlet_level else ""
-        usable_text = words.quantity(usable, "m³", 1)
+        usable_text = words.write_quantity(usable, "m³", 1)
         return "good", f"{usable_text} above the suction level can be pumped{drains}"
 
     shown = 0.0 if newest is None else newest.value or 0.0
@@ -131,7 +131,7 @@ def cistern(store: GraphStore) -> Tile:
     )
 
 
-def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
+def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the pump: its state, and below it the flow, the command, and why.
 
     ``alarm`` is whether the pump may turn and no one knows it; ``idle`` whether it is off only
@@ -158,7 +158,7 @@ def pump(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     elif not speed_known:
         parts.append("its drive is not responding: stopped at last contact, or by its timeout")
     if pumped is not None:
-        parts.append(words.NOT_PLAUSIBLE if pumped.value is None else flow(pumped.value))
+        parts.append(words.NOT_PLAUSIBLE if pumped.value is None else write_flow(pumped.value))
     elif not flow_known and not may_turn:
         parts.append("its flow is unknown")
     if command is not None:
@@ -193,7 +193,7 @@ def _commanded(share: float | None) -> str:
         return f"the command is {words.NOT_PLAUSIBLE}"
     if not share:
         return "nothing is commanded"
-    return f"commanded {words.command(share)} of its maximum flow"
+    return f"commanded {words.write_command(share)} of its maximum flow"
 
 
 def _state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
@@ -214,12 +214,11 @@ def _state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
 
 
 def _quiet(store: GraphStore) -> bool:
-    """Return whether the present time is in the site's quiet hours."""
     hours, now = store.site.quiet, store.now
     return hours is not None and now is not None and hours.quiet_at(int(now * 1e9))
 
 
-def rain(store: GraphStore) -> Tile:
+def make_rain_tile(store: GraphStore) -> Tile:
     """Return the tile of the rain: the present rain, and the rain to come."""
     topic = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
     tile = _tile(store, "Rain", topic, lambda _: ("good", ""))
@@ -236,12 +235,12 @@ def _to_come(store: GraphStore) -> str:
     amount = forecast.amount(now)
     if amount is None:
         return f"no forecast is known: the one of {made} has ended"
-    reach = words.horizon(amount.reach_s)
+    reach = words.write_horizon(amount.reach_s)
     if amount.reach_s < SOON_S:
         return f"no forecast for the next hours: it reaches only {reach} ahead"
     if now - forecast.at > OLD_S:
         return f"the forecast of {made} is too old"
-    sentence = f"{words.rain(amount.mean)} expected in the next {reach}{_range(amount)}"
+    sentence = f"{words.write_rain(amount.mean)} expected in the next {reach}{_range(amount)}"
     return sentence if age <= _RENEWED_S else f"{sentence}, by the forecast of {made}"
 
 
@@ -249,11 +248,11 @@ def _range(amount: RainAmount) -> str:
     """Write the range of an ensemble's rain after its mean, `` (19 to 46)``; otherwise empty."""
     if amount.members == 1:
         return ""
-    low, high = (words.rain(rain).split()[0] for rain in (amount.low, amount.high))
+    low, high = (words.write_rain(rain).split()[0] for rain in (amount.low, amount.high))
     return f" ({low} to {high})"
 
 
-def controller(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
+def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the controller.
 
     Args:
@@ -278,12 +277,12 @@ def controller(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     elif command is None or command.value is None:
         sentence = "its command is unknown"
     elif command.value:
-        sentence = f"commands {words.command(command.value)} of the pump's maximum flow"
+        sentence = f"commands {words.write_command(command.value)} of the pump's maximum flow"
     else:
         sentence = "commands no pumping now"
     if not alarm:
         aim = store.present_value(_FILL_TO)
-        text = "" if aim is None else f"fills to {words.value_of(_FILL_TO, aim)} now"
+        text = "" if aim is None else f"fills to {words.write_value(_FILL_TO, aim)} now"
         sentence = "; ".join(filter(None, (text, sentence)))
     return {
         "label": "Controller", "value": name or words.UNKNOWN, "number": None,
@@ -306,17 +305,17 @@ def _planned(store: GraphStore, plan: Plan, now: float) -> str:
     if now >= plan.ends[-1]:
         return "its plan is over"
     pumped = plan.pumped(now)
-    reach = words.horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
+    reach = words.write_horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
     if pumped is None:
         return f"will not pump in the next {reach}{right}"
     start = "from now on" if pumped.begin <= now else f"from {store.hour(pumped.begin)} on"
     return (
-        f"will pump {words.quantity(pumped.volume, 'm³', 2)} in the next {reach}, {start}, up to "
-        f"{roof_level(pumped.level)}{right}"
+        f"will pump {words.write_quantity(pumped.volume, 'm³', 2)} in the next {reach}, {start}, "
+        f"up to {write_level(pumped.level)}{right}"
     )
 
 
-def waiting(store: GraphStore, idle: bool) -> str:
+def describe_wait(store: GraphStore, idle: bool) -> str:
     """Return for which rain the controller waits; empty if it does not wait.
 
     It waits if the roof is too dry, only the controller keeps the pump off, and at least the
@@ -340,4 +339,4 @@ def waiting(store: GraphStore, idle: bool) -> str:
     if pumped is not None and pumped.begin < amount.fallen_at:
         return ""
     by = store.hour(-(-amount.fallen_at // 3600) * 3600)
-    return f"waiting for rain: {words.rain(amount.mean)}{_range(amount)} by {by}"
+    return f"waiting for rain: {words.write_rain(amount.mean)}{_range(amount)} by {by}"

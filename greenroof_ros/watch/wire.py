@@ -1,26 +1,16 @@
-"""Messages as they are sent on the wire (CDR), read without ROS.
-
-No length in a message is trusted: an incomplete message is None.
-"""
+"""Messages of a graph, read from their bytes; one that is not whole is None."""
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-_Result = TypeVar("_Result")
-
-_HEADER = 4
-# Limits of one array of /diagnostics: statuses, values of each, and bytes of each text. An array of
-# this package has under ten statuses; its longest value is a list of a hundred numbers.
-_STATUSES, _VALUES, _TEXT = 1000, 100, 20_000
-# The most numbers of one message: an ensemble of forecasts has some thousands.
-_NUMBERS = 1_000_000
+_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -40,104 +30,59 @@ class WireStatus:
     values: Mapping[str, str] = field(default_factory=dict)
 
 
-class _Cursor:
-    """Reads a message, field by field."""
+def _read_message(type_name: str, message: bytes) -> Any:
+    """Return a message as an object of its ROS class; None if it is not whole."""
+    from rclpy.serialization import deserialize_message  # only who joins a graph has ROS
 
-    def __init__(self, message: bytes) -> None:
-        if len(message) < _HEADER or message[0] != 0 or message[1] > 1:
-            raise ValueError
-        self._order = "<" if message[1] else ">"
-        self._message = message
-        self._at = _HEADER
+    from greenroof_ros.graph.messages import message_class
 
-    def read(self, size: int, align: int = 1) -> bytes:
-        start = self._at + (_HEADER - self._at) % align
-        self._at = start + size
-        if self._at > len(self._message):
-            raise ValueError
-        return self._message[start : self._at]
-
-    def whole(self, kind: str = "I") -> int:
-        return int(struct.unpack(self._order + kind, self.read(4, 4))[0])
-
-    def text(self) -> str:
-        length = self.whole()
-        used = min(max(length - 1, 0), _TEXT)  # a NUL ends it
-        return self.read(length)[:used].decode("utf-8", errors="replace")
-
-    def numbers(self, count: int) -> NDArray[np.float64]:
-        if count > _NUMBERS:
-            raise ValueError
-        content = self.read(8 * count, 8 if count else 1)
-        return np.frombuffer(content, f"{self._order}f8").astype(np.float64)
+    with suppress(Exception):  # of the middleware, or a text that is not UTF-8
+        return deserialize_message(message, message_class(type_name))
+    return None
 
 
-def _whole_or_none(
-    read: Callable[[_Cursor], _Result]
-) -> Callable[[bytes], _Result | None]:
-    """Return a reader that returns None if the message is incomplete or not of its type."""
-
-    def reader(message: bytes) -> _Result | None:
-        try:
-            return read(_Cursor(message))
-        except ValueError:
-            return None
-
-    reader.__doc__ = read.__doc__
-    return reader
+def read_number(message: bytes) -> float | None:
+    """Return the value of a ``std_msgs/msg/Float64``."""
+    read = _read_message("std_msgs/msg/Float64", message)
+    return None if read is None else float(read.data)
 
 
-@_whole_or_none
-def number(cursor: _Cursor) -> float:
-    """Read the value of a ``std_msgs/msg/Float64``."""
-    return float(cursor.numbers(1)[0])
+def read_clock(message: bytes) -> int | None:
+    """Return the time of a ``rosgraph_msgs/msg/Clock`` (ns since 1970)."""
+    read = _read_message("rosgraph_msgs/msg/Clock", message)
+    return None if read is None else _stamp(read.clock)
 
 
-@_whole_or_none
-def clock(cursor: _Cursor) -> int:
-    """Read the time of a ``rosgraph_msgs/msg/Clock`` (ns since 1970)."""
-    return _stamp(cursor)
-
-
-@_whole_or_none
-def rows(cursor: _Cursor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Read a ``std_msgs/msg/Float64MultiArray``: its numbers, and those in front of them.
+def read_rows(message: bytes) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return the numbers of a ``std_msgs/msg/Float64MultiArray``, and those in front of them.
 
     The numbers have the shape of the layout, if that has at least two dimensions. ``data_offset``
     skips those in front: for a forecast when it was issued and when its steps end.
     """
-    shape = []
-    for _ in range(min(cursor.whole(), 8)):
-        cursor.text()
-        shape.append(cursor.whole())
-        cursor.whole()  # the stride, which follows from the sizes
-    offset = cursor.whole()
-    front, numbers = np.split(cursor.numbers(cursor.whole()), [offset])
-    return numbers.reshape(shape) if len(shape) >= 2 else numbers, front
+    read = _read_message("std_msgs/msg/Float64MultiArray", message)
+    if read is None:
+        return None
+    front, numbers = np.split(np.asarray(read.data, np.float64), [read.layout.data_offset])
+    shape = [dimension.size for dimension in read.layout.dim]
+    with suppress(ValueError):  # of another size
+        return numbers.reshape(shape) if len(shape) >= 2 else numbers, front
+    return None
 
 
-@_whole_or_none
-def statuses(cursor: _Cursor) -> tuple[int, list[WireStatus]]:
-    """Read the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``.
-
-    Texts and lists that are longer than the limits above are cut: no honest sender has such.
-    """
-    stamp = _stamp(cursor)
-    cursor.text()
-    statuses = []
-    for _ in range(min(cursor.whole(), _STATUSES)):
-        level = cursor.read(1)[0]
-        name, message = cursor.text(), cursor.text()
-        cursor.text()  # the device that it is about
-        values = {}
-        for place in range(cursor.whole()):
-            key, value = cursor.text(), cursor.text()
-            if place < _VALUES:
-                values[key] = value
-        # An unknown level is treated as ERROR, the worst level that someone can do something about.
-        statuses.append(WireStatus(name, level if level <= 3 else 2, message, values))
-    return stamp, statuses
+def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
+    """Return the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``."""
+    read = _read_message("diagnostic_msgs/msg/DiagnosticArray", message)
+    if read is None:
+        return None
+    return _stamp(read.header.stamp), [
+        # An unknown level is treated as ERROR, the worst that someone can do something about.
+        WireStatus(
+            status.name, level if (level := status.level[0]) <= 3 else 2, status.message,
+            {pair.key: pair.value for pair in status.values},
+        )
+        for status in read.status
+    ]
 
 
-def _stamp(cursor: _Cursor) -> int:
-    return cursor.whole("i") * 1_000_000_000 + cursor.whole()
+def _stamp(time: Any) -> int:
+    return int(time.sec) * _NS + int(time.nanosec)

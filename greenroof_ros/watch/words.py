@@ -9,6 +9,7 @@ from functools import cache, lru_cache
 from zoneinfo import ZoneInfo
 
 from greenroof_ros.common.interface import Display, read_topics
+from greenroof_ros.common.times import duration
 
 NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"
@@ -20,7 +21,7 @@ SPACE = "\N{NO-BREAK SPACE}"
 _HOUR = timedelta(hours=1)
 
 
-def number(value: float, decimals: int) -> str:
+def write_number(value: float, decimals: int) -> str:
     """Write a number with this many decimals; never minus zero; *unknown* if not below 1e12."""
     if not math.isfinite(value) or abs(value) >= 1e12:
         return UNKNOWN
@@ -28,7 +29,7 @@ def number(value: float, decimals: int) -> str:
     return text.removeprefix("-") if float(text) == 0 else text
 
 
-def quantity(value: float, unit: str, decimals: int, factor: float = 1.0) -> str:
+def write_quantity(value: float, unit: str, decimals: int, factor: float = 1.0) -> str:
     """Write a number with its unit, such as ``45.3 mm``.
 
     Args:
@@ -37,11 +38,11 @@ def quantity(value: float, unit: str, decimals: int, factor: float = 1.0) -> str
         decimals: of the shown number.
         factor: from the SI unit to the shown unit.
     """
-    text = number(value * factor, decimals)
+    text = write_number(value * factor, decimals)
     return text if text == UNKNOWN or not unit else f"{text}{SPACE}{unit}"
 
 
-def value_of(topic: str, value: float) -> str:
+def write_value(topic: str, value: float) -> str:
     """Write a value of a topic, or a difference of values, as the interface reports: ``45.3 mm``.
 
     Args:
@@ -49,7 +50,7 @@ def value_of(topic: str, value: float) -> str:
         value: in the topic's unit.
     """
     display = display_of(topic)
-    return quantity(value, display.unit, display.decimals, display.factor)
+    return write_quantity(value, display.unit, display.decimals, display.factor)
 
 
 @cache
@@ -61,38 +62,36 @@ def display_of(topic: str) -> Display:
     return display
 
 
-def rain(metres: float) -> str:
+def write_rain(metres: float) -> str:
     """Write an amount of rain: ``12 mm``, and below 10 mm ``1.2 mm``."""
-    return quantity(metres, "mm", 0 if abs(metres) >= 0.00995 else 1, 1e3)
+    return write_quantity(metres, "mm", 0 if abs(metres) >= 0.00995 else 1, 1e3)
 
 
-def command(share: float) -> str:
+def write_command(share: float) -> str:
     """Write a command: ``40 %``; a small one is not written as 0 %."""
     if 0 < share < 0.005:
         return f"less than 1{SPACE}%"
-    return value_of("/pump/command", share)
+    return write_value("/pump/command", share)
 
 
-def length_of_time(seconds: float) -> str:
+def write_duration(seconds: float) -> str:
     """Write a duration as people write it: ``40 s``, ``12 min``, ``3.5 h``."""
     if not math.isfinite(seconds):
         return UNKNOWN
-    if seconds < 90:
-        return quantity(seconds, "s", 0)
-    if seconds < 5400:
-        return quantity(seconds / 60, "min", 0)
-    unit, long = ("h", seconds / 3600) if seconds < 172800 else ("days", seconds / 86400)
-    return quantity(long, unit, 0 if f"{long:.1f}".endswith(".0") else 1)
+    if seconds < 172800:
+        return duration(round(seconds)).replace(" ", SPACE)
+    days = seconds / 86400
+    return write_quantity(days, "days", 0 if f"{days:.1f}".endswith(".0") else 1)
 
 
-def horizon(seconds: float) -> str:
+def write_horizon(seconds: float) -> str:
     """Write how far ahead a forecast or plan reaches, from 90 min on in whole hours: ``12 h``."""
     if 5400 <= seconds < 172800:
-        return quantity(seconds / 3600, "h", 0)
-    return length_of_time(seconds)
+        return write_quantity(seconds / 3600, "h", 0)
+    return write_duration(seconds)
 
 
-def moment(seconds: float, zone: tzinfo) -> datetime | None:
+def convert_time(seconds: float, zone: tzinfo) -> datetime | None:
     """Return a time since 1970 (s) in a zone; None if it is in no calendar."""
     try:
         return datetime.fromtimestamp(seconds, zone)
@@ -100,15 +99,15 @@ def moment(seconds: float, zone: tzinfo) -> datetime | None:
         return None
 
 
-def date_and_time(seconds: float, zone: tzinfo) -> str:
+def write_time(seconds: float, zone: tzinfo) -> str:
     """Write a time since 1970 (s): ``2021-07-20 05:00:00``."""
-    at = moment(seconds, zone)
+    at = convert_time(seconds, zone)
     return UNKNOWN if at is None else at.strftime("%Y-%m-%d %H:%M:%S")
 
 
-def clock_name(seconds: float, zone: tzinfo) -> str:
+def name_clock(seconds: float, zone: tzinfo) -> str:
     """Write which clock shows a time (s since 1970): ``EDT, America/Toronto`` or ``UTC-05:00``."""
-    at = moment(seconds, zone)
+    at = convert_time(seconds, zone)
     name = "" if at is None else at.strftime("%Z")
     if not isinstance(zone, ZoneInfo) or zone.key == name:
         return name
@@ -117,7 +116,7 @@ def clock_name(seconds: float, zone: tzinfo) -> str:
 
 
 @lru_cache(maxsize=8)
-def offsets(zone: tzinfo, day: int) -> list[tuple[int, float]]:
+def list_offsets(zone: tzinfo, day: int) -> list[tuple[int, float]]:
     """Return when (s since 1970) a clock's offset from UTC (h) changes, from its first on.
 
     Args:
@@ -126,25 +125,25 @@ def offsets(zone: tzinfo, day: int) -> list[tuple[int, float]]:
     """
     changes: list[tuple[int, float]] = []
     for at in range((day - 8) * 86400, (day + 3) * 86400, 900):
-        time = moment(at, zone)
+        time = convert_time(at, zone)
         offset = None if time is None else time.utcoffset()
         if offset is not None and (not changes or changes[-1][1] != offset / _HOUR):
             changes.append((at, offset / _HOUR))
     return changes
 
 
-def time_of_day(seconds: float, zone: tzinfo, now: float) -> str:
+def write_clock_time(seconds: float, zone: tzinfo, now: float) -> str:
     """Write a time since 1970 (s): ``05:00:00``, with its date if that is not today."""
-    at, today = moment(seconds, zone), moment(now, zone)
+    at, today = convert_time(seconds, zone), convert_time(now, zone)
     if at is None:
         return UNKNOWN
     same = today is not None and at.date() == today.date()
     return at.strftime("%H:%M:%S" if same else "%Y-%m-%d %H:%M:%S")
 
 
-def hour_and_minute(seconds: float, zone: tzinfo, now: float) -> str:
+def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
     """Write a time to come (s since 1970): ``06:20``, ``tomorrow 06:20``, later with its date."""
-    at, today = moment(seconds, zone), moment(now, zone)
+    at, today = convert_time(seconds, zone), convert_time(now, zone)
     if at is None or today is None:
         return UNKNOWN
     days = (at.date() - today.date()).days
@@ -152,14 +151,14 @@ def hour_and_minute(seconds: float, zone: tzinfo, now: float) -> str:
     return clock if days == 0 else f"tomorrow {clock}" if days == 1 else at.strftime("%d %b %H:%M")
 
 
-def sentence(text: str) -> str:
+def clean_sentence(text: str) -> str:
     """Return a node's sentence for a page that laymen read: no names of parameters, and m³."""
-    return _CUBIC.sub("m³", _PARAMETERS.sub("", plain(text)))
+    return _CUBIC.sub("m³", _PARAMETERS.sub("", clean_text(text)))
 
 
-def plain(text: str, most: int = 500) -> str:
+def clean_text(text: str, max_length: int = 500) -> str:
     """Return a text that can be shown anywhere: printable, and at most this many characters."""
-    short = text[:most] + ("…" if len(text) > most else "")
+    short = text[:max_length] + ("…" if len(text) > max_length else "")
     if short.isprintable():
         return short
     return "".join(

@@ -24,7 +24,7 @@ from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.parameter_file import node_parameter_files
 from greenroof_ros.live import site_run
 from greenroof_ros.live.devices.drive_file import find_drive_file
-from greenroof_ros.live.devices.lock import DriveLock
+from greenroof_ros.live.devices.lock import acquire_drive_lock
 from greenroof_ros.live.drive_choice import DriveChoice
 from greenroof_ros.live.live_site import LiveSite
 from greenroof_ros.live.live_site import make_parser as live_site_parser
@@ -143,7 +143,7 @@ _ONLY_BRINGUP = "must not be given to the node pump"
 # By the file's text: what is refused, beginning with its line.
 NO_EFFECT = {
     # Only bringup sets the drive: otherwise the node could run one drive, and bringup stop another.
-    "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    drive: danfoss_fc202\n":
+    "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    drive: danfoss_fc202\n":
         f"line 4: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
     "/**:\n  ros__parameters:\n    address: tcp://127.0.0.1:2\n":
         f"line 3: /**: address = 'tcp://127.0.0.1:2': {_ONLY_BRINGUP}",
@@ -151,17 +151,17 @@ NO_EFFECT = {
     "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
         "line 3: site1/plant: speed = 60.0: must not be given to the node plant here: under "
         "bringup --speed sets it",
-    "/**/pump:\n  ros__parameters:\n    least_off: 1.0\n    greatest_volume_per_dai: 0.5\n":
-        "line 4: /**/pump: greatest_volume_per_dai = 0.5: there is no such parameter; the closest "
-        "is greatest_volume_per_day;",
-    "/**/onoff:\n  ros__parameters:\n    least_off: 1.0\n":
-        "line 3: /**/onoff: least_off = 1.0: there is no such parameter",
-    "# mine\n/**/pum:\n  ros__parameters:\n    least_off: 1.0\n":
+    "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    max_volume_per_dai: 0.5\n":
+        "line 4: /**/pump: max_volume_per_dai = 0.5: there is no such parameter; the closest "
+        "is max_volume_per_day;",
+    "/**/onoff:\n  ros__parameters:\n    min_off: 1.0\n":
+        "line 3: /**/onoff: min_off = 1.0: there is no such parameter",
+    "# mine\n/**/pum:\n  ros__parameters:\n    min_off: 1.0\n":
         "line 2: /**/pum: bringup starts no such node; the closest is /**/pump;",
-    "/site2/pump:\n  ros__parameters:\n    least_off: 1.0\n":
+    "/site2/pump:\n  ros__parameters:\n    min_off: 1.0\n":
         "line 1: /site2/pump: bringup starts no such node; the closest is /**/pump;",
-    "pump:\n  greatest_volume_per_day: 0.5\n":
-        "line 2: pump: greatest_volume_per_day = 0.5: has no effect here: write /**/NODE: {ros__",
+    "pump:\n  max_volume_per_day: 0.5\n":
+        "line 2: pump: max_volume_per_day = 0.5: has no effect here: write /**/NODE: {ros__",
     "/**/pump:\n  ros__parameters: 0.5\n":
         "line 1: /**/pump: ros__parameters = 0.5: must hold parameters, NAME: VALUE",
 }
@@ -181,14 +181,14 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
 
 
 def test_a_wrong_parameter_file_is_refused_before_anything_is_made(tmp_path: Path) -> None:
-    (tmp_path / "nodes.yaml").write_text("pump:\n  least_off: 1.0\n")
+    (tmp_path / "nodes.yaml").write_text("pump:\n  min_off: 1.0\n")
     done = run_command(
         "bringup.live", "--sensors", "external", "--weather", "external", "--drive", "abb_acs880",
         "--drive-at", "gateway://127.0.0.1:1", "--node-parameters", "nodes.yaml",
         cwd=tmp_path, env=environment(0),
     )
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("error: nodes.yaml, line 2: pump: least_off = 1.0: has no effect")
+    assert done.stderr.startswith("error: nodes.yaml, line 2: pump: min_off = 1.0: has no effect")
     assert [file.name for file in tmp_path.iterdir()] == ["nodes.yaml"]
 
 
@@ -196,8 +196,7 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
     """As at the end of a second bringup that was started with the same drive by mistake."""
     with closing(Wire(acs880())) as wire:
         choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
-        driver, stop = DriveLock(choice.read()), choice.stopper()
-        driver.acquire()
+        driver, stop = acquire_drive_lock(choice.read()), choice.stopper()
         assert stop(1) == (
             False,
             f"another program (process {os.getpid()}) runs the drive, and may run the pump: "
@@ -206,7 +205,7 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
         assert wire.connections == 0
         message = "bringup ordered the drive to stop; it then reported: speed 0.0%"
         assert stop(os.getpid())[0] and stop(os.getpid())[1].startswith(message)
-        driver.release()
+        driver.close()
         assert stop(1)[0] and stop(1)[1].startswith(message)
 
 

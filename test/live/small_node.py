@@ -6,6 +6,7 @@ the directory ``marks`` with files by which a test observes and controls it.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import signal
@@ -32,6 +33,15 @@ def main() -> None:
         sys.exit(2)
     if kind == "fails":
         sys.exit(1)
+    while kind in ("refuses", "crashes"):
+        report("ready")
+        time.sleep(0.05)
+        if not (marks / "turn").exists():
+            continue
+        if kind == "crashes":
+            ctypes.string_at(0)
+        report("ended", failure="mine.py, line 3: x")
+        sys.exit(2)
     while several:
         for node in several:
             waits = (marks / f"{node}-waits").exists()

@@ -10,6 +10,7 @@ import math
 import os
 import re
 import signal
+import subprocess
 import time
 from array import array
 from collections.abc import Iterator
@@ -188,7 +189,7 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
 
 
 MINE = """
-import math
+import math, time
 from greenroof_ros.common.parameter import Parameter
 
 class Waiting:
@@ -214,6 +215,9 @@ class Learner(Counting):
 
 class Gauged(Waiting):
     needs_forecast, gauge_rain = False, 0.0
+    def __init__(self, *site, **answer):
+        super().__init__(*site, **answer)
+        time.sleep(4)
     def command(self, *inputs): return 0.1 + 1e4 * self.gauge_rain
 """
 
@@ -305,7 +309,44 @@ class Broken:
     def statistics(self): return None
     @property
     def fill_to(self): return math.sqrt(-1.0 if fault() == "output" else 1.0)
+    @property  # of learned
+    def learned(self): return {"x": "much"} if fault() == "learns words" else None
 """
+# A class as its user has left it since the site was started: what is said of it, and the line.
+LEFT = {
+    "broken": ("class Mine(:", "SyntaxError", 1),
+    "renamed": ("class Yours: pass", "has no attribute 'Mine'", None),
+    "without a library": ("import math\nimport no_such_library", "No module named", 2),
+    "exits": ("raise SystemExit", "SystemExit", 1),
+    "never returns": ("import time\ntime.sleep(1000)", "did not return within 12 s", 2),
+    "deleted": (None, "No module named 'deleted'", None),
+    "of another range": (
+        "from greenroof_ros.controllers.onoff import OnOff\n"
+        "from greenroof_ros.common.parameter import Parameter\n"
+        "class Mine(OnOff):\n    parameters = (Parameter('fraction', 0.5, '1', 0.4, 0.6, 'x'),)",
+        "parameter fraction of mine = 0.3: must be a number from 0.4 to 0.6", None,
+    ),
+}
+
+
+def test_a_class_with_which_the_node_cannot_run(observer: Observer) -> None:
+    """The node ends with a usage error, which names file and line; on/off then replaces it."""
+    ended = {}
+    for name, (content, *_) in LEFT.items():
+        module = name.replace(" ", "_")
+        if content is not None:
+            (observer.cwd / f"{module}.py").write_text(content)
+        ended[name] = observer.start(
+            f"live.controller --controller {module}:Mine", fraction=0.3,
+            popen={"stderr": subprocess.PIPE, "text": True},
+        )
+    for name, (_, why, line) in LEFT.items():
+        _, error = ended[name].communicate(timeout=60)
+        assert ended[name].returncode == 2 and why in error, (name, error)
+        file = observer.cwd / f"{name.replace(' ', '_')}.py"
+        assert line is None or error.startswith(f"error: {file}, line {line}: "), (name, error)
+
+
 # What is reported of each fault, and the text of the line that is named. For other commands that
 # are none see controllers/test_decide.py.
 FAULTS = {
@@ -313,6 +354,7 @@ FAULTS = {
     "every other time": ("ArithmeticError", "raise Arith"), "in a library": ("TypeError", "sleep"),
     "exits": ("SystemExit: 3", "SystemExit"), "never returns": ("did not return", "while what"),
     "NaN": ("must be a finite number", "def command"), "output": ("ValueError", "math.sqrt"),
+    "learns words": ("learned = {'x': 'much'}: must be finite numbers", "of learned"),
 }
 
 
@@ -345,7 +387,7 @@ def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
 
 
 def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> None:
-    """Also without a forecast; 0 while nothing is measured."""
+    """Also without a forecast; 0 while nothing is measured. It may take 4 s to be made."""
     commands = site.be_dry()
     for name in FORECASTS:
         del site.values[name]
@@ -356,6 +398,7 @@ def test_a_class_that_asks_for_it_knows_the_rain_of_the_gauge(site: Site) -> Non
         site.until(lambda: newest(commands) == pytest.approx(0.15), LATE, "the rain")
         del site.values["/gauge/precipitation"]
         site.until(lambda: newest(commands) == 0.1, LATE, "no rain of a gauge that fell silent")
+    assert "/gauged: command" not in site.diagnoses
 
 
 def test_what_was_learned_outlives_the_node_and_a_time_without_a_forecast(site: Site) -> None:

@@ -259,7 +259,14 @@ def test_both_level_sensors_on_one_serial_line(
 def test_its_status_is_an_alarm_while_a_dead_pump_node_is_not_replaced(
     domain: int, tmp_path: Path, hardware: Hardware
 ) -> None:
-    """A node that died earlier never reports. Here bringup is suspended, and cannot replace it."""
+    """A node that died earlier never reports. Here bringup is suspended, and cannot replace it.
+
+    The nodes that replace dead ones read the drive and the parameters of the site's start, whatever
+    their files hold since.
+    """
+    files = [Path(hardware.file), tmp_path / "onoff.yaml", tmp_path / "nodes.yaml"]
+    files[1].write_text("/**/onoff:\n  ros__parameters:\n    fraction: 0.95\n")
+    options = (*hardware.be_a_site(), "--parameters", "onoff.yaml")
 
     def status() -> tuple[int, list[str]]:
         done = run_command("status", cwd=tmp_path, env=environment(domain))
@@ -268,19 +275,23 @@ def test_its_status_is_an_alarm_while_a_dead_pump_node_is_not_replaced(
     def pump() -> str:
         return next(line for line in status()[1] if line.startswith("Pump "))
 
-    with live(domain, tmp_path, *hardware.be_a_site()) as process:
+    with live(domain, tmp_path, *options) as process:
         hardware.begin()
         hardware.until_it_pumps()
         wait_for(lambda: status()[0] < 2, 60, "a site without alarms")
         assert "running" in pump()
+        for file in files:
+            file.write_text("of: tomorrow\n")
         with suspended(process.process.pid):
-            os.kill(process.nodes()["pump"], signal.SIGKILL)
+            for node in ("onoff", "pump"):
+                os.kill(process.nodes()[node], signal.SIGKILL)
             code, lines = status()
         assert code == 2, lines
         assert len(lines) <= 15
         assert any(line.startswith("Pump           unknown") for line in lines)
         hardware.until_it_pumps()
         wait_for(lambda: status()[0] < 2, 60, "the site as before")
+        assert "commanded 95 % of its maximum flow" in pump()
 
 
 def documents(port: int) -> tuple[list[dict[str, Any]], Stream]:
@@ -493,6 +504,34 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
     assert (summary["status"], summary["alarms"]) == ("done", [])
     assert summary["forecast"] is None
     assert "forecast:" not in process.stderr()
+
+
+def test_a_controller_that_is_broken_while_the_site_runs(
+    domain: int, tmp_path: Path, site: Site
+) -> None:
+    """When its node must start again, on/off waters in its place; an alarm names file and line."""
+    commands, file = site.listen("/pump/command"), tmp_path / "mine.py"
+    file.write_text(
+        "from greenroof_ros.controllers.onoff import OnOff\n\nclass Mine(OnOff):\n"
+        "    parameters = ()\n    def __init__(self, site): super().__init__(site, 0.3)\n"
+    )
+    (tmp_path / "nodes.yaml").write_text(QUICK)
+    options = (*EXTERNAL, "--controller", "mine:Mine", "--node-parameters", "nodes.yaml")
+    with live(domain, tmp_path, *options) as process:
+        site.values = {**LEVELS, "/weather/frost": 0.0}
+        site.until(lambda: newest(commands) == 0.3, 60, "its commands")
+        with file.open("a") as stream:
+            stream.write("    def command(self, *inputs: return 0.3\n")
+        os.kill(process.nodes()["mine"], signal.SIGKILL)
+        site.until(lambda: newest(commands) == 1.0, 60, "on/off")
+        site.during(2.0)
+        assert {value for _, value in commands} == {0.0, 0.3, 1.0}
+    (alarm,) = (
+        alarm for alarm in summary_of(tmp_path / "run")["alarms"]
+        if alarm["code"] == "controller_failed"
+    )
+    assert (alarm["node"], alarm["part"]) == ("/mine", "command")
+    assert f"{file}, line 6: controller = 'mine:Mine': cannot be imported: " in alarm["sentence"]
 
 
 def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_path: Path) -> None:

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from graphs import Process, free_ports, wait_for
 from places import CONFIG
 from pump_node_rig import PumpRig, state_in
@@ -133,7 +135,7 @@ def test_what_the_drive_file_reports(rig: PumpRig) -> None:
     text = (CONFIG / "drives" / "abb_acs880.yaml").read_text()
     text = text.replace("after_power_up_s: 30 ", "after_power_up_s: 4 ")
     file = rig.cwd / "mine.yaml"
-    file.write_text(text.replace("least_speed: 0.3", "least_speed: 0.9"))
+    file.write_text(text.replace("min_speed: 0.3", "min_speed: 0.9"))
     rig.simulate()
     began = time.monotonic()
     rig.start(drive=str(file))
@@ -307,6 +309,26 @@ def command(rig: PumpRig, name: str, *options: str) -> tuple[int, str]:
     return process.wait(1), process.stdout() + process.stderr()
 
 
+@contextmanager
+def forged(rig: PumpRig, **values: str) -> Iterator[None]:
+    """Report, ten times a second, of a pump node in ways that no pump node does."""
+    pump = {"role": '"pump"', "process": '"x 1"', **values}
+    array = DiagnosticArray(status=[
+        DiagnosticStatus(
+            name=name, message=message, level=DiagnosticStatus.OK,
+            values=[KeyValue(key=key, value=value) for key, value in said.items()],
+        ) for name, message, said in (
+            ("/site2/pump", "ready", pump), ("/pump", "hacked", pump), ("/pump", "ready", values),
+            ("/pump", "ready", pump | {"tick": "{"}), ("pump", "ready", pump), ("", "", {}),
+        )
+    ])
+    publisher = rig.observer.publisher("/diagnostics")
+    timer = rig.node.create_timer(0.1, lambda: publisher.publish(array))
+    yield
+    rig.node.destroy_timer(timer)
+    rig.node.destroy_publisher(publisher)
+
+
 def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
     """In hours that began a minute ago in UTC, for six minutes."""
     now = datetime.now(timezone.utc)
@@ -400,9 +422,10 @@ def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
         node.wait()
     rig.start(state_file=file)
     rig.join()
-    code, output = command(rig, "reset")
+    with forged(rig, fault='"another"', unknown='""'):
+        code, output = command(rig, "reset")
     assert code == 1 and "not cleared: it was not confirmed" in output
-    assert "The fault: " in output and "pump.json.broken is there" in output
+    assert re.search("The fault: .* pump.json.broken is there", output) and "another" not in output
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
     code, output = command(rig, "reset", "--yes")
     assert code == 0 and "pump.json.broken is there" in output
@@ -436,7 +459,8 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     by_hand = rig.call(SetParametersAtomically, "dose", parameters=volume).result
     assert not by_hand.successful and "needs volume" in by_hand.reason
     before = rig.pumped()
-    code, output = command(rig, "dose", "--volume", "0.05")
+    with forged(rig, dose='{"id": 1, "over": "expired", "said": 7}'):
+        code, output = command(rig, "dose", "--volume", "0.05")
     assert (code, output.splitlines()[-1]) == (0, "the dose of 0.05 m3 was delivered")
     assert " of 0.05 m3 is accepted" in output and " a dose of " not in rig.state
     rig.until_at_rest(0.0)
@@ -451,7 +475,7 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     assert rig.call(SetBool, "stop", data=True).success
     rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, "its end")
     assert process.wait(1) == 1
-    assert "the dose ended early, at " in process.stdout()
+    assert "error: the dose ended early, at " in process.stderr()
     rig.tick_until(0.0, lambda: rig.code("dose") == "dose_ended_early", LATE, "its code")
     assert rig.call(SetBool, "stop", data=False).success
     assert [rig.tick(0.0) for _ in range(20)][10:] == [0.0] * 10

@@ -31,7 +31,7 @@ def rig(observer: Observer) -> Iterator[PumpRig]:
 
 def test_a_command_below_all_is_delivered_in_pulses(rig: PumpRig) -> None:
     """*On* is the whole flow, at most 8.4 l/s here; a tenth of it takes a tenth of the time."""
-    rig.start(drive="tasmota", least_on=1.0)
+    rig.start(drive="tasmota", min_on=1.0)
     rig.join()
     rig.tick_until(1.0, lambda: rig.drive.speed() == 1.0, 60, "a closed contact")
     assert rig.observer.diagnoses["/pump: drive"].hardware_id.startswith("Tasmota")

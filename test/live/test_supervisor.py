@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import re
 import resource
 import signal
 import socket
@@ -12,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -21,7 +23,7 @@ from places import CHECKOUT
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.live import supervisor
 from greenroof_ros.live.site_alarms import SiteAlarms
-from greenroof_ros.live.site_run import _StartReport, values_of
+from greenroof_ros.live.site_run import _StartReport, levels_of
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.live.supervisor_socket import SOCKET, SupervisorSocket, read_report
 
@@ -206,6 +208,42 @@ def test_a_node_that_fails_again_and_again_is_given_up(
 
 
 @limits(restarts=1)
+def test_on_off_replaces_a_controller_that_is_given_up(site: Site) -> None:
+    """At once if its node cannot run with it any more, otherwise after its restarts.
+
+    It is told why. If it fails likewise, the site ends.
+    """
+    told: dict[str, str] = {}
+
+    def instead(kind: str, why: str) -> tuple[str, str]:
+        told[kind] = why
+        return "onoff", str(site.marks)
+
+    for kind in ("refuses", "crashes"):
+        site.supervisor.add(NodeStart(
+            kind, "small_node", (kind, str(site.marks)), instead=partial(instead, kind)
+        ))
+    site.until_ready()
+    (site.marks / "turn").touch()
+    site.until(lambda: len(site.starts("onoff")) == 2)
+    site.until_ready()
+    assert told["refuses"] == "ended (exit code 2): mine.py, line 3: x"
+    assert re.fullmatch(
+        r'ended \(SIGSEGV\), File ".*/ctypes/__init__.py", line \d+ in string_at', told["crashes"]
+    )
+    assert Counter(site.failures) == Counter([
+        ("refuses", f"{told['refuses']}; given up: starts again in 1 s"),
+        ("crashes", "ended (SIGSEGV); starts again in 1 s"),
+        ("crashes", "ended (SIGSEGV); given up: starts again in 1 s"),
+    ])
+    os.kill(site.pid("crashes"), signal.SIGKILL)
+    site.until(lambda: len(site.starts("onoff")) == 3)
+    os.kill(site.pid("crashes"), signal.SIGKILL)
+    with pytest.raises(NodeFailed, match="node crashes ended"):
+        site.until(lambda: False)
+
+
+@limits(restarts=1)
 def test_a_recorder_that_fails_ends_nothing(site: Site) -> None:
     """It is tried again, at growing intervals; the site does not wait for it."""
     (site.marks / "weather-waits").touch()
@@ -318,7 +356,7 @@ def test_a_node_that_cannot_be_started_again_for_now(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is reported once and retried."""
-    monkeypatch.setattr(supervisor, "_LONGEST_WAIT_S", 1.0)
+    monkeypatch.setattr(supervisor, "_MAX_WAIT_S", 1.0)
     site.add("weather", "pump")
     site.until(lambda: site.supervisor.last.keys() == {"weather", "pump"})
     site.until_ready()
@@ -360,7 +398,7 @@ def test_what_a_node_of_another_version_reports(tmp_path: Path) -> None:
         assert bool(last) == (isinstance(strange, dict) and strange.get("state") == "ready")
         alarms.update(last)
         start.update(alarms.judge, last, "")
-        values_of(last)
+        levels_of(last)
     for line in (b"", b"{", b"\xff", b"[" * 100_000):
         assert read_report(line) is None
     assert not shown

@@ -24,7 +24,7 @@ from greenroof_ros.common.mqtt import parse_broker
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch import feed
 from greenroof_ros.watch.bridge import Bridge, alarms_of, state_of
-from greenroof_ros.watch.document import document as read_document
+from greenroof_ros.watch.document import make_document as read_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.home_assistant import discovery
 from greenroof_ros.watch.store import GraphStore
@@ -67,10 +67,10 @@ def state_on(client: Talker, site: str = "roof") -> dict[str, Any]:
 
 
 def test_discovery_is_what_home_assistant_documents() -> None:
-    messages, ids = discovery("site1", "ha"), set()
+    messages, ids = discovery("site1"), set()
     for topic, text in messages.items():
         said = json.loads(text)
-        match = re.fullmatch(r"ha/(\w+)/([a-zA-Z0-9_-]+)/([a-zA-Z0-9_-]+)/config", topic)
+        match = re.fullmatch(r"homeassistant/(\w+)/([a-zA-Z0-9_-]+)/([a-zA-Z0-9_-]+)/config", topic)
         assert match and match[2] == "greenroof_site1"
         kind = match[1]
         assert EVERY | REQUIRED[kind] <= said.keys() <= EVERY | REQUIRED[kind] | OPTIONAL[kind]
@@ -164,7 +164,7 @@ def test_it_reports_what_a_simulated_run_does_and_nothing_can_be_stopped(
         with Talker(broker) as late:
             wait_for(lambda: late.of("greenroof/roof/availability"), 60, "what is retained")
             retained = {topic for _, topic, _, retained in late.received if retained}
-            assert retained == {"greenroof/roof/availability", *discovery("roof", "homeassistant")}
+            assert retained == {"greenroof/roof/availability", *discovery("roof")}
         heard.publish("greenroof/roof/stop", "STOP")
         bridge.until_printed("There is no pump node that could be stopped")
         bridge.process.kill()
@@ -212,7 +212,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         wait_for(lambda: len(heard.of(availability)) > before, 60, "the bridge again")
         wait_for(lambda: state()["pump"] == "running", 60, "a running pump")
         assert run.process.poll() is None
-        config = next(iter(discovery("site1", "homeassistant")))
+        config = next(iter(discovery("site1")))
         before = len(heard.of(config))
         heard.publish("homeassistant/status", "online")
         wait_for(lambda: len(heard.of(config)) > before, 60, "the discovery again")
@@ -271,17 +271,17 @@ def test_it_logs_in_and_reports_once_why_it_cannot(domain: int, tmp_path: Path) 
 def test_wrong_input_is_one_message(unused_domain: int, tmp_path: Path) -> None:
     """For addresses and logins see test_mqtt.py."""
     done = run_command(
-        "bridge", "--broker", "mqtt://h", "--prefix", "a/#", cwd=tmp_path,
+        "bridge", "--broker", "mqtt:/h", cwd=tmp_path,
         env=environment(unused_domain),
     )
     assert done.returncode == 2
     (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
-    assert "--prefix = 'a/#': must be letters, digits" in line
+    assert "--broker = 'mqtt:/h': must be mqtt://HOST" in line
     assert "Traceback" not in done.stderr
 
 
 @needs_mosquitto
-@pytest.mark.parametrize("broken", ["bridge.alarms_of", "bridge.document"])
+@pytest.mark.parametrize("broken", ["bridge.alarms_of", "bridge.make_document"])
 def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
     broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -299,9 +299,7 @@ def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
 
     with mosquitto(tmp_path) as broker, Talker(broker) as heard:
         graph = store("live")
-        bridge = Bridge(
-            graph, Feed(graph), parse_broker(broker.address, "broker"), "homeassistant"
-        )
+        bridge = Bridge(graph, Feed(graph), parse_broker(broker.address, "broker"))
 
         def run() -> None:
             with suppress(InterruptedRun):
@@ -309,7 +307,7 @@ def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
 
         thread = threading.Thread(target=run)
         thread.start()
-        other = "availability" if broken == "bridge.document" else "state"
+        other = "availability" if broken == "bridge.make_document" else "state"
         wait_for(lambda: heard.last(f"greenroof/roof/{other}"), 60, "a message")
         heard.publish("greenroof/roof/stop", "STOP")
         said = ""

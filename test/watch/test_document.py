@@ -32,8 +32,8 @@ from paper import PAPER_SITE
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
-from greenroof_ros.watch.document import document as read_document
-from greenroof_ros.watch.document import series as read_series
+from greenroof_ros.watch.document import make_document as read_document
+from greenroof_ros.watch.document import make_series as read_series
 from greenroof_ros.watch.store import LINES, GraphStore
 from greenroof_ros.watch.wire import WireStatus
 
@@ -72,12 +72,6 @@ def forecast(
 def plan_of(*steps: tuple[float, float, float]) -> np.ndarray[Any, Any]:
     """Return a plan: of each step its end (s), flow (m3/s) and level (m); none fills the roof."""
     return np.array([(*step, 0.0) for step in steps])
-
-
-def plan_lasts(graph: GraphStore, first: int, last: int) -> None:
-    """Have the controller report from one second to another that its plan is unchanged."""
-    for second in range(first, last, 60):
-        graph.add_plan(START + second * SECOND, np.empty((0, 4)))
 
 
 def leaves(value: Any) -> Iterator[Any]:
@@ -463,12 +457,12 @@ def test_what_may_be_released_here(
     assert "must lock it out at the pump itself" in stop["clear_then"]
 
 
-DOSE = {"max_dose": 0.688, "least_dose": 0.00688, "no_dose": "", "dose": {"said": "0.5 m3"}}
+DOSE = {"max_dose": 0.688, "min_dose": 0.00688, "no_dose": "", "dose": {"said": "0.5 m3"}}
 
 
 @pytest.mark.parametrize(("said", "maximum", "limits"), [
     (DOSE, 0.688, "from 0.007 to 0.688 m³, which is 0.1 mm to 10 mm of water on the roof"),
-    (DOSE | {"least_dose": 0.0}, 0.688, "at most 0.688 m³, which is 10 mm of water on the roof"),
+    (DOSE | {"min_dose": 0.0}, 0.688, "at most 0.688 m³, which is 10 mm of water on the roof"),
     (DOSE | {"no_dose": "the pump may not run: there is frost"}, 0.688, None),
     (DOSE | {"max_dose": None, "no_dose": "the site file allows no dose"}, None, None),
     (DOSE | {"max_dose": "1"}, None, None),
@@ -716,31 +710,15 @@ def test_what_the_charts_get() -> None:
     }
 
 
-def test_what_was_expected_stays_where_it_is_past() -> None:
-    """For each time, what the plan of an hour before expects, from the first plan's first hour on.
-
-    The plan of 0 s rises from 40 mm at 3600 s to 50 mm at 7200 s, and holds for 720 s: to 42 mm at
-    4320 s. The next one expects 30 mm.
-    """
+def test_a_plan_is_drawn_from_now_on() -> None:
+    """The newest one."""
     graph = watched()
     at = START / 1e9
     graph.add_plan(START, plan_of((3600.0, 0, 0.040), (7200.0, 0, 0.050)))
-    plan_lasts(graph, 60, 720)
     graph.add_plan(START + 720 * SECOND, plan_of((3600.0, 0, 0.030), (7200.0, 0, 0.030)))
-    plan_lasts(graph, 780, 9000)
-    assert read_series(graph, 3)["lines"]["roof_expected"] == []  # it is still to come
     assert read_series(graph, 3)["plan"] == [
         [at + 720, at + 4320, 0.0, 0.03], [at + 4320, at + 7920, 0.0, 0.03],
     ]
-    # A point every 5 min up to the end of the plan, although its steps are hours: without gaps.
-    add_at(graph, "/roof/level", (9000, 0.042))
-    rows = read_series(graph, 3)["lines"]["roof_expected"]
-    assert [row[0] - at for row in rows[:3]] == [3600, 3900, 4200]
-    expected = pytest.approx([0.040, 0.040 + 300 / 3600 * 0.01, 0.040 + 600 / 3600 * 0.01])
-    assert [row[3] for row in rows[:3]] == expected
-    assert [row[3] for row in rows[3:]] == pytest.approx([0.03] * len(rows[3:]))
-    assert at + 7620 <= rows[-1][0] <= at + 7920
-    assert np.diff([row[0] for row in rows]).max() <= 300
 
 
 @pytest.mark.parametrize(("seconds", "gap"), [
@@ -782,15 +760,15 @@ def test_times_are_by_the_sites_clock(
 
 
 @pytest.mark.parametrize(("text", "expected"), [
-    (words.value_of("/roof/level", -0.00001), "0.0 mm"),
-    (words.command(0.4), "40 %"),
-    (words.rain(0.00994), "9.9 mm"),
-    (words.length_of_time(45_000), "12.5 h"),
-    (words.length_of_time(259_200), "3 days"),
-    (words.time_of_day(1_626_757_199, STANDARD, 1_626_757_300), "2021-07-19 23:59:59"),
-    (words.hour_and_minute(1_626_757_200, STANDARD, 1_626_757_100), "tomorrow 00:00"),
-    (words.date_and_time(1e30, STANDARD), "unknown"),
-    (words.number(1e15, 1), "unknown"),
+    (words.write_value("/roof/level", -0.00001), "0.0 mm"),
+    (words.write_command(0.4), "40 %"),
+    (words.write_rain(0.00994), "9.9 mm"),
+    (words.write_duration(45_000), "12.5 h"),
+    (words.write_duration(259_200), "3 days"),
+    (words.write_clock_time(1_626_757_199, STANDARD, 1_626_757_300), "2021-07-19 23:59:59"),
+    (words.write_coming_time(1_626_757_200, STANDARD, 1_626_757_100), "tomorrow 00:00"),
+    (words.write_time(1e30, STANDARD), "unknown"),
+    (words.write_number(1e15, 1), "unknown"),
 ])
 def test_as_an_operator_reads_it(text: str, expected: str) -> None:
     """Dates have plain spaces, quantities spaces at which no line ends (U+00A0)."""
@@ -805,7 +783,8 @@ def _fail(*_: Any, **__: Any) -> Any:
 
 
 @pytest.mark.parametrize("place", [
-    "tiles.rain", "tiles.pump", "tiles.controller", "tiles.waiting", "words.date_and_time",
+    "tiles.make_rain_tile", "tiles.make_pump_tile", "tiles.make_controller_tile",
+    "tiles.describe_wait", "words.write_time",
     "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.update",
     "registry.Registry.two_pumps",
 ])

@@ -26,7 +26,7 @@ from std_msgs.msg import Float64
 
 from greenroof_ros.common.command_line import EXIT_INTERRUPTED
 from greenroof_ros.watch import feed
-from greenroof_ros.watch.document import document as read_document
+from greenroof_ros.watch.document import make_document as read_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.store import GraphStore

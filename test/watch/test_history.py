@@ -11,7 +11,7 @@ import pytest
 from page_inputs import SECOND, START
 
 from greenroof_ros.watch.history import (
-    MOST_STRETCHES,
+    MAX_STRETCHES,
     STRETCH_NS,
     History,
     read_histories,
@@ -116,12 +116,12 @@ def test_rows_stand_still_while_the_window_moves() -> None:
 
 def test_a_week_is_kept_and_memory_is_bounded() -> None:
     """Of three weeks with a value every 20 s, the last is kept."""
-    times = START + STRETCH_NS * np.arange(3 * MOST_STRETCHES)
-    history = filled(times, np.arange(3.0 * MOST_STRETCHES))
-    assert history.rows.nbytes <= 48 * MOST_STRETCHES
+    times = START + STRETCH_NS * np.arange(3 * MAX_STRETCHES)
+    history = filled(times, np.arange(3.0 * MAX_STRETCHES))
+    assert history.rows.nbytes <= 48 * MAX_STRETCHES
     end = int(times[-1])
     rows = history.window(end - 2 * WEEK_NS, end, STRETCH_NS, steps=False)
-    assert [row[3] for row in rows] == list(range(2 * MOST_STRETCHES, 3 * MOST_STRETCHES))
+    assert [row[3] for row in rows] == list(range(2 * MAX_STRETCHES, 3 * MAX_STRETCHES))
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -133,7 +133,7 @@ def test_a_restart_keeps_the_past(tmp_path: Path) -> None:
     history = filled(times, values)
     for _ in range(2):  # it is replaced
         write_histories(file, {"roof": history.rows, "flow": History().rows})
-    assert [path.name for path in file.parent.iterdir()] == ["watch.npz"]
+    assert {path.name for path in file.parent.iterdir()} == {"watch.npz", "watch.lock"}
     assert read_histories(tmp_path / "none.npz", ["roof"], START) == {}
     read = read_histories(file, ["roof", "flow", "rain"], START + 400 * SECOND)
     assert read.keys() == {"roof", "flow"} and not len(read["flow"].rows)

@@ -35,8 +35,8 @@ from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import feed
 from greenroof_ros.watch.alarms import Alarms
-from greenroof_ros.watch.document import document as read_document
-from greenroof_ros.watch.document import series as read_series
+from greenroof_ros.watch.document import make_document as read_document
+from greenroof_ros.watch.document import make_series as read_series
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.wire import WireStatus
 
@@ -754,7 +754,7 @@ def _without_summary(store: GraphStore, wall: float) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("broken", "instead"), [
-    ("document", _fail), ("series", _fail), ("document", _without_summary),
+    ("make_document", _fail), ("make_series", _fail), ("make_document", _without_summary),
 ])
 def test_a_fresh_page_has_its_stop_if_a_part_cannot_be_shown(
     browser: Any, monkeypatch: pytest.MonkeyPatch, broken: str, instead: Callable[..., Any]

@@ -21,8 +21,8 @@ from page_inputs import ERROR, SECOND, add_series
 from page_server import Answer, Stream, page_files, request, send, served
 
 from greenroof_ros.watch import feed, server
-from greenroof_ros.watch.document import document as read_document
-from greenroof_ros.watch.document import series as read_series
+from greenroof_ros.watch.document import make_document as read_document
+from greenroof_ros.watch.document import make_series as read_series
 from greenroof_ros.watch.listening import LOOPBACK
 from greenroof_ros.watch.server import GZIP_HEAD, EventStream, ServerEvent
 from greenroof_ros.watch.store import GraphStore
@@ -316,7 +316,7 @@ def test_silent_connections_keep_no_one_away(
     before = _open_files()
     with ExitStack() as stack:
         silent = []
-        for number in range(3 * server._MOST_CONNECTIONS):
+        for number in range(3 * server._MAX_CONNECTIONS):
             connection = socket.create_connection((LOOPBACK, port), timeout=300)
             silent.append(stack.enter_context(connection))
             if number % 3 == 0:
@@ -325,7 +325,7 @@ def test_silent_connections_keep_no_one_away(
                 assert_goes_on(port)
         assert_goes_on(port)
         taken = _open_files() - before - len(silent)
-        assert taken <= server._MOST_CONNECTIONS + 10
+        assert taken <= server._MAX_CONNECTIONS + 10
         set_level(watched, 0.03, 1)
         for _, content in events:  # an open page continues
             if level_in(content) == 0.03:
@@ -337,7 +337,7 @@ def test_silent_connections_keep_no_one_away(
 
 
 def test_there_is_a_most_of_streams(port: int, look: Callable[..., Stream]) -> None:
-    streams = [look() for _ in range(server._MOST_STREAMS)]
+    streams = [look() for _ in range(server._MAX_STREAMS)]
     for stream in streams:
         assert "200 OK" in stream.head()
     answer = request(port, "GET", "/events")

@@ -40,7 +40,7 @@ def bounds(site: Site) -> dict[str, float]:
     exchange, follow, apart, ramp, averaging, tolerance, delivery = (
         float(pump[name])
         for name in ("exchange_period", "follow_time", "follow_tolerance", "drive_ramp",
-                     "averaging_time", "level_tolerance", "least_delivery")
+                     "averaging_time", "level_tolerance", "min_delivery")
     )
     exchange *= 2
     end = exchange + RAMP_S + SLACK_S

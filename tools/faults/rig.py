@@ -43,7 +43,7 @@ BOOT_S = 2.0
 # depends on them.
 SHORTENED = {"recovery_time": 1.0}
 PUMP_SHORTENED = {
-    **SHORTENED, "least_on": 1.0, "least_off": 1.0, "starts_per_hour": 3600.0,
+    **SHORTENED, "min_on": 1.0, "min_off": 1.0, "starts_per_hour": 3600.0,
     "local_settings_stop_the_pump": True,  # as the simulated Grundfos is set
 }
 # The paper's site, but with a roof that takes an hour to fill: ten times its target.
@@ -534,8 +534,8 @@ RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
     **{
         limit: partial(PumpRig, pump_parameters={**PUMP_SHORTENED, limit: most})
         for limit, most in {
-            "greatest_run": LIMIT_S, "greatest_run_per_day": LIMIT_S,
-            "greatest_volume_per_day":
+            "max_run": LIMIT_S, "max_run_per_day": LIMIT_S,
+            "max_volume_per_day":
                 LIMIT_S * flow_at(read_site(CONFIG / "site.yaml"), 1.0, 2.9),
         }.items()
     },

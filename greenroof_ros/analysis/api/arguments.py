@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import yaml
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.times import DEFAULT_START
 from greenroof_ros.controllers.registry import ControllerChoice
@@ -180,7 +180,7 @@ def check_parameters(
         if name not in known:
             raise ConfigurationError(
                 f"is neither an input nor a parameter of {choice.name}; "
-                f"{did_you_mean(name, [*_INPUTS, *known])}", key=name, value=value,
+                f"{suggest_names(name, [*_INPUTS, *known])}", key=name, value=value,
             )
         try:
             values[name] = known[name].range.check(value)

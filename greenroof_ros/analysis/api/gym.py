@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from greenroof_ros.analysis.api.control import SiteState
 from greenroof_ros.analysis.api.environment import Environment
-from greenroof_ros.common.errors import in_extra
+from greenroof_ros.common.errors import require_extra
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.experiment.closed_loop import Tick
 
-with in_extra("gym"):
+with require_extra("gym"):
     import gymnasium
     from gymnasium.spaces import Box
 

@@ -17,7 +17,7 @@ from greenroof_ros.analysis.api.control import (
     choose_controller,
     parameters_of,
 )
-from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.times import duration, to_minutes
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.experiment import summary
@@ -262,7 +262,7 @@ class Comparison:
             >>> table["controller", "pump_starts"].rows()
             [('on/off', 1), ('MPC', 1)]
         """
-        with in_extra("study"):
+        with require_extra("study"):
             import polars
         return polars.DataFrame([
             {"controller": name, **result.metrics} for name, result in self.results.items()
@@ -282,7 +282,7 @@ class Comparison:
             >>> len(chart.vconcat)
             4
         """
-        with in_extra("study"):
+        with require_extra("study"):
             from greenroof_ros.analysis.report.trajectories import overlay_simulations
         return overlay_simulations({
             name: (result.run.site, result.ticks) for name, result in self.results.items()
@@ -326,7 +326,7 @@ def compare(
 def table(site: Site, ticks: Trajectory) -> polars.DataFrame:
     """Return a trajectory as :attr:`Result.trajectory` describes it."""
     frame = ticks.to_frame()
-    with in_extra("study"):
+    with require_extra("study"):
         import polars
 
         from greenroof_ros.analysis.report.bags import samples_of
@@ -361,7 +361,7 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
         >>> print(frame["time"][-1], round(frame["roof_level_m"][-1], 4))
         2021-07-07 03:00:00-05:00 0.0457
     """
-    with in_extra("study"):
+    with require_extra("study"):
         from greenroof_ros.analysis.report.bags import read_run
     run = read_run(Path(path), None if site is None else file_of_site(site))
     trajectory = run.trajectory()

@@ -23,7 +23,7 @@ from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.recording.bag_writer import METADATA, recovered_bag
-from greenroof_ros.recording.results_table import shortest
+from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.recording.trajectory import CSV, TRAJECTORY, Trajectory
 
 # Columns without which results alone make no run of a report.
@@ -124,7 +124,8 @@ def _read_run(path: Path, site_file: Path | None, about: About) -> ReportedRun:
     row["window"] = ", ".join([
         row["site"], row["weather"] if about.own else name,
         f"from {to_people(datetime.fromisoformat(row['start']))}",
-        f"{shortest(round(row['hours'], 5))} h", f"{row['evapotranspiration']} evapotranspiration",
+        f"{format_exactly(round(row['hours'], 5))} h",
+        f"{row['evapotranspiration']} evapotranspiration",
     ])
     if about.ending:
         row["ended"] = about.ending

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import altair as alt
 import vl_convert
 
-from greenroof_ros.common.files import naming
+from greenroof_ros.common.files import add_path_to_errors
 
 # Okabe and Ito's colours without yellow, which is too pale on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
@@ -91,10 +91,10 @@ class Figure:
         specification.setdefault("datasets", {}).update(self.data)
         vectors = vl_convert.vegalite_to_svg(specification, _VEGA_LITE)
         file = directory / f"{self.name}.svg"
-        with naming(file):
+        with add_path_to_errors(file):
             file.write_text(vectors, encoding="utf-8")
         file = directory / f"{self.name}.png"
-        with naming(file):
+        with add_path_to_errors(file):
             file.write_bytes(vl_convert.svg_to_png(vectors, scale=2))
 
 

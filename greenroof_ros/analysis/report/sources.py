@@ -17,7 +17,11 @@ from greenroof_ros.common.files import file_digest, read_text
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_and_pump import PARAMETERS
 from greenroof_ros.model.site import read_site
-from greenroof_ros.recording.results_table import differing, row_parameters, shortest
+from greenroof_ros.recording.results_table import (
+    find_differing_keys,
+    format_exactly,
+    row_parameters,
+)
 from greenroof_ros.recording.trajectory import TRAJECTORY
 
 _NEEDED = {
@@ -115,7 +119,7 @@ def _name_by_difference(runs: Mapping[Path, ReportedRun]) -> None:
     A window has one name, unless the files of two runs with this name differ.
     """
     windows = dict[str, tuple[object, ...]]()
-    apart = differing([row_parameters(run.row) for run in runs.values()])
+    apart = find_differing_keys([row_parameters(run.row) for run in runs.values()])
     for path, run in runs.items():
         row = run.row
         weather = sorted((run_directory(path) / "configuration" / "weather").glob("*"))
@@ -132,7 +136,7 @@ def _name_by_difference(runs: Mapping[Path, ReportedRun]) -> None:
 
 
 def _text(value: object) -> str:
-    return shortest(value) if isinstance(value, float) else str(value)
+    return format_exactly(value) if isinstance(value, float) else str(value)
 
 
 def _read_study(path: Path, prefix: str, sources: Sources) -> None:

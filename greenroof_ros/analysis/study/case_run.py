@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.analysis.study.grid import Case, in_directory
-from greenroof_ros.common.files import naming
+from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.experiment.run import Run, build_run, count_ticks
@@ -36,7 +36,7 @@ class Outcome:
 def write_inputs(files: Mapping[str, bytes], directory: Path) -> None:
     """Write the contents of input files to a directory, where :func:`run_case` reads them."""
     for name, content in files.items():
-        with naming(directory / name):
+        with add_path_to_errors(directory / name):
             (directory / name).write_bytes(content)
 
 

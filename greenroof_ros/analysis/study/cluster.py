@@ -15,10 +15,10 @@ from typing import Any
 
 from greenroof_ros.analysis.study.case_run import write_inputs
 from greenroof_ros.analysis.study.workers import Workers, WorkersLostError
-from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.experiment.summary import versions
 
-with in_extra("dask"):
+with require_extra("dask"):
     import dask
 
     # Its log would repeat an error message in a hundred lines.

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import (
     YamlMapping,
     read_yaml,
@@ -50,7 +50,7 @@ from greenroof_ros.model.initial_state import (
 )
 from greenroof_ros.model.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.model.site import PLACE, Site, edited, read_site, site_parameters
-from greenroof_ros.recording.results_table import shortest
+from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.weather.evapotranspiration import COMPUTED
 from greenroof_ros.weather.reading import find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, Weather
@@ -177,7 +177,7 @@ class Case:
             self, controller=find_controller("onoff"), parameters={}, forecast=ForecastChoice(),
             forecast_files={}, sensor_and_pump=None,
         ).identity
-        return alike if self.bound_block is None else f"{alike}-{shortest(self.bound_block)}"
+        return alike if self.bound_block is None else f"{alike}-{format_exactly(self.bound_block)}"
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the table that describe the case, without its parameters."""
@@ -299,7 +299,9 @@ class _Grid:
                 own = {name: self._number(values, name) for name in values if name != key}
                 read_site(file)
                 if own:
-                    label = "_".join(f"{name}-{shortest(value)}" for name, value in own.items())
+                    label = "_".join(
+                        f"{name}-{format_exactly(value)}" for name, value in own.items()
+                    )
                     path = Path(self._scratch.name, str(place), f"{file.stem}_{label}.yaml")
                     path.parent.mkdir(exist_ok=True)
                     path.write_text(edited(file, own), encoding="utf-8")
@@ -662,7 +664,7 @@ class _Grid:
         for key in mapping:
             if key not in known:
                 raise self._refuse(
-                    mapping, key, f"is not a key here; {did_you_mean(key, known)}"
+                    mapping, key, f"is not a key here; {suggest_names(key, known)}"
                 )
         for key, expected in needed.items():
             if mapping.get(key) in (None, [], {}, ""):

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 
 from greenroof_ros.analysis.study.grid import Case
-from greenroof_ros.recording.results_table import differing, shortest
+from greenroof_ros.recording.results_table import find_differing_keys, format_exactly
 
 _SEASON_HOURS = 168
 """shorter runs are no season, although they may start on one day of several years (h)"""
@@ -17,10 +17,12 @@ class Names:
 
     def __init__(self, cases: Sequence[Case]) -> None:
         """Find what differs between all cases, and between the cases of each controller."""
-        self._facts = differing([_facts(case) for case in cases])
+        self._facts = find_differing_keys([_facts(case) for case in cases])
         self._forecasts = len({_forecast(case, seed=False) for case in cases}) > 1
         self._values = {
-            name: differing([_values(case) for case in cases if case.controller.name == name])
+            name: find_differing_keys(
+                [_values(case) for case in cases if case.controller.name == name]
+            )
             for name in {case.controller.name for case in cases}
         }
         years: dict[tuple[object, ...], set[int]] = {}
@@ -29,7 +31,7 @@ class Names:
         self._seasons = {
             season for season, of_season in years.items() if season[0] and len(of_season) > 1
         }
-        self._windows = differing([self._window(case) for case in cases])
+        self._windows = find_differing_keys([self._window(case) for case in cases])
 
     def name(self, case: Case) -> str:
         """Return the full name of a case."""
@@ -88,7 +90,7 @@ def _facts(case: Case) -> dict[str, str]:
     """Return the facts that can distinguish cases of one controller, in words."""
     return {
         "initial": case.initial, "start": f"from {case.start}",
-        "hours": f"{shortest(case.hours)} h", "weather": case.weather_name,
+        "hours": f"{format_exactly(case.hours)} h", "weather": case.weather_name,
         "site": case.site.name,
         "evapotranspiration": f"{case.evapotranspiration} evapotranspiration",
         "forecast": _forecast(case),
@@ -106,7 +108,7 @@ def _forecast(case: Case, *, seed: bool = True) -> str:
 def _named(name: str, values: Mapping[str, float | str]) -> str:
     """Return a name followed by values."""
     texts = (
-        f"{key} {value if isinstance(value, str) else shortest(value)}"
+        f"{key} {value if isinstance(value, str) else format_exactly(value)}"
         for key, value in values.items()
     )
     return " ".join([name, *texts])

@@ -17,7 +17,7 @@ from greenroof_ros.analysis.study.case_run import Outcome, write_inputs
 from greenroof_ros.analysis.study.grid import Case, contents
 from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import naming, replace_text
+from greenroof_ros.common.files import add_path_to_errors, replace_text
 from greenroof_ros.common.processes import LockedError, acquire_file_lock
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.forecast.skill import REAL, read_skill
@@ -148,7 +148,7 @@ class StudyStore:
         about = _with_digest({"results": outcome.results, "timings": outcome.timings})
         part.mkdir(exist_ok=True)
         for name, content in {**outcome.files, _OUTCOME: about.encode()}.items():
-            with naming(part / name):
+            with add_path_to_errors(part / name):
                 (part / name).write_bytes(content)
         if whole.exists():  # a damaged one
             shutil.rmtree(whole)

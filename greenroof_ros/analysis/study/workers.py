@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from uuid import uuid4
 
 from greenroof_ros.analysis.study.case_run import write_inputs
-from greenroof_ros.common.files import naming
+from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.processes import end_with, scratch_directory
 
 # Imported once by the fork server, not by each worker.
@@ -96,7 +96,7 @@ def _to_file(directory: Path, function: Callable[..., Any], *arguments: Any) -> 
     """
     result = function(directory, *arguments)
     path = Path(tempfile.gettempdir(), uuid4().hex)
-    with naming(path):
+    with add_path_to_errors(path):
         path.write_bytes(pickle.dumps(result))
     return path
 

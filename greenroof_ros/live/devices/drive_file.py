@@ -8,7 +8,7 @@ from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError, did_you_mean
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import YamlMapping, shared_directory
 from greenroof_ros.common.parameter import Word, entry, find, read_record
 from greenroof_ros.live.devices.modbus_line import (
@@ -25,7 +25,7 @@ SPEED = "speed"
 # Longest ramp down that a drive may have (s), after *stop* or after its own timeout; drive files do
 # not give the ramp. A pump that cannot be read may turn for this long. A pump that turns longer
 # after it was forbidden to run does not obey.
-LONGEST_RAMP_S = 30.0
+MAX_RAMP_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -245,7 +245,7 @@ class DriveFile:
     faults: Codes = entry("fault codes")
     timeout: Timeouts = entry("the drive's own communication timeouts")
     nameplate: tuple[Nameplate, ...] = entry("read on connecting")
-    least_speed: float = entry("share of rated speed below which it is not run", 0, 1)
+    min_speed: float = entry("share of rated speed below which it is not run", 0, 1)
     set_up: tuple[str, ...] = entry("for people: what must be set in the drive")
     warnings: Codes | None = entry("warning codes", default=None)
     path: Path = Path()
@@ -299,7 +299,7 @@ def find_drive_file(name: str) -> Path:
     if Path(name).is_file():
         return Path(name)
     raise ConfigurationError(
-        f"is neither a file nor a name in config/drives/; {did_you_mean(name, names)}",
+        f"is neither a file nor a name in config/drives/; {suggest_names(name, names)}",
         key="drive", value=name,
     )
 

@@ -8,11 +8,31 @@ from typing import TypeAlias
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.mqtt import parse_topic
+from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.live.devices.drive import Drive, DriveEndpoint
 from greenroof_ros.live.devices.drive_file import read_drive_file
 from greenroof_ros.live.devices.modbus_line import parse_drive_address
 from greenroof_ros.live.devices.relay import Relay, RelayEndpoint
 from greenroof_ros.live.devices.relay_file import read_relay_file
+
+# How a user chooses a drive: parameters of the pump node, and options of bringup.
+CHOICE = (
+    Parameter(
+        "drive", "", meaning="make of the drive: a name in config/drives/, or a drive file",
+    ),
+    Parameter(
+        "address", "", meaning="address of the drive: tcp://HOST:PORT if it has its own Ethernet "
+        "port, gateway://HOST:PORT for a gateway to its serial port, or a serial line such as "
+        "/dev/ttyUSB0; append a comma and its device id if that differs from its file's, such as "
+        "gateway://HOST:PORT,17; for a relay mqtt://HOST[:PORT]/DEVICE (its topic at a broker), "
+        "mqtts:// for TLS",
+    ),
+    Parameter("broker_login", "", meaning="for a relay: YAML file with username and password"),
+    Parameter(
+        "broker_authority", "", meaning="for a relay: file of trusted certificates (PEM), if the "
+        "system does not know the broker's",
+    ),
+)
 
 Endpoint: TypeAlias = DriveEndpoint | RelayEndpoint
 Connection: TypeAlias = Drive | Relay

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import enum
 import math
+import socket
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.live.devices.drive import DriveStatus
-from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S
+from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.devices.endpoint import Connection, Endpoint
-from greenroof_ros.live.devices.lock import DriveInUseError, DriveLock
+from greenroof_ros.live.devices.lock import DriveInUseError, acquire_drive_lock
 from greenroof_ros.live.devices.modbus_line import DeviceSnapshot, DeviceThread, DriveError
 from greenroof_ros.live.devices.stop_monitor import (
     RUNS_ON_S,
@@ -23,17 +25,17 @@ from greenroof_ros.live.devices.stop_monitor import (
 )
 
 # Wait before a new attempt to connect (s): the first, and the longest.
-FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
+FIRST_WAIT_S, MAX_WAIT_S = 0.25, 5.0
 # A drive being stopped must not keep its speed for longer than this (s), or it is
 # treated as one that does not stop.
 STEADY_S = 3.0
 # A drive whose speed cannot be read may still get orders for this long (s); then follows the
 # silence in which its own timeout can pass.
-UNREAD_S = RUNS_ON_S + LONGEST_WAIT_S
+UNREAD_S = RUNS_ON_S + MAX_WAIT_S
 # Longest time that driver and supervisor each wait for a drive to come to rest (s): its ramp, and
 # the requests. It must fit into the 40 s in which bringup lets the pump node end. Twice, one after
 # the other, it must fit into the 120 s of examples/greenroof.service.
-REST_LIMIT_S = LONGEST_RAMP_S + 3.0
+REST_LIMIT_S = MAX_RAMP_S + 3.0
 # How long a drive that failed to start is left off before the next attempt (s).
 PAUSE_S = 2.0
 # The same after the last sign of another writer (s): longer than a slow writer's period.
@@ -100,6 +102,18 @@ class DriveSnapshot(DeviceSnapshot):
         """Whether there is a connection that gives answers."""
         return self.state in (ExchangeState.STOPPED, ExchangeState.RUNNING, ExchangeState.STOPPING)
 
+    def status_at(self, now: float) -> DriveStatus | None:
+        """Return the drive's last status; None if it is too old at this time."""
+        return self.status if now - self.read_at < STATUS_AGE_S else None
+
+    def absence_at(self, now: float) -> Diagnosis | None:
+        """Return why there is no status at this time; None if there is one."""
+        if self.status_at(now) is not None:
+            return None
+        if self.problem:
+            return Diagnosis.of("drive_lost", "problem", problem=self.problem)
+        return Diagnosis.of("drive_lost", "silent", time=STATUS_AGE_S)
+
 
 class DriveExchange(DeviceThread[DriveSnapshot]):
     """Keeps a drive at the speed requested last, or off, from its own thread.
@@ -163,7 +177,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         super().__init__("talking to the drive", DriveSnapshot())
         self.endpoint = endpoint
         self._drive: Connection = endpoint.connection(timeout_s)
-        self._drive_lock, self._waits_for_lock = DriveLock(endpoint), False
+        self._drive_lock: socket.socket | None = None
+        self._waits_for_lock = False
         self._period_s = max(period_s, endpoint.period)
         self._dead_man_s, self._timeout_s = dead_man_s, timeout_s
         self._timeout_limit_s, self._stops_locally = timeout_limit_s, stops_locally
@@ -193,7 +208,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         """
         self._requested = (None, -math.inf)
         self._rest_deadline = time.monotonic() + REST_LIMIT_S
-        if not self._stop_thread(REST_LIMIT_S + LONGEST_WAIT_S):
+        if not self._stop_thread(REST_LIMIT_S + MAX_WAIT_S):
             self._update(state=ExchangeState.CONNECTING, status=None)
             self._fail("could not confirm that the pump is stopped: the connection hangs")
 
@@ -217,19 +232,6 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         if snapshot.timeout_s is not None:
             ending = f"its own timeout of {snapshot.timeout_s:g} s must stop it"
         raise OSError(f"{problem}; {ending}")
-
-    def status(self, now: float) -> DriveStatus | None:
-        """Return the drive's last status; None if too old."""
-        snapshot = self.snapshot
-        return snapshot.status if now - snapshot.read_at < STATUS_AGE_S else None
-
-    def absence(self, now: float) -> Diagnosis | None:
-        """Return why the drive does not answer; None if it does."""
-        if self.status(now) is not None:
-            return None
-        if problem := self.snapshot.problem:
-            return Diagnosis.of("drive_lost", "problem", problem=problem)
-        return Diagnosis.of("drive_lost", "silent", time=STATUS_AGE_S)
 
     def timeout_problem(self, snapshot: DriveSnapshot) -> Diagnosis | None:
         """Return what is wrong with the drive's own communication timeout; None if nothing is."""
@@ -305,7 +307,6 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         return Diagnosis.of("drive_guards_later", time=self._unguarded_s)
 
     def _step(self) -> None:
-        """Do what the present state requires."""
         if self._snapshot.state is ExchangeState.SILENT:
             self._pause_until(self._connect_at)
             self._update(state=ExchangeState.CONNECTING)
@@ -330,7 +331,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             # closed connections in quick succession must not lead to silence.
             closes = drive.stopped is False and not drive.line.connected
             self._connect_at = now + self._wait_s + (self._timeout_s if closes else 0.0)
-            self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
+            self._wait_s = min(2 * self._wait_s, MAX_WAIT_S)
             self._fail(problem, state=ExchangeState.CONNECTING, status=None)
         else:
             silence_s, timeout = self._silence()
@@ -362,14 +363,14 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         try:
             self._drive.line.close()
         finally:
-            if self._done:
-                self._drive_lock.release()
+            if self._done and self._drive_lock is not None:
+                self._drive_lock.close()
 
     def _connect(self) -> None:
         """Stop the drive first; then read what it is and whether its own timeout would stop it."""
         self._pause_until(self._connect_at)
         self._stop_requested = False
-        if not self._drive_lock.locked:
+        if self._drive_lock is None:
             self._acquire_lock()
             return
         self._drive = drive = self.endpoint.connection(self._timeout_s)
@@ -406,7 +407,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._done = self._closing
         if not self._done:
             try:
-                self._drive_lock.acquire()
+                self._drive_lock = acquire_drive_lock(self.endpoint)
                 self._waits_for_lock = False
             except DriveError as error:
                 report = self._update if self._waits_for_lock else self._fail
@@ -493,7 +494,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             if other is not None:
                 pause_s = SECOND_MASTER_PAUSE_S
                 self._stop_monitor.order_changed()  # the drive may obey the other writer
-                other = other.plus("pause", pause=pause_s)
+                other = other.add_case("pause", pause=pause_s)
                 self._update(second_master=other)
                 raise DriveError("drive", other.sentence)
             if self._snapshot.second_master and time.monotonic() >= self._paused_until:
@@ -568,18 +569,15 @@ def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
         DriveError: three attempts to write *stop* and read the drive failed; the message states
             why.
     """
-    only = DriveLock(endpoint)
-    try:
-        only.acquire()
-    except DriveInUseError as error:
-        if error.holder not in (None, driver):
-            raise
-    except DriveError:
-        pass
-    try:
+    with ExitStack() as lock:
+        try:
+            lock.enter_context(acquire_drive_lock(endpoint))
+        except DriveInUseError as error:
+            if error.holder not in (None, driver):
+                raise
+        except DriveError:
+            pass
         return _stop(endpoint)
-    finally:
-        only.release()
 
 
 def _stop(endpoint: Endpoint) -> DriveStatus:

@@ -24,7 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from greenroof_ros.common.errors import ConfigurationError, in_extra
+from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.parameter import entry
 
 if TYPE_CHECKING:
@@ -136,7 +136,6 @@ class Address:
         return f"{min(self._hosts())}-{self.port or port}"
 
     def _hosts(self) -> set[str]:
-        """Return the IP addresses of the host."""
         try:
             return {str(info[4][0]) for info in socket.getaddrinfo(self.host, None)}
         except UnicodeError as error:  # not a valid host name
@@ -213,7 +212,7 @@ def check_installed() -> None:
     Raises:
         ConfigurationError: it is not.
     """
-    with in_extra("pump"):
+    with require_extra("pump"):
         import pymodbus.client  # noqa: F401 - only to see if it is there
 
 
@@ -364,7 +363,6 @@ class ModbusLine:
         return answer
 
     def _trace(self, sending: bool, data: bytes) -> bytes:
-        """Record the bytes of the request."""
         if sending:
             self._recent[-1].sent = data
         return data

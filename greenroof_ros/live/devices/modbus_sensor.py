@@ -49,7 +49,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
             ConfigurationError: there is no Modbus library.
         """
         if not self.started:
-            age = min(reader.greatest_age for reader in self.readers)
+            age = min(reader.max_age for reader in self.readers)
             self._timeout_s = min(_TIMEOUT_S, age / 2 / (_TIMEOUTS * len(self.readers)))
             self._line = self.readers[0].sensor.line(self._timeout_s)
             super().start()
@@ -89,12 +89,12 @@ class ModbusReader:
 
     Attributes:
         sensor: what is read.
-        greatest_age: age beyond which its quantity is not used (s).
+        max_age: age beyond which its quantity is not used (s).
         due: when it is read next (s, `time.monotonic`).
     """
 
     def __init__(
-        self, sensor: ModbusSensor, unit: str, line: SensorLine, greatest_age: float = math.inf,
+        self, sensor: ModbusSensor, unit: str, line: SensorLine, max_age: float = math.inf,
         spread_s: float = math.inf,
     ) -> None:
         """Add a sensor to a line that has not been started.
@@ -103,10 +103,10 @@ class ModbusReader:
             sensor: what to read.
             unit: of the quantity, for messages.
             line: reads it.
-            greatest_age: age beyond which its quantity is not used (s).
+            max_age: age beyond which its quantity is not used (s).
             spread_s: longest time over which a rise of a total is spread (s).
         """
-        self.sensor, self.greatest_age, self.due = sensor, greatest_age, time.monotonic()
+        self.sensor, self.max_age, self.due = sensor, max_age, time.monotonic()
         self._readings = Readings(sensor, unit, spread_s)
         self._reading, self._lock = Reading(problem="not yet read"), threading.Lock()
         self._line = line

@@ -15,7 +15,7 @@ from greenroof_ros.live.devices.readings import Reading, Readings
 from greenroof_ros.live.devices.sensor_file import MqttSensor
 
 # Longest message of a sensor that is accepted (bytes).
-_LONGEST = 65_536
+_MAX_BYTES = 65_536
 # Messages are refused for this long after a suspend (s): they may have been waiting.
 _IGNORING_S = 1.0
 # A number as text, which need not be JSON: "317.3988", 00317.3988, +5.0 or .5.
@@ -33,8 +33,8 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
     Raises:
         ValueError: there is no number.
     """
-    if len(payload) > _LONGEST:
-        raise ValueError(f"a message of {len(payload)} bytes, which is more than {_LONGEST}")
+    if len(payload) > _MAX_BYTES:
+        raise ValueError(f"a message of {len(payload)} bytes, which is more than {_MAX_BYTES}")
     value: object = payload.decode(errors="replace")
     if sensor.value or not _NUMBER.fullmatch(str(value)):
         try:
@@ -81,7 +81,6 @@ class MqttReader:
         self._readings = Readings(sensor, unit, spread_s)
         self._reading = Reading(problem=f"{sensor.address}: not yet connected", code="broker_lost")
         self._lock = threading.Lock()
-        self._online = not sensor.available
         self._ignoring_until = 0.0
         self._client = make_client(
             broker, f"greenroof_{name}_{uuid.uuid4().hex[:8]}",
@@ -111,42 +110,26 @@ class MqttReader:
     def _on_connect(self) -> None:
         with self._lock:
             self._report_failure("has sent nothing yet")
-        for topic in filter(None, (self._topic, self._sensor.available)):
-            self._client.subscribe(topic)
+        self._client.subscribe(self._topic)
 
     def _on_disconnect(self, why: str) -> None:
         with self._lock:
-            self._online = not self._sensor.available
             self._report_failure(f"no connection to the broker: {why}", "broker_lost")
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         with self._lock:
             try:
-                if topic == self._sensor.available:
-                    self._receive_availability(payload)
-                else:
-                    self._receive_reading(payload, retained)
+                self._receive(payload, retained)
             except ValueError as error:
                 self._report_failure(str(error))
             except Exception as error:  # any error: the next message is still read
                 logging.getLogger(__name__).exception("%s failed", self._sensor.address)
                 self._report_failure(f"reading failed: {error!r}")
 
-    def _receive_availability(self, payload: bytes) -> None:
-        was_offline, self._online = not self._online, payload == self._sensor.online.encode()
-        if not self._online:
-            raise ValueError(f"is offline: {self._sensor.available} reports {payload[:40]!r}")
-        if was_offline:
-            raise ValueError("is online, but has not sent a reading yet")
-
-    def _receive_reading(self, payload: bytes, retained: bool) -> None:
+    def _receive(self, payload: bytes, retained: bool) -> None:
         now = time.monotonic()
         if retained:
             raise ValueError("has sent nothing yet; the retained message may be old")
-        if not self._online:
-            raise ValueError(
-                f"is offline: {self._sensor.available} has not sent {self._sensor.online!r}"
-            )
         if self._readings.clear_after_suspend():
             self._ignoring_until = now + _IGNORING_S
         if now < self._ignoring_until:

@@ -33,7 +33,7 @@ _ON_S, _POLL_S = 2.0, 0.1
 # An *on* is renewed after this share of the timer.
 _RENEWED = 1 / 3
 # Characters shown of an invalid answer, and the maximum number of messages that wait.
-_SHOWN, _MOST_WAITING = 120, 1000
+_SHOWN, _MAX_WAITING = 120, 1000
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class RelayLine:
         self._placeholders = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
         self._numbers = itertools.count(secrets.randbelow(10**9))
         self._awaited: Counter[str] = Counter()
-        self._received: deque[tuple[str, bytes]] = deque(maxlen=_MOST_WAITING)
+        self._received: deque[tuple[str, bytes]] = deque(maxlen=_MAX_WAITING)
         self._changed = threading.Condition()
         self._connected, self._closed_by = False, ""
         self._client = make_client(
@@ -304,10 +304,10 @@ class Relay:
             raise self.line.error("answer", f"its timer, {timer.path}, is too large") from None
         if seconds is None:
             return None, f"{timer.path} is {raw:g}: off"
-        if seconds < self.file.minimum_timer:
+        if seconds < self.file.min_timer:
             return None, (
                 f"{timer.path} is {raw:g}, which is {seconds:g} s: less than "
-                f"{self.file.minimum_timer:g} s cannot be renewed in time"
+                f"{self.file.min_timer:g} s cannot be renewed in time"
             )
         self._timer_s = seconds
         return seconds, ""

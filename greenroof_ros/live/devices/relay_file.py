@@ -120,10 +120,10 @@ class RelayFile:
     path: Path = Path()
 
     # A relay is on or off, with no speed in between.
-    least_speed = 1.0
+    min_speed = 1.0
 
     @property
-    def minimum_timer(self) -> float:
+    def min_timer(self) -> float:
         """The shortest timer that can be renewed in time (s)."""
         return _ROUNDS * self.period
 
@@ -144,7 +144,6 @@ def read_relay_file(path: Path) -> RelayFile:
 
 
 def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str]]:
-    """Yield each key with a mistake, and the reason."""
     values = {
         "state": relay.state, "timer": relay.timer, "name": relay.name,
         **{f"must.{number}": setting for number, setting in enumerate(relay.must, start=1)},

@@ -26,9 +26,9 @@ from greenroof_ros.live.devices.modbus_line import (
 )
 
 TANKS = ("cistern", "roof")
-_LONGEST_FILTER_S = 30.0
+_MAX_FILTER_S = 30.0
 # A flow shown for 12 s (follow_time) while the pump is stopped is a fault.
-_LONGEST_AFTERFLOW_S = 10.0
+_MAX_AFTERFLOW_S = 10.0
 # A level further below 0 (m) is no noise: a tank would seem empty.
 _LEVEL_NOISE = 0.1
 _MODBUS_PORT = 502
@@ -57,7 +57,7 @@ class MeasuredQuantity(NamedTuple):
     @property
     def limit(self) -> str:
         """The parameter for its maximum age."""
-        age = self.topic.greatest_age
+        age = self.topic.max_age
         assert age is not None
         return age.parameter
 
@@ -66,7 +66,7 @@ class MeasuredQuantity(NamedTuple):
 QUANTITIES = {
     "cistern": MeasuredQuantity("cistern_sensor", "/cistern/level"),
     "roof": MeasuredQuantity("roof_sensor", "/roof/level"),
-    "flow_meter": MeasuredQuantity("flow_meter", "/pump/meter", _LONGEST_AFTERFLOW_S / 2),
+    "flow_meter": MeasuredQuantity("flow_meter", "/pump/meter", _MAX_AFTERFLOW_S / 2),
     "rain_gauge": MeasuredQuantity("rain_gauge", "/gauge/precipitation"),
     "thermometer": MeasuredQuantity("thermometer", "/gauge/temperature"),
 }
@@ -178,8 +178,6 @@ class MqttSensor(Sensor):
         "how long the sensor may be silent (s); at most the maximum age of the quantity",
         0.1, 3600,
     )
-    available: str = entry("topic that reports whether the sensor is online", default="")
-    online: str = entry("what that topic reports when it is", default="online")
     login: str = entry(
         "file with username and password, an absolute path; no other user may read it (chmod 600)",
         default="",
@@ -242,31 +240,31 @@ def default_sensors() -> Path:
     return shared_directory() / "config" / "sensors.yaml"
 
 
-def read_sensors(path: Path, greatest_ages: Mapping[str, float] | None = None) -> Sensors:
+def read_sensors(path: Path, max_ages: Mapping[str, float] | None = None) -> Sensors:
     """Read and check a sensor file.
 
     Args:
         path: the file.
-        greatest_ages: age beyond which a quantity is not used (s), if known, by the name of its
+        max_ages: age beyond which a quantity is not used (s), if known, by the name of its
             parameter. Two periods must fit into it, or one ``max_age``.
 
     Raises:
         ConfigurationError: something in it is missing, unknown or impossible, or contradicts
             something else in it.
     """
-    return read_record(Sensors, path, lambda sensors, _: _mistakes(sensors, greatest_ages or {}))
+    return read_record(Sensors, path, lambda sensors, _: _mistakes(sensors, max_ages or {}))
 
 
 def _mistakes(
-    sensors: Sensors, greatest_ages: Mapping[str, float]
+    sensors: Sensors, max_ages: Mapping[str, float]
 ) -> Iterator[tuple[str, str]]:
     """Yield each key with a mistake, and the reason; later checks rely on the earlier ones."""
     for section, sensor in sensors.by_section.items():
         quantity = QUANTITIES[section]
-        greatest_age = greatest_ages.get(quantity.limit, math.inf)
+        max_age = max_ages.get(quantity.limit, math.inf)
         mistakes = (
-            _modbus_mistakes(sensor, quantity, greatest_age) if isinstance(sensor, ModbusSensor)
-            else _mqtt_mistakes(sensor, quantity, greatest_age)
+            _modbus_mistakes(sensor, quantity, max_age) if isinstance(sensor, ModbusSensor)
+            else _mqtt_mistakes(sensor, quantity, max_age)
         )
         for key, expected in (*_sensor_mistakes(sensor, section), *mistakes):
             yield f"{section}.{key}", expected
@@ -321,21 +319,21 @@ def _period_mistakes(
 ) -> Iterator[tuple[str, str]]:
     late = sensor.median // 2 * interval
     shown = late + interval
-    if quantity is QUANTITIES["flow_meter"] and shown > _LONGEST_AFTERFLOW_S:
+    if quantity is QUANTITIES["flow_meter"] and shown > _MAX_AFTERFLOW_S:
         yield "median", (
             f"shows a flow for up to {shown:g} s after it has stopped, with {interval:g} s from "
-            f"one reading to the next; at most {_LONGEST_AFTERFLOW_S:g} s, or it looks like a "
+            f"one reading to the next; at most {_MAX_AFTERFLOW_S:g} s, or it looks like a "
             "welded contact"
         )
-    if late > _LONGEST_FILTER_S:
+    if late > _MAX_FILTER_S:
         yield "median", (
             f"delays the value by {late:g} s, with {interval:g} s from one reading to the next; "
-            f"at most {_LONGEST_FILTER_S:g} s is sensible"
+            f"at most {_MAX_FILTER_S:g} s is sensible"
         )
 
 
 def _modbus_mistakes(
-    sensor: ModbusSensor, quantity: MeasuredQuantity, greatest_age: float
+    sensor: ModbusSensor, quantity: MeasuredQuantity, max_age: float
 ) -> Iterator[tuple[str, str]]:
     try:
         parse_address(sensor.address)
@@ -352,33 +350,29 @@ def _modbus_mistakes(
             f"{sensor.offset:g} gives {ends[0]:g} to {ends[1]:g} {unit}"
         )
     yield from _period_mistakes(sensor, quantity, sensor.period)
-    if sensor.period > greatest_age / 2:
+    if sensor.period > max_age / 2:
         yield "period", (
-            f"must be at most {greatest_age / 2:g} s, half of {quantity.limit}: older values are "
+            f"must be at most {max_age / 2:g} s, half of {quantity.limit}: older values are "
             "not used"
         )
 
 
 def _mqtt_mistakes(
-    sensor: MqttSensor, quantity: MeasuredQuantity, greatest_age: float
+    sensor: MqttSensor, quantity: MeasuredQuantity, max_age: float
 ) -> Iterator[tuple[str, str]]:
     try:
-        _, topic = sensor.broker_and_topic()
+        sensor.broker_and_topic()
     except ConfigurationError as error:
         yield "address", error.expected
         return
     if sensor.value and not _PATH.fullmatch(sensor.value):
         yield "value", "must be names and numbers, such as ANALOG.Range1 or sensors[0].distance"
-    if set(sensor.available) & set("#+"):
-        yield "available", "must be a topic without # and +"
-    if sensor.available == topic:
-        yield "available", "must differ from the topic of the readings"
     for key in ("login", "authority"):
         file = getattr(sensor, key)
         if file and not Path(file).is_absolute():
             yield key, "must be an absolute path: a copy of this file is read"
     yield from _period_mistakes(sensor, quantity, sensor.max_age)
-    if sensor.max_age > greatest_age:
+    if sensor.max_age > max_age:
         yield "max_age", (
-            f"must be at most {greatest_age:g} s, {quantity.limit}: older values are not used"
+            f"must be at most {max_age:g} s, {quantity.limit}: older values are not used"
         )

@@ -14,7 +14,7 @@ _LATE_S = 2.0
 # A rise may exceed the maximum rate by what that rate brings in this time (s).
 _BURST_S = 60.0
 # Shortest time over which a rise is spread (s): several of the node's calls.
-_SHORTEST_S = 0.5
+_MIN_SPREAD_S = 0.5
 # Widths of the counters that roll over.
 _BITS = (16, 32, 64)
 
@@ -27,16 +27,16 @@ class Total:
     connection or a suspend. A copy of a message therefore changes nothing, nor does its delay.
     """
 
-    def __init__(self, sensor: Sensor, unit: str, longest_s: float) -> None:
+    def __init__(self, sensor: Sensor, unit: str, spread_s: float) -> None:
         """Start without a total.
 
         Args:
             sensor: its scale and maximum rate.
             unit: of the rate, for messages.
-            longest_s: longest time over which a rise is spread (s).
+            spread_s: longest time over which a rise is spread (s).
         """
-        self._sensor, self._unit, self._longest_s = sensor, unit, longest_s
-        self._burst_s = min(_BURST_S, longest_s)
+        self._sensor, self._unit, self._spread_s = sensor, unit, spread_s
+        self._burst_s = min(_BURST_S, spread_s)
         self._lock = threading.Lock()
         self._last: float | None = None  # the last raw total
         self._received_at = 0.0  # when it was received (s, `boot_time`)
@@ -107,7 +107,7 @@ class Total:
 
     def _allowed(self, gap: float) -> float:
         """Return the maximum rise in a time (s)."""
-        return self._sensor.high * (self._burst_s + min(gap, self._longest_s))
+        return self._sensor.high * (self._burst_s + min(gap, self._spread_s))
 
     def _is_growth(self, before: float, raw: float, gap: float) -> bool:
         return 0 <= self._sensor.scale * (raw - before) <= self._allowed(gap)
@@ -133,7 +133,7 @@ class Total:
         self._former = None
         self._rises.append((now, before))
         started_at = time.monotonic()
-        end = started_at + min(max(gap, _SHORTEST_S), self._longest_s)
+        end = started_at + min(max(gap, _MIN_SPREAD_S), self._spread_s)
         # One of several tips at once shares the time of the first.
         end = min(
             (other for other in self._rates if end < other <= started_at + self._burst_s),

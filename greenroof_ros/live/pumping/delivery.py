@@ -2,19 +2,19 @@
 
 It keeps three balances, each of water (m3) that the levels do not explain:
 
-- *missing on the roof*: a share ``least_delivery`` of the pumped volume (the measured volume, or
+- *missing on the roof*: a share ``min_delivery`` of the pumped volume (the measured volume, or
   what the speed should deliver if that is more: a closed valve has no flow), minus the rise of the
-  roof, minus ``greatest_loss`` for evapotranspiration. It grows if a pump runs and the roof does
+  roof, minus ``max_loss`` for evapotranspiration. It grows if a pump runs and the roof does
   not rise: burst pipe, closed valve. Rain can only lower it.
 - *lost from the cistern*: the fall of the cistern, minus the pumped volume and what a low outlet
-  may have drawn, both divided by ``least_delivery``, minus ``greatest_loss`` for a drifting sensor.
+  may have drawn, both divided by ``min_delivery``, minus ``max_loss`` for a drifting sensor.
   It grows if water leaves while the pump is stopped: leak, stuck contactor. Rain can only lower it.
   The outlet itself does not matter, since the cistern counts only up to it. While the level is
   above a low outlet, or unknown, another loss is seen only if it exceeds what that outlet takes, so
   perhaps only after the level has fallen and the outlet takes less. A clogged low outlet is not a
   fault.
-- *not from the cistern*: a share ``least_delivery`` of the pumped volume, minus the fall of the
-  cistern, minus ``greatest_loss`` for a drifting sensor, minus what the mains may have let in
+- *not from the cistern*: a share ``min_delivery`` of the pumped volume, minus the fall of the
+  cistern, minus ``max_loss`` for a drifting sensor, minus what the mains may have let in
   while the reading was below the level of their valve, or unknown. It grows if a pump runs and the
   cistern does not fall: its sensor is stuck, perhaps with some noise, or drifts up, and the pump
   would run dry. It is at most that share of the pumped volume, so rain while the pump is stopped is
@@ -39,9 +39,9 @@ the roof the counted share of the volume pumped since then must also be that muc
 wave does not look like a burst pipe. Levels count only up to the roof's target plus, and the
 cistern's outlet minus, ``level_offset``, the permanent error that a sensor may have.
 
-A level that does not change at all needs no averaging and no ``least_delivery``: an unchanged roof
+A level that does not change at all needs no averaging and no ``min_delivery``: an unchanged roof
 is a fault once ``level_tolerance`` times its area was pumped since it last changed, and roof and
-cistern both unchanged once the tolerance times the cistern's area was (net of ``greatest_loss``).
+cistern both unchanged once the tolerance times the cistern's area was (net of ``max_loss``).
 Otherwise the frozen-level rule, which clears automatically, would repeatedly stop the pump first.
 
 Why there are no false alarms: readings each second with independent errors of 5 mm (standard
@@ -71,9 +71,9 @@ class _Sums(NamedTuple):
 
     elapsed: float = 0.0
     """s"""
-    least_pumped: float = 0.0
+    min_pumped: float = 0.0
     """m3"""
-    most_pumped: float = 0.0
+    max_pumped: float = 0.0
     """m3"""
     cistern: float = 0.0
     """volume, counted up to the outlet (m3)"""
@@ -82,13 +82,13 @@ class _Sums(NamedTuple):
     overfull_cistern: float = 0.0
     """volume, also above the outlet, less what upward jumps have added (m3)"""
     retained: float = 0.0
-    """share of ``least_pumped`` that the roof's soil retains at its present wetness (m3)"""
+    """share of ``min_pumped`` that the roof's soil retains at its present wetness (m3)"""
     mains: float = 0.0
     """what the mains may have let in (m3)"""
     drained: float = 0.0
     """what the low outlet may have drawn, according to the site file (m3)"""
 
-    def plus(self, other: _Sums, share: float = 1.0) -> _Sums:
+    def add(self, other: _Sums, share: float = 1.0) -> _Sums:
         return _Sums(*(mine + share * added for mine, added in zip(self, other, strict=True)))
 
 
@@ -98,7 +98,7 @@ class _Balance:
     def __init__(self) -> None:
         self.rise = 0.0
         """m3"""
-        self.since_minimum = _Sums()
+        self.since_min = _Sums()
         """change of the sums since that minimum"""
 
     def add(self, unaccounted: float, change: _Sums, share: float | None = None) -> float:
@@ -109,11 +109,11 @@ class _Balance:
             change: of the sums.
             share: the balance cannot rise above this share of the pumped volume.
         """
-        self.rise, self.since_minimum = self.rise + unaccounted, self.since_minimum.plus(change)
+        self.rise, self.since_min = self.rise + unaccounted, self.since_min.add(change)
         if share is not None:
-            self.rise = min(self.rise, share * self.since_minimum.least_pumped)
+            self.rise = min(self.rise, share * self.since_min.min_pumped)
         if self.rise <= 0:
-            self.rise, self.since_minimum = 0.0, _Sums()
+            self.rise, self.since_min = 0.0, _Sums()
         return self.rise
 
 
@@ -123,9 +123,9 @@ class DeliveryCheck:
     def __init__(self, site: Site, settings: PumpSettings) -> None:
         self._site, self._soil = site, soil_of(site)
         self._settings = settings
-        self._loss = settings.greatest_loss * _M_PER_S
+        self._loss = settings.max_loss * _M_PER_S
         self._share_at_target = self._soil.retained_share(site.x2_star)
-        self._share_on_roof = settings.least_delivery * self._share_at_target
+        self._share_on_roof = settings.min_delivery * self._share_at_target
         self._retained_share = self._share_at_target  # share retained at the last known wetness
         self._sums = _Sums()
         self._missing, self._lost, self._not_drawn = _Balance(), _Balance(), _Balance()
@@ -148,8 +148,8 @@ class DeliveryCheck:
         dt: float,
         cistern_level: float | None,
         roof_level: float | None,
-        least_pumped: float,
-        most_pumped: float,
+        min_pumped: float,
+        max_pumped: float,
         displacements: tuple[float, float] = (0.0, 0.0),
     ) -> Diagnosis | None:
         """Update with the sensors' readings, and return the fault; None if there is none.
@@ -158,8 +158,8 @@ class DeliveryCheck:
             dt: time since the last step (s).
             cistern_level: m; None if unknown.
             roof_level: m; None if unknown.
-            least_pumped: volume that was or should have been pumped since the last step (m3).
-            most_pumped: most that can have been pumped (m3); worst case if the speed was unknown.
+            min_pumped: volume that was or should have been pumped since the last step (m3).
+            max_pumped: most that can have been pumped (m3); worst case if the speed was unknown.
             displacements: how far jumps have moved the readings of cistern and roof so far (m).
         """
         site, settings = self._site, self._settings
@@ -171,10 +171,10 @@ class DeliveryCheck:
         ):
             mains = site.mains_flow * dt
         if site.low_outlet_level is not None:
-            highest = site.z_o if cistern_level is None else cistern_level + settings.level_offset
-            drained = low_outlet_flow(site, site.cistern_volume(highest)) * dt
-        self._sums = self._sums.plus(_Sums(
-            dt, least_pumped, most_pumped, retained=self._retained_share * least_pumped,
+            high = site.z_o if cistern_level is None else cistern_level + settings.level_offset
+            drained = low_outlet_flow(site, site.cistern_volume(high)) * dt
+        self._sums = self._sums.add(_Sums(
+            dt, min_pumped, max_pumped, retained=self._retained_share * min_pumped,
             mains=mains, drained=drained,
         ))
         if cistern_level is None or roof_level is None:
@@ -198,26 +198,26 @@ class DeliveryCheck:
         if unchanged:
             return unchanged
         change = self._change_of_mean(dt, present)
-        share = settings.least_delivery
-        missing = self._share_on_roof * change.least_pumped - change.roof
+        share = settings.min_delivery
+        missing = self._share_on_roof * change.min_pumped - change.roof
         missing -= self._loss * site.a2 * change.elapsed
-        lost = -change.cistern - (change.most_pumped + change.drained) / share
+        lost = -change.cistern - (change.max_pumped + change.drained) / share
         lost -= self._loss * site.a1 * change.elapsed
         tolerance = settings.level_tolerance * site.a2
         rise = self._missing.add(missing, change)
-        if min(rise, self._share_on_roof * self._missing.since_minimum.least_pumped) > tolerance:
-            return _missing_on_roof(self._missing.since_minimum)
+        if min(rise, self._share_on_roof * self._missing.since_min.min_pumped) > tolerance:
+            return _missing_on_roof(self._missing.since_min)
         if self._lost.add(lost, change) > settings.level_tolerance * site.a1:
-            return _lost_from_cistern(self._lost.since_minimum)
+            return _lost_from_cistern(self._lost.since_min)
         return self._check_cistern_falls(change)
 
     def _check_cistern_falls(self, change: _Sums) -> Diagnosis | None:
         """Return the fault of a cistern that does not fall although it is pumped from."""
-        site, share = self._site, self._settings.least_delivery
-        not_drawn = share * change.least_pumped + change.overfull_cistern
+        site, share = self._site, self._settings.min_delivery
+        not_drawn = share * change.min_pumped + change.overfull_cistern
         not_drawn -= self._loss * site.a1 * change.elapsed + change.mains
         rise = self._not_drawn.add(not_drawn, change, share)
-        since = self._not_drawn.since_minimum
+        since = self._not_drawn.since_min
         rain_on_roof = since.roof - share * since.retained
         rain_on_roof += self._loss * site.a2 * since.elapsed
         # Rain stays in the cistern even after it has drained off the roof.
@@ -227,10 +227,10 @@ class DeliveryCheck:
         rise -= site.a_in / site.a2 / self._retained_share * self._rain_on_roof
         if rise <= self._settings.level_tolerance * site.a1:
             return None
-        if since.roof < self._share_on_roof * since.least_pumped:
+        if since.roof < self._share_on_roof * since.min_pumped:
             return _missing_on_roof(since)
         return Diagnosis.of(
-            "delivery", "cistern_stuck", pumped=since.least_pumped, minutes=since.elapsed / 60,
+            "delivery", "cistern_stuck", pumped=since.min_pumped, minutes=since.elapsed / 60,
             change=1000 * since.overfull_cistern / site.a1,
         )
 
@@ -244,8 +244,8 @@ class DeliveryCheck:
             self._mean = present
             return _Sums()
         weight = dt / min(max(averaging, dt), self._watched)
-        self._mean = before.plus(present.plus(before, -1.0), weight)
-        return self._mean.plus(before, -1.0) if self._watched > averaging else _Sums()
+        self._mean = before.add(present.add(before, -1.0), weight)
+        return self._mean.add(before, -1.0) if self._watched > averaging else _Sums()
 
     def _check_unchanged(self, now: _Sums) -> Diagnosis | None:
         """Return the fault of a roof, or of both tanks, unchanged while water was pumped."""
@@ -256,18 +256,18 @@ class DeliveryCheck:
             (roof, site.a2, self._share_at_target, "roof_stuck"),
             (longer, site.a1, 1.0, "both_stuck"),
         ):
-            unseen = share * (now.least_pumped - since.least_pumped)
+            unseen = share * (now.min_pumped - since.min_pumped)
             unseen -= self._loss * area * (now.elapsed - since.elapsed)
             if unseen > self._settings.level_tolerance * area:
-                return _missing_on_roof(now.plus(since, -1.0), stuck)
+                return _missing_on_roof(now.add(since, -1.0), stuck)
         return None
 
 
 def _missing_on_roof(since: _Sums, *stuck: str) -> Diagnosis:
     fell = max(0.0, -since.cistern)
-    cause = "burst" if fell - since.drained > since.least_pumped / 2 else "closed"
+    cause = "burst" if fell - since.drained > since.min_pumped / 2 else "closed"
     return Diagnosis.of(
-        "delivery", "roof", cause, *stuck, pumped=since.least_pumped, minutes=since.elapsed / 60,
+        "delivery", "roof", cause, *stuck, pumped=since.min_pumped, minutes=since.elapsed / 60,
         roof=since.roof, cistern=fell,
     )
 
@@ -277,5 +277,5 @@ def _lost_from_cistern(since: _Sums) -> Diagnosis:
     by_outlet = ["outlet"] if since.drained else []
     return Diagnosis.of(
         "delivery", "cistern", *by_outlet, "contactor" if since.roof > fell / 2 else "leak",
-        cistern=fell, minutes=since.elapsed / 60, pumped=since.most_pumped, drained=since.drained,
+        cistern=fell, minutes=since.elapsed / 60, pumped=since.max_pumped, drained=since.drained,
     )

@@ -158,11 +158,11 @@ class Doses:
         elif not dose.begun and dose.age > EXPIRES_S:
             self.end(EXPIRED, f"it could not begin within {EXPIRES_S:g} s: {dose.why}")
 
-    def share(self, greatest_flow: float) -> float:
+    def share(self, max_flow: float) -> float:
         """Return the share of the maximum flow (m3/s) that the present dose calls for."""
         dose = self.present
         assert dose is not None
-        return min(1.0, (dose.volume - dose.delivered) / (_SLOWS_S * greatest_flow))
+        return min(1.0, (dose.volume - dose.delivered) / (_SLOWS_S * max_flow))
 
     def end(self, how: str, why: str = "", cause: str = "") -> None:
         """End the present dose, if there is one.

@@ -29,9 +29,9 @@ _MARGIN = 1.5
 # narrower than this many tolerances: some minutes.
 _SPIKE = 4.0
 # Above the world records of hourly rain and of daily evapotranspiration (m/s).
-_MOST_RAIN = QUANTITIES[PRECIPITATION].high / 1000 / 3600
-_MOST_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION].high / 1000 / 86400
-# Maximum evapotranspiration of an hour (m/s), as greatest_loss of the delivery check; and the
+_MAX_RAIN = QUANTITIES[PRECIPITATION].high / 1000 / 3600
+_MAX_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION].high / 1000 / 86400
+# Maximum evapotranspiration of an hour (m/s), as max_loss of the delivery check; and the
 # slowest movement of a cistern that counts, beyond drift and unmeasured inflow: 5 mm/day.
 _LOSS, _DRIFT = 1e-3 / 3600, 5e-3 / 86400
 # Rain that a roof holds back before it runs off (m): depressions of a flat roof (2.5 mm, SWMM
@@ -43,17 +43,17 @@ _WAITING, _RECOVERING = AWAITED = "input_waiting", "input_recovering"
 
 
 class LevelBounds(NamedTuple):
-    """How fast the level of a tank can change, and its highest plausible value.
+    """How fast the level of a tank can change, and its maximum plausible value.
 
     Attributes:
         rise: fastest rise at a level in m (m/s, not negative).
         fall: fastest fall, likewise.
-        highest: highest plausible level (m).
+        max: maximum plausible level (m).
     """
 
     rise: Callable[[float], float]
     fall: Callable[[float], float]
-    highest: float
+    max: float
 
 
 def cistern_bounds(site: Site) -> LevelBounds:
@@ -66,7 +66,7 @@ def cistern_bounds(site: Site) -> LevelBounds:
         volume = site.cistern_volume(level)
         return _MARGIN * (maximum_pump_flow(site, volume) + outlet_flow(site, volume)) / site.a1
 
-    rise = _MARGIN * (_MOST_RAIN * site.a_in + (site.mains_flow or 0.0)) / site.a1
+    rise = _MARGIN * (_MAX_RAIN * site.a_in + (site.mains_flow or 0.0)) / site.a1
     return LevelBounds(lambda level: rise, fall, site.max_cistern_level)
 
 
@@ -75,21 +75,21 @@ def roof_bounds(site: Site) -> LevelBounds:
     pump, soil = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2, soil_of(site)
 
     def fall(level: float) -> float:
-        return _MARGIN * (_MOST_EVAPOTRANSPIRATION + soil.max_fall_rate(level))
+        return _MARGIN * (_MAX_EVAPOTRANSPIRATION + soil.max_fall_rate(level))
 
-    return LevelBounds(lambda level: _MARGIN * (_MOST_RAIN + pump), fall, site.max_roof_level)
+    return LevelBounds(lambda level: _MARGIN * (_MAX_RAIN + pump), fall, site.max_roof_level)
 
 
 class Movement(NamedTuple):
     """What surely moves a level: bounds of its rise.
 
     Attributes:
-        minimum: slowest rise (m/s).
-        most: fastest rise (m/s), negative if the level must fall.
+        min: slowest rise (m/s).
+        max: fastest rise (m/s), negative if the level must fall.
     """
 
-    minimum: float
-    most: float
+    min: float
+    max: float
 
 
 class Wetting:
@@ -140,24 +140,24 @@ def expected_movement(
     off = frozen_movement / 2
     high = site.cistern_volume(cistern_level + off)
     low = site.cistern_volume(max(0.0, cistern_level - off))
-    minimum = most = -flow / site.a1
+    minimum = maximum = -flow / site.a1
     minimum += (
         running_off * site.effective_catchment - _MARGIN * low_outlet_flow(site, high)
     ) / site.a1
-    most += (rain * site.a_in + mains_flow(site, low)) / site.a1
+    maximum += (rain * site.a_in + mains_flow(site, low)) / site.a1
     if cistern_level + off >= site.z_o:
         minimum = 0.0
     if cistern_level >= site.z_o:
-        most = 0.0
+        maximum = 0.0
     roof = running_off + flow / site.a2 if roof_level + off < site.z_soil else 0.0
     roof *= soil_of(site).retained_share(site.roof_volume(roof_level + off))
-    return Movement(minimum - _DRIFT, most + _DRIFT), Movement(roof - _LOSS, math.inf)
+    return Movement(minimum - _DRIFT, maximum + _DRIFT), Movement(roof - _LOSS, math.inf)
 
 
 class LevelRule:
     """What a level cannot do: stay unchanged while its tank fills or empties, jump, or be absurd.
 
-    A value above the highest plausible level is refused and otherwise ignored: its unit is wrong.
+    A value above the maximum plausible level is refused and otherwise ignored: its unit is wrong.
 
     To detect jumps, the rule keeps the interval that must contain the true level. The interval
     widens as fast as water can rise and fall, and each value narrows it to within half the
@@ -196,8 +196,8 @@ class LevelRule:
 
     def expect(self, movement: Movement, passed: float) -> None:
         """Update how the level must have moved in a time (s)."""
-        self._risen = max(0.0, self._risen + movement.minimum * passed)
-        self._fallen = max(0.0, self._fallen - movement.most * passed)
+        self._risen = max(0.0, self._risen + movement.min * passed)
+        self._fallen = max(0.0, self._fallen - movement.max * passed)
         moved = max(self._risen, self._fallen)
         self._frozen = self._frozen or moved > self._frozen_movement
 
@@ -206,9 +206,9 @@ class LevelRule:
 
         What it returns still lacks the topic.
         """
-        if value > self._bounds.highest:
-            highest = self._bounds.highest
-            return Diagnosis.of("input_refused", "absurd", value=value, highest=highest)
+        if value > self._bounds.max:
+            maximum = self._bounds.max
+            return Diagnosis.of("input_refused", "absurd", value=value, max=maximum)
         if value != self._value:
             self._risen = self._fallen = 0.0
             self._frozen = False

@@ -53,18 +53,18 @@ from greenroof_ros.common.times import to_people
 DAY_S = 86_400.0
 # Length of a slot (s), and how many the last 24 h touch.
 _SLOT_S, _SLOTS = 1800.0, 49
-MOST = 1e11
+MAX_NUMBER = 1e11
 """No number of the record is larger; as a time, it is in the year 5138."""
 # Length of a line (bytes): a page, and a block of most disks.
 _LINE = 4096
-# Most bytes of a text and of an owner in JSON, and most starts, so that all fit in a line.
+# Maximum bytes of a text and of an owner in JSON, and maximum number of starts: all fit in a line.
 _TEXT, _OWNER, _STARTS = 350, 40, 100
 # The format of the file. A later one has another meaning of a key, not only further keys.
 _VERSION = 1
 # What is next to the file while it is made; another version moved a broken file away.
 _NEW, _LEFTOVERS = ".new", (".new", ".broken")
 # Starts to remember: no pump may start more often in the hour that counts.
-_MOST_STARTS = 3600
+_MAX_STARTS = 3600
 # While the pump is on, at most this much of its use is not yet on the disk (s).
 SAVE_EVERY_S = 10.0
 # A service waits this long for the disk (s), well below the silence after which a node is killed.
@@ -252,7 +252,7 @@ class Ledger:
         """Record that the pump was started or stopped."""
         record = self.record
         if on:
-            record = replace(record, starts=(*record.starts, record.elapsed)[-_MOST_STARTS:])
+            record = replace(record, starts=(*record.starts, record.elapsed)[-_MAX_STARTS:])
         self.record = replace(record, on=on)
         self._save()
 
@@ -268,15 +268,15 @@ class Ledger:
         if self._unsaved >= SAVE_EVERY_S:
             self._save()
 
-    def count_unseen(self, most: float, flow: float) -> None:
+    def count_unseen(self, max_run: float, flow: float) -> None:
         """Count the worst-case use after a node that ended without seeing the pump off.
 
         Args:
-            most: longest time that it may have run since the record was written (s).
+            max_run: longest time that it may have run since the record was written (s).
             flow: maximum flow (m3/s).
         """
         if self.record.on:
-            run = min(self._unseen, most, DAY_S)
+            run = min(self._unseen, max_run, DAY_S)
             self.count(0.0, run, run * flow)
             self.switch(False)
 
@@ -334,7 +334,6 @@ class _Lines:
 
 
 def _error_text(file: Path, error: Exception) -> str:
-    """Return why a file cannot be written, in words."""
     if isinstance(error, LockedError):
         return (
             f"{file} cannot be written: process {error.holder or 'unknown'} already uses it; end "
@@ -349,11 +348,10 @@ def _error_text(file: Path, error: Exception) -> str:
 
 
 def _line(sequence: int, record: PumpRecord) -> bytes:
-    """Return a record as a line of the file."""
 
-    def short(text: str, most: int = _TEXT) -> str:
-        printable = "".join(letter if letter.isprintable() else " " for letter in text[:most])
-        while len(json.dumps(printable, ensure_ascii=False).encode()) > most + 2:  # its quotes
+    def short(text: str, max_bytes: int = _TEXT) -> str:
+        printable = "".join(letter if letter.isprintable() else " " for letter in text[:max_bytes])
+        while len(json.dumps(printable, ensure_ascii=False).encode()) > max_bytes + 2:  # its quotes
             printable = printable[:-1]
         return printable
 
@@ -507,7 +505,7 @@ def _is_pair(value: Any) -> bool:
 # Without these keys it would be unknown whether the pump may run; others have harmless defaults.
 _REQUIRED = {"sequence", "hold_owner", "unknown", "fault", "elapsed", "on"}
 _TEXT_KIND = "text", lambda value: isinstance(value, str)
-_NUMBER = Range(0.0, MOST)
+_NUMBER = Range(0.0, MAX_NUMBER)
 # What each key of a line must be, and the check of it.
 _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "sequence": ("a whole number above 0", lambda value: type(value) is int and value > 0),

@@ -46,9 +46,9 @@ def _filling(site: Site) -> float:
 
 
 def _time_for(site: Site, volume: float) -> float:
-    """Return the time (s) in which the default least_flow delivers a volume (m3); at most a day."""
-    least_flow = _MIN_FLOW * maximum_pump_flow(site, site.cistern_volume(site.suction_level))
-    return min(DAY_S, round(volume / least_flow) + 1.0)
+    """Return the time (s) in which the default min_flow delivers a volume (m3); at most a day."""
+    min_flow = _MIN_FLOW * maximum_pump_flow(site, site.cistern_volume(site.suction_level))
+    return min(DAY_S, round(volume / min_flow) + 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,37 +59,34 @@ class PumpSettings:
     :func:`pump_parameters` lists them all.
     """
 
-    least_speed: float = entry(
+    min_speed: float = entry(
         "minimum speed of the drive, share of the rated one; its drive file's if that is larger",
         0.05, 1.0, unit="1", default=0.3,
     )
-    least_flow: float = entry(
+    min_flow: float = entry(
         "minimum continuous flow, share of the maximum; below it the pump runs in pulses",
         0.01, 1.0, unit="1", default=_MIN_FLOW,
     )
-    ramp: float = entry(
-        "how fast the requested speed changes while the pump runs; the drive also has its own ramp",
-        0.001, 10.0, unit="1/s", default=1.0,
+    min_on: float = entry(
+        "minimum time on", 0.0, 3600.0, unit="s", default=10.0
     )
-    least_on: float = entry(
-        "shortest time on", 0.0, 3600.0, unit="s", default=10.0
-    )
-    least_off: float = entry(
-        "shortest time off", 0.0, 3600.0, unit="s", default=10.0
+    min_off: float = entry(
+        "minimum time off", 0.0, 3600.0, unit="s", default=10.0
     )
     starts_per_hour: float = entry(
-        "most starts in any hour; by default the site's", 1.0, 3600.0, unit="1/h"
+        "maximum number of starts in any hour; by default the site's", 1.0, 3600.0, unit="1/h"
     )
-    greatest_run: float = entry(
-        "longest unbroken run; default: a fifth of the flow fills an empty roof in this time",
+    max_run: float = entry(
+        "maximum unbroken run; default: a fifth of the flow fills an empty roof in this time",
         1.0, DAY_S, unit="s",
     )
-    greatest_run_per_day: float = entry(
-        "most time on in any 24 h; default: a fifth of the flow delivers the day's volume in it",
+    max_run_per_day: float = entry(
+        "maximum time on in any 24 h; default: a fifth of the flow delivers the day's volume in it",
         1.0, DAY_S, unit="s",
     )
-    greatest_volume_per_day: float = entry(
-        "most pumped in any 24 h; default: 1.5 times an empty roof's filling and 10 mm for plants",
+    max_volume_per_day: float = entry(
+        "maximum volume in any 24 h; default: 1.5 times an empty roof's filling, and 10 mm for "
+        "plants",
         1e-6, 1e9, unit="m3",
     )
     suction_hysteresis: float = entry(
@@ -123,11 +120,11 @@ class PumpSettings:
         "above the suction level",
         0.0, 1.0, unit="m", default=0.02,
     )
-    least_delivery: float = entry(
+    min_delivery: float = entry(
         "share of the pumped volume that must reach the roof; its inverse may leave the cistern",
         0.05, 0.95, unit="1", default=0.5,
     )
-    greatest_loss: float = entry(
+    max_loss: float = entry(
         "maximum evapotranspiration of an hour, and maximum drift of a level sensor",
         0.01, 1000.0, unit="mm/h", default=1.0,
     )
@@ -138,9 +135,9 @@ class PumpSettings:
         Raises:
             ConfigurationError: a pump at its minimum speed would be treated as stopped.
         """
-        if self.follow_tolerance >= self.least_speed:
+        if self.follow_tolerance >= self.min_speed:
             raise ConfigurationError(
-                f"must be less than least_speed, {self.least_speed:g}: a stopped pump would be "
+                f"must be less than min_speed, {self.min_speed:g}: a stopped pump would be "
                 "treated as running, and one that runs on after a stop as stopped",
                 key="follow_tolerance", value=self.follow_tolerance,
             )
@@ -150,9 +147,9 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
     """Return each setting as a parameter, with its default at this site."""
     of_site = {
         "starts_per_hour": site.starts_per_hour,
-        "greatest_run": _time_for(site, _filling(site)),
-        "greatest_run_per_day": _time_for(site, _volume_per_day(site)),
-        "greatest_volume_per_day": _volume_per_day(site),
+        "max_run": _time_for(site, _filling(site)),
+        "max_run_per_day": _time_for(site, _volume_per_day(site)),
+        "max_volume_per_day": _volume_per_day(site),
     }
     return tuple(
         replace(entry, default=of_site.get(entry.name, entry.default))
@@ -191,10 +188,10 @@ class PumpLimits:
     def wait(self) -> tuple[float, str]:
         """Return how long a pump that is off must wait before it may start (s), and why."""
         now, starts = self._ledger.record.elapsed, self._ledger.record.starts
-        least_off, allowed = self._settings.least_off, int(self._settings.starts_per_hour)
+        min_off, allowed = self._settings.min_off, int(self._settings.starts_per_hour)
         waits = [
             (0.0, ""),
-            (least_off - (now - self._off_since), f"it stays off for at least {least_off:g} s"),
+            (min_off - (now - self._off_since), f"it stays off for at least {min_off:g} s"),
         ]
         if len(starts) >= allowed:
             again = starts[-allowed] + _HOUR_S - now
@@ -205,8 +202,8 @@ class PumpLimits:
         """Count time during which the pump was on or off (s)."""
         if on:
             self._on_for += dt
-            if self._on_for >= self._settings.greatest_run:
-                self._rests_for = self._settings.greatest_run
+            if self._on_for >= self._settings.max_run:
+                self._rests_for = self._settings.max_run
         else:
             self._on_for = 0.0
             self._rests_for = max(0.0, self._rests_for - dt)
@@ -229,7 +226,7 @@ class PumpLimits:
                 minimum += settings.suction_hysteresis
             self._dry = cistern_level <= minimum
             if self._dry:
-                yield Diagnosis.of("cistern_low", level=cistern_level, least=minimum)
+                yield Diagnosis.of("cistern_low", level=cistern_level, min=minimum)
         if observed.roof_level is None:
             yield Diagnosis.of("roof_level_unknown")
         if observed.frost is None:
@@ -245,16 +242,16 @@ class PumpLimits:
         if command == 0:
             self._rests_for = 0.0
         if self._rests_for > 0:
-            yield Diagnosis.of("longest_run", longest=settings.greatest_run, rest=self._rests_for)
-        if record.day_volume >= settings.greatest_volume_per_day:
+            yield Diagnosis.of("max_run", max=settings.max_run, rest=self._rests_for)
+        if record.day_volume >= settings.max_volume_per_day:
             yield Diagnosis.of(
-                "daily_volume", volume=record.day_volume, limit=settings.greatest_volume_per_day,
-                again=record.clears_in(volume=settings.greatest_volume_per_day),
+                "daily_volume", volume=record.day_volume, limit=settings.max_volume_per_day,
+                again=record.clears_in(volume=settings.max_volume_per_day),
             )
-        if record.day_run >= settings.greatest_run_per_day:
+        if record.day_run >= settings.max_run_per_day:
             yield Diagnosis.of(
-                "daily_run", run=record.day_run, limit=settings.greatest_run_per_day,
-                again=record.clears_in(run=settings.greatest_run_per_day),
+                "daily_run", run=record.day_run, limit=settings.max_run_per_day,
+                again=record.clears_in(run=settings.max_run_per_day),
             )
 
 
@@ -288,19 +285,19 @@ class Pulses:
         self._spacing = _HOUR_S / settings.starts_per_hour
         self.clear()
 
-    def least_share(self, cistern_level: float) -> float:
+    def min_share(self, cistern_level: float) -> float:
         """Return the minimum share of the maximum flow that may be requested at a level (m)."""
-        slowest = flow_at(self._site, self._settings.least_speed, cistern_level)
-        return max(self._settings.least_flow, slowest / self._flow(1.0, cistern_level))
+        slowest = flow_at(self._site, self._settings.min_speed, cistern_level)
+        return max(self._settings.min_flow, slowest / self._flow(1.0, cistern_level))
 
-    def least_pulse(self, cistern_level: float) -> float:
+    def min_pulse(self, cistern_level: float) -> float:
         """Return the volume that the minimum share delivers in the minimum time on (m3)."""
-        return self._settings.least_on * self._flow(self.least_share(cistern_level), cistern_level)
+        return self._settings.min_on * self._flow(self.min_share(cistern_level), cistern_level)
 
     def speed(self, share: float, cistern_level: float) -> float:
         """Return the speed for a share of the flow, from the minimum speed to 1."""
         speed = speed_for(self._site, share, cistern_level)
-        return min(1.0, max(self._settings.least_speed, speed))
+        return min(1.0, max(self._settings.min_speed, speed))
 
     def count(self, delivered: float, dt: float) -> None:
         """Count what was delivered in dt (m3), and what :meth:`update` wanted to be delivered."""
@@ -319,7 +316,7 @@ class Pulses:
             on: whether the pump is on.
             since_start: time since the pump was last started (s).
         """
-        minimum, pulse = self.least_share(cistern_level), self.least_pulse(cistern_level)
+        minimum, pulse = self.min_share(cistern_level), self.min_pulse(cistern_level)
         self._wanted, self._maximum = self._flow(command, cistern_level), pulse
         if 0 < command < minimum:
             self._maximum = max(pulse, self._spacing * self._flow(minimum, cistern_level))
@@ -329,7 +326,7 @@ class Pulses:
             return min(1.0, max(minimum, command + catch_up))
         due = command > 0 and self.outstanding > 0
         if not on:
-            by_its_end = self.outstanding + self._settings.least_on * self._wanted
+            by_its_end = self.outstanding + self._settings.min_on * self._wanted
             due = due and by_its_end >= pulse and since_start >= self._spacing
         return minimum if due else 0.0
 

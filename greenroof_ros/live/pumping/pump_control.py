@@ -93,7 +93,7 @@ class PumpControl:
         self._doses = Doses(site, ledger.now)
         # Why the pump must not run, at the last step.
         self._inhibit_reason = "it has not been checked yet"
-        self._least_pulse = math.inf  # at the last level (m3)
+        self._min_pulse = math.inf  # at the last level (m3)
         self._setpoint: float | None = None
         # Speed that the slowest allowed ramp has reached on the way to the requested speed (share
         # of the rated speed); 1 at first, since the pump may have been running.
@@ -105,7 +105,7 @@ class PumpControl:
         self._blind_for = 0.0
         # Highest speed that it may have had when it last answered, share of the rated speed; 1 at
         # first, since it may not be stopped yet.
-        self._highest_speed = 1.0
+        self._max_speed = 1.0
 
     @property
     def dose(self) -> Dose | None:
@@ -118,9 +118,9 @@ class PumpControl:
         return self._doses.refusal(self._inhibit_reason)
 
     @property
-    def least_dose(self) -> float:
+    def min_dose(self) -> float:
         """The smallest volume that can be delivered (m3): the pump's minimum pulse."""
-        return self._least_pulse
+        return self._min_pulse
 
     def request_dose(self, request: float, volume: float) -> str:
         """Accept a request for a dose (returns an empty string), or return why it is refused.
@@ -130,7 +130,7 @@ class PumpControl:
             volume: requested volume (m3).
         """
         return self._doses.request(
-            request, volume, self._ledger.now, self._least_pulse, self._inhibit_reason
+            request, volume, self._ledger.now, self._min_pulse, self._inhibit_reason
         )
 
     def reset(self) -> str:
@@ -171,7 +171,7 @@ class PumpControl:
         Args:
             dt: since the last step (s).
         """
-        self._highest_speed = max(self._highest_speed, self._setpoint or 0.0)
+        self._max_speed = max(self._max_speed, self._setpoint or 0.0)
         ran = min(dt, self._drive_stops_after - self._unknown_for)
         if self._must_be_at_rest():
             ran = 0.0
@@ -209,8 +209,8 @@ class PumpControl:
         known_flow, source = self._flow(observed, computed, warnings)
         flow = 0.0 if known_flow is None else known_flow
         self._unknown_for = self._unknown_for + drive_dt if observed.speed is None else 0.0
-        latest = self._highest_speed if observed.speed is None else observed.speed
-        self._highest_speed = max(latest, self._setpoint or 0.0)
+        latest = self._max_speed if observed.speed is None else observed.speed
+        self._max_speed = max(latest, self._setpoint or 0.0)
         unseen = self._unseen_flow(observed)
         # A meter may show no flow while the pump runs: a valve is closed, or the meter is broken.
         minimum = max(flow, computed or 0.0)
@@ -257,15 +257,15 @@ class PumpControl:
         else:
             assert command is not None
             assert observed.cistern_level is not None
-            self._least_pulse = self._pulses.least_pulse(observed.cistern_level)
+            self._min_pulse = self._pulses.min_pulse(observed.cistern_level)
             if dosed:
                 command = self._dose_command(observed.cistern_level)
-            setpoint, why = self._follow(dt, command, full, observed.cistern_level, warnings)
+            setpoint, why = self._follow(command, full, observed.cistern_level, warnings)
             state = "off" if setpoint is None else "running"
             self._inhibit_reason = "the roof is at its target" if full else ""
             assert observed.roof_level is not None
             room = self._site.x2_star - self._site.roof_volume(observed.roof_level)
-            if not full and room < self._least_pulse:
+            if not full and room < self._min_pulse:
                 self._inhibit_reason = (
                     "the roof needs less than the pump's minimum pulse to reach its target"
                 )
@@ -300,7 +300,7 @@ class PumpControl:
     def _dose_command(self, cistern_level: float) -> float:
         """Return the command for the present dose: at least the minimum share, to avoid pulses."""
         maximum = flow_at(self._site, 1.0, cistern_level)
-        return max(self._doses.share(maximum), self._pulses.least_share(cistern_level))
+        return max(self._doses.share(maximum), self._pulses.min_share(cistern_level))
 
     def _flow(
         self, observed: Observation, computed: float | None, warnings: list[Diagnosis]
@@ -316,15 +316,15 @@ class PumpControl:
         if self._setpoint is None and observed.speed is not None and observed.speed <= STANDSTILL:
             return 0.0, "the pump is stopped"
         level = site.z_o if observed.cistern_level is None else observed.cistern_level
-        most = _MAX_FLOW * flow_at(site, 1.0, level)
+        maximum = _MAX_FLOW * flow_at(site, 1.0, level)
         for flow, source in (
             (observed.flow, "flow meter"), (observed.drive_flow, "the drive's own")
         ):
-            if flow is not None and flow <= most:
+            if flow is not None and flow <= maximum:
                 return flow, source
             if flow is not None:
                 warnings.append(Diagnosis.of(
-                    "limited", "flow", source=source, flow=flow, most=most / _MAX_FLOW
+                    "limited", "flow", source=source, flow=flow, max=maximum / _MAX_FLOW
                 ))
         return computed, "unknown, assumed 0" if computed is None else "computed from the speed"
 
@@ -333,11 +333,11 @@ class PumpControl:
         if observed.speed is not None or self._must_be_at_rest():
             return 0.0
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
-        return flow_at(self._site, min(1.0, self._highest_speed), level)
+        return flow_at(self._site, min(1.0, self._max_speed), level)
 
     def _must_be_at_rest(self) -> bool:
         """Whether a pump of unknown speed was stopped before, or is by the drive's timeout."""
-        return self._highest_speed <= STANDSTILL or self._unknown_for > self._drive_stops_after
+        return self._max_speed <= STANDSTILL or self._unknown_for > self._drive_stops_after
 
     def _count(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
         """Count the time since the last step as on or off, and the larger of both flows (m3/s)."""
@@ -364,8 +364,8 @@ class PumpControl:
         setpoint, ramp, tolerance = (
             self._setpoint or 0.0, self._settings.drive_ramp, self._settings.follow_tolerance
         )
-        most = drive_dt / ramp if ramp else math.inf
-        self._ramped += min(max(setpoint - self._ramped, -most), most)
+        step = drive_dt / ramp if ramp else math.inf
+        self._ramped += min(max(setpoint - self._ramped, -step), step)
         minimum, maximum = sorted((setpoint, self._ramped))
         if minimum <= speed <= maximum:
             self._ramped = speed
@@ -377,7 +377,7 @@ class PumpControl:
         A drive knows its motor, and a relay its order; neither detects a welded contact.
         """
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
-        minimum = self._settings.least_flow * flow_at(self._site, 1.0, level)
+        minimum = self._settings.min_flow * flow_at(self._site, 1.0, level)
         measured = max(observed.flow or 0.0, observed.drive_flow or 0.0)
         speed = observed.speed
         at_rest = self._setpoint is None and speed is not None and speed <= STANDSTILL
@@ -439,14 +439,14 @@ class PumpControl:
         return reasons
 
     def _follow(
-        self, dt: float, command: float, full: bool, cistern_level: float, warnings: list[Diagnosis]
+        self, command: float, full: bool, cistern_level: float, warnings: list[Diagnosis]
     ) -> tuple[float | None, str]:
         """Return the speed for a command (None means off), and why; no interlock is active."""
         pulses, on = self._pulses, self._setpoint is not None
         demanded = 0.0 if full else command
         since_start = self._limits.since_start
         share = pulses.update(demanded, cistern_level, on, since_start)
-        minimum, pulse = pulses.least_share(cistern_level), pulses.least_pulse(cistern_level)
+        minimum, pulse = pulses.min_share(cistern_level), pulses.min_pulse(cistern_level)
         why = "as commanded"
         if demanded < minimum:
             why = "a pulse, since the command is below the minimum flow"
@@ -454,8 +454,8 @@ class PumpControl:
                 warnings.append(Diagnosis.of(
                     "limited", "outstanding", volume=pulses.outstanding, pulse=pulse
                 ))
-        if on and share == 0 and since_start < self._settings.least_on:
-            share, why = minimum, f"it stays on for at least {self._settings.least_on:g} s"
+        if on and share == 0 and since_start < self._settings.min_on:
+            share, why = minimum, f"it stays on for at least {self._settings.min_on:g} s"
         wait, why_wait = self._limits.wait()
         if not on and share > 0 and wait > 0:
             return None, f"it may start in {math.ceil(wait)} s: {why_wait}"
@@ -463,11 +463,8 @@ class PumpControl:
             if full:
                 return None, "the roof is at its target"
             return None, "the next pulse is not due yet" if command > 0 else "the command is 0"
-        speed = pulses.speed(share, cistern_level)
-        if self._setpoint is None:
-            return pulses.speed(minimum, cistern_level), why
-        change = self._settings.ramp * dt
-        return min(max(speed, self._setpoint - change), self._setpoint + change), why
+        # It starts at its minimum.
+        return pulses.speed(share if on else minimum, cistern_level), why
 
 
 def drive_fault(fault: str, runs_on: bool) -> Diagnosis:
@@ -487,8 +484,8 @@ def _backwards(observed: Observation) -> Diagnosis | None:
 def _plausible(observed: Observation) -> Observation:
     """Return the observation with implausible values replaced by None."""
 
-    def checked(value: float | None, minimum: float, most: float) -> float | None:
-        return value if value is not None and minimum <= value <= most else None
+    def checked(value: float | None, minimum: float, maximum: float) -> float | None:
+        return value if value is not None and minimum <= value <= maximum else None
 
     speed = checked(observed.speed, -STANDSTILL, _MAX_SPEED)
     return replace(

@@ -262,7 +262,6 @@ class SimulatedDrive(ABC):
         return self._last_request + seconds
 
     def _move(self, now: float) -> None:
-        """Turn the motor until this time."""
         step = max(0.0, now - self._at)
         self._at = max(now, self._at)
         self.turn(step, self.motion)

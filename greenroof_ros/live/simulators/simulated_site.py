@@ -205,7 +205,7 @@ def payload(raw: float, sensor: MqttSensor) -> str:
 
 
 class SimulatedMqttSensor:
-    """Publishes readings regularly, and its availability if the sensor has a topic for that."""
+    """Publishes readings regularly."""
 
     def __init__(self, name: str, sensor: MqttSensor, read: Callable[[], float | None]) -> None:
         """Prepare the sensor without connecting.
@@ -217,15 +217,10 @@ class SimulatedMqttSensor:
         """
         self._sensor, self._read = sensor, read
         broker, self._topic = sensor.broker_and_topic()
-        self._will = (sensor.available, "offline") if sensor.available else None
         self._client = make_client(
-            broker, f"simulated_{name}_{secrets.token_hex(6)}", self._announce,
-            lambda topic, payload, retained: None, will=self._will,
+            broker, f"simulated_{name}_{secrets.token_hex(6)}", lambda: None,
+            lambda topic, payload, retained: None,
         )
-
-    def _announce(self) -> None:
-        if self._will is not None:
-            self._client.publish(self._sensor.available, self._sensor.online, qos=1, retain=True)
 
     async def run(self, ended: asyncio.Event) -> None:
         """Publish until the simulator ends."""
@@ -236,6 +231,4 @@ class SimulatedMqttSensor:
                 self._client.publish(self._topic, payload(raw, self._sensor))
             with contextlib.suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(ended.wait(), self._sensor.max_age / _MESSAGES)
-        if self._will is not None:
-            self._client.publish(*self._will, qos=1, retain=True)
         self._client.disconnect()

@@ -4,7 +4,7 @@
 import { Charts, atText, element, setClock } from "/charts.js";
 
 const SILENT = 12_000; // ms: the server sends something every 5 s
-const LONGEST_WAIT = 8_000; // ms, between two attempts to connect
+const MAX_WAIT = 8_000; // ms, between two attempts to connect
 const WORDS = { error: "Alarm", warn: "Warning", stale: "Not responding" };
 const TILES = ["roof", "cistern", "pump", "rain", "controller"];
 // For each state of a tile: its word, its shape and its tone.
@@ -284,7 +284,7 @@ const showStop = (stop) => {
   byId("clear-button").hidden = !stop.clear_here;
   byId("dose").hidden = stop.max_dose === null;
   byId("dose-volume").max = stop.max_dose ?? 0;
-  byId("dose-volume").min = stop.least_dose ?? 0;
+  byId("dose-volume").min = stop.min_dose ?? 0;
   setText(byId("dose-limits"), stop.dose_limits);
   byId("dose-limits").hidden = !stop.dose_here;
   // The answer to a request follows the dose until it is delivered.
@@ -385,7 +385,7 @@ let askedBody = {};
 for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
   byId(`${name}-button`).addEventListener("click", () => {
     const volume = byId("dose-volume").valueAsNumber;
-    if (name === "dose" && !(volume > 0 && volume >= shown.stop.least_dose && volume <= shown.stop.max_dose)) {
+    if (name === "dose" && !(volume > 0 && volume >= shown.stop.min_dose && volume <= shown.stop.max_dose)) {
       answer(`A dose must be ${shown.stop.dose_limits}.`, true);
       return;
     }
@@ -514,7 +514,7 @@ const stream = {
     document.title = "Not connected: Green roof";
     this.lost(reason instanceof Refused ? ` The server reports: ${reason.message}.` : "");
     this.timer = setTimeout(() => this.open(), this.wait);
-    this.wait = Math.min(2 * this.wait, LONGEST_WAIT);
+    this.wait = Math.min(2 * this.wait, MAX_WAIT);
   },
 };
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import re
 import time
@@ -31,10 +32,11 @@ from greenroof_ros.live.devices.drive_file import (
 from greenroof_ros.live.devices.exchange import (
     PAUSE_S,
     DriveExchange,
+    DriveSnapshot,
     ExchangeState,
     stop_drive,
 )
-from greenroof_ros.live.devices.lock import DriveInUseError, DriveLock
+from greenroof_ros.live.devices.lock import DriveInUseError, acquire_drive_lock
 from greenroof_ros.live.devices.modbus_line import (
     DriveError,
     ModbusLine,
@@ -637,14 +639,26 @@ def test_the_rated_speed_is_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
         bench.until_reported(lambda status: status.speed == pytest.approx(0.25))
 
 
+@pytest.mark.parametrize("status", [None, DriveStatus(True, False, "", "", 0.0, None, True)])
+@pytest.mark.parametrize("problem", ["", "no valid answer within 0.5 s"])
+@pytest.mark.parametrize("age", [0.0, 9.9, 10.1, math.inf])
+def test_a_drive_has_a_status_or_a_reason_for_none(
+    status: DriveStatus | None, problem: str, age: float
+) -> None:
+    """At any time, from one look at it: an answer that comes meanwhile cannot hide both."""
+    snapshot = DriveSnapshot(status=status, problem=problem, read_at=100.0 - age)
+    known = status is not None and age < 10
+    assert snapshot.status_at(100.0) == (status if known else None)
+    assert (snapshot.absence_at(100.0) is None) == known
+
+
 # --- two drivers ----------------------------------------------------------------------------------
 
 
 def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
     """Although the first names the host differently."""
     port = bench.wire.port
-    first = DriveLock(DriveEndpoint(ABB, parse_address(f"tcp://localhost:{port}")))
-    first.acquire()
+    first = acquire_drive_lock(DriveEndpoint(ABB, parse_address(f"tcp://localhost:{port}")))
     bench.exchange.start()
     bench.speed = 0.5
     wait(lambda: f"process {os.getpid()} on this machine" in bench.now.problem)
@@ -656,22 +670,21 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
         stop_drive(at, driver=1)
     assert bench.wire.connections == 0
     assert str(stop_drive(at, driver=os.getpid())) == "speed 0.0%, off"
-    first.release()
+    first.close()
     wait(lambda: bench.drive.values[4] == 10000, seconds=5)
 
 
 def test_a_serial_line_is_one_drivers_by_any_name(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
     first, second = (
-        DriveLock(DriveEndpoint(ABB, parse_drive_address(f"{tmp_path}/{name}", "at")))
+        DriveEndpoint(ABB, parse_drive_address(f"{tmp_path}/{name}", "at"))
         for name in ("ttyUSB0,1", "by-id,2")
     )
-    first.acquire()
-    with pytest.raises(DriveInUseError, match=f"process {os.getpid()} on this machine"):
-        second.acquire()
-    first.release()
-    second.acquire()
-    second.release()
+    with acquire_drive_lock(first), pytest.raises(
+        DriveInUseError, match=f"process {os.getpid()} on this machine"
+    ):
+        acquire_drive_lock(second)
+    acquire_drive_lock(second).close()
 
 
 # --- unexpected errors ----------------------------------------------------------------------------
@@ -769,15 +782,15 @@ def test_the_waits_fit_into_the_longer_ones_of_pump_control_bringup_and_service(
 
     Then the pump node's end; the supervisor's stop, perhaps after another one; the other nodes.
     """
-    from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S
+    from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
     from greenroof_ros.live.supervisor import ENDING_S, KILLING_S, PUMP_ENDING_S
 
     runs_on_s = stop_monitor.RUNS_ON_S
-    assert exchange.UNREAD_S == runs_on_s + exchange.LONGEST_WAIT_S == 15
+    assert exchange.UNREAD_S == runs_on_s + exchange.MAX_WAIT_S == 15
     assert exchange.STEADY_S < runs_on_s < runs_on_s + stop_monitor.VISIBLE_S < 15
     assert runs_on_s < stop_monitor.RUNS_ON_AGAIN_S
     leave = exchange.REST_LIMIT_S
-    assert LONGEST_RAMP_S < leave < leave + exchange.LONGEST_WAIT_S < PUMP_ENDING_S
+    assert MAX_RAMP_S < leave < leave + exchange.MAX_WAIT_S < PUMP_ENDING_S
     service = (CHECKOUT / "examples/greenroof.service").read_text()
     (line,) = (line for line in service.splitlines() if line.startswith("TimeoutStopSec="))
     others_end = 2 * (ENDING_S + KILLING_S)  # the other nodes, and the recorder

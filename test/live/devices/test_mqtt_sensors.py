@@ -168,31 +168,6 @@ def test_nothing_of_before_a_suspend_counts_after_it(
 # --- whether sensor and broker are there ----------------------------------------------------------
 
 
-def test_a_sensor_counts_only_while_its_availability_reports_that_it_is_there(
-    shared: Mosquitto
-) -> None:
-    """Unlike a value, the availability may be a retained message. A loss empties the filter."""
-    lwt: dict[str, object] = {"available": "roof/LWT", "online": "Online", "median": 3}
-    with reading(shared, **lwt) as reader, Talker(shared) as talker:
-        unknown = "is offline: roof/LWT has not sent 'Online'"
-        begin(reader, talker, "1")
-        assert after(reader, talker, "1") == [unknown]
-        talker.publish("roof/LWT", "Online", retain=True)
-        until(lambda: "is online, but has not sent a reading yet" in reader.snapshot.problem, 20)
-        assert after(reader, talker, "1") == [1.0]
-        talker.publish("roof/LWT", "Online", retain=True)
-        talker.publish("roof/LWT", "Offline", retain=True)
-        until(lambda: "is offline: roof/LWT reports b'Offline'" in reader.snapshot.problem, 20)
-        assert reader.snapshot.value is None
-        assert after(reader, talker, "2") == [unknown]
-        talker.publish("roof/LWT", "Online", retain=True)
-        until(lambda: "is online, but" in reader.snapshot.problem, 20)
-        assert after(reader, talker, "2") == [2.0]  # not the lower median of 1 and 2
-    with reading(shared, **lwt) as reader, Talker(shared) as talker:
-        until(lambda: "is online, but" in reader.snapshot.problem, 20)
-        assert after(reader, talker, "3") == [3.0]
-
-
 def test_a_broker_that_is_killed_or_stops_answering_is_used_again(tmp_path: Path) -> None:
     """A lost connection is reported at once, a broker that hangs within 15 s."""
     with mosquitto(tmp_path) as broker, reading(broker, max_age=1.0) as reader:
@@ -244,7 +219,6 @@ def test_the_shipped_file_is_read() -> None:
     )
     assert list(sensors.by_section) == ["cistern", "roof", "rain_gauge", "thermometer"]
     assert isinstance(sensors.cistern, MqttSensor)
-    assert sensors.cistern.available == "cistern/status"
     assert sensors.rain_gauge is not None and sensors.rain_gauge.counts
 
 
@@ -253,23 +227,20 @@ def test_the_shipped_file_is_read() -> None:
     [
         ("/cistern/sensor/level/state  #", " #", 10, "cistern.address = "
          "'mqtt://127.0.0.1:1883': must be mqtt://HOST[:PORT]/TOPIC"),
-        ("sensors[0].distance  ", "sensors[x].distance  ", 22, "roof.value = "
+        ("sensors[0].distance  ", "sensors[x].distance  ", 21, "roof.value = "
          "'sensors[x].distance': must be names and numbers"),
         ("  max_age: 5.0  ", "  max_age: 6.0  ", 16, "cistern.max_age = 6.0: must be at most 5 s, "
          "level_limit"),
-        ("cistern/status ", "+/status ", 17, "cistern.available = '+/status': must be a topic "
-         "without"),
-        ("cistern/status ", "cistern/sensor/level/state ", 17, "must differ from the topic"),
-        ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 18, "cistern.login = "
+        ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 17, "cistern.login = "
          "'broker.yaml': must be an absolute path"),
         ("# login:", "authority: /ca.pem #", 10, "certificates can be used only with mqtts://"),
-        ("counts: true ", "period: 1.0 #", 32, "rain_gauge.period = 1.0: is not a key here"),
-        ("  low: -40.0   ", "  counts: true\n  low: -40.0   ", 42, "thermometer.counts = True: is "
+        ("counts: true ", "period: 1.0 #", 31, "rain_gauge.period = 1.0: is not a key here"),
+        ("  low: -40.0   ", "  counts: true\n  low: -40.0   ", 41, "thermometer.counts = True: is "
          "for a flow meter or a rain gauge"),
-        ("0.0001               ", "0.1 ", 35, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
-        ("  high: 0.0001    ", "  # high: 0.0001 ", 30, "rain_gauge.high: is missing"),
-        ("median: 1", "median: 3", 32, "rain_gauge.counts = True: needs median: 1"),
-        ("roof/temperature", "roof/rain", 40, "thermometer.address = 'mqtt://127.0.0.1:1883/roof/"
+        ("0.0001               ", "0.1 ", 34, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
+        ("  high: 0.0001    ", "  # high: 0.0001 ", 29, "rain_gauge.high: is missing"),
+        ("median: 1", "median: 3", 31, "rain_gauge.counts = True: needs median: 1"),
+        ("roof/temperature", "roof/rain", 39, "thermometer.address = 'mqtt://127.0.0.1:1883/roof/"
          "rain': is also the rain gauge's: both"),
     ],
 )

@@ -34,7 +34,7 @@ def sensor(at: str, **changed: object) -> ModbusSensor:
 def reading(sensor: ModbusSensor, timeout_s: float = 0.2) -> ModbusReader:
     """The reader of a sensor alone on its line: three timeouts are half of the maximum age."""
     line = SensorLine(sensor.address)
-    return ModbusReader(sensor, "m", line, greatest_age=6 * timeout_s)
+    return ModbusReader(sensor, "m", line, max_age=6 * timeout_s)
 
 
 def levels(readings: list[str], **changed: object) -> list[float | str]:
@@ -202,11 +202,11 @@ class TwoSensors:
         return frame + crc(frame)
 
 
-def both(at: str, greatest_age: float) -> list[ModbusReader]:
+def both(at: str, max_age: float) -> list[ModbusReader]:
     """Return the readers of both sensors, not started; device 1 is due far more often."""
     line = SensorLine(at)
     return [
-        ModbusReader(sensor(at, device_id=number, period=period), "m", line, greatest_age)
+        ModbusReader(sensor(at, device_id=number, period=period), "m", line, max_age)
         for number, period in ((1, 0.05), (2, 0.2))
     ]
 

@@ -26,7 +26,7 @@ class Clock:
 
 def published(
     monkeypatch: pytest.MonkeyPatch, messages: Messages, until: float, *, suspended: float = 0.0,
-    scale: float = 0.001, high: float = 1e-4, longest_s: float = float("inf"),
+    scale: float = 0.001, high: float = 1e-4, spread_s: float = float("inf"),
 ) -> tuple[float, float, list[str]]:
     """Return the integral of the published rate (mm), its maximum value and what was refused.
 
@@ -41,7 +41,7 @@ def published(
     sensor = MqttSensor(
         address="mqtt://h/t", scale=scale, low=0.0, high=high, median=1, max_age=60.0, counts=True
     )
-    gauge, waiting = Total(sensor, "m/s", longest_s), list(messages)
+    gauge, waiting = Total(sensor, "m/s", spread_s), list(messages)
     sum_m, highest, refused, rate = 0.0, 0.0, [], 0.0
     for look in range(round(until / LOOK_S)):
         sum_m += rate * (look * LOOK_S - Clock.now)
@@ -142,7 +142,7 @@ def test_a_refused_total_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_water_meter_shows_no_flow_of_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
     """After an outage of an hour: a flow while the pump is stopped looks like a welded contact."""
-    options = {"scale": 0.001, "high": 0.01, "longest_s": 5.0}
+    options = {"scale": 0.001, "high": 0.01, "spread_s": 5.0}
     messages = [(0, 0.0), (1, 3.0), (2, 6.0), (3600, 9006.0), (3603, 9006.0), (3604, 9009.0)]
     sum_l, highest, refused = published(monkeypatch, messages, 3700.0, **options)
     assert sum_l == pytest.approx(9.0, abs=0.2)

@@ -46,8 +46,8 @@ def test_a_dose_is_delivered_once(rig: Rig, volume: float) -> None:
     rig.run(600, 0.0, until=lambda decision: end(rig)[0] != "")
     assert end(rig) == ("done", "")
     rig.run(100, 0.0)
-    least_flow = 0.2 * rig.plant_flow(1.0)
-    assert rig.plant.x2 - before == pytest.approx(volume, rel=0.03, abs=least_flow)
+    min_flow = 0.2 * rig.plant_flow(1.0)
+    assert rig.plant.x2 - before == pytest.approx(volume, rel=0.03, abs=min_flow)
     assert rig.plant.x2 - before >= volume - 1e-6
     assert rig.decisions[-1].state == "off"
 
@@ -106,8 +106,8 @@ def test_a_request_counts_once(rig: Rig) -> None:
 
 def test_what_cannot_begin_within_a_minute_expires() -> None:
     """The minimum time off is longer than a minute. A dose that waits for less begins."""
-    for least_off, over in ((90.0, "expired"), (40.0, "")):
-        rig = Rig(x2=0.5, site=SITE, settings=settings_for(SITE, least_off=least_off))
+    for min_off, over in ((90.0, "expired"), (40.0, "")):
+        rig = Rig(x2=0.5, site=SITE, settings=settings_for(SITE, min_off=min_off))
         rig.run(2, 0.0)
         assert ask(rig) == ""
         decision = rig.run(50, 0.0)
@@ -156,10 +156,10 @@ def test_it_ends_at_the_roofs_target() -> None:
 
 
 def test_the_controllers_0_does_not_shorten_the_rest_after_a_dose_that_ran_too_long() -> None:
-    run = ready(Rig(x2=0.5, site=SITE, settings=settings_for(SITE, greatest_run=20.0)))
+    run = ready(Rig(x2=0.5, site=SITE, settings=settings_for(SITE, max_run=20.0)))
     assert ask(run, 0.5) == ""
     run.run(40, 0.0, until=lambda decision: bool(decision.interlocks))
-    assert end(run) == ("interlock", "longest_run")
+    assert end(run) == ("interlock", "max_run")
 
 
 def test_a_closed_valve_is_no_endless_dose(rig: Rig) -> None:

@@ -326,12 +326,12 @@ def test_expected_movement() -> None:
     assert roof == (pytest.approx(0.0726744e-3 - LOSS), math.inf)
     # Half of the rain still wets surfaces; all of the 0.29225 m2 catchment may run off.
     cistern, roof = expected_movement(PAPER_SITE, 0.0, 1e-5, 5e-6, 2.0, 0.03)
-    assert cistern.minimum == pytest.approx(5e-6 * PAPER_SITE.effective_catchment / 25 - DRIFT)
-    assert cistern.most == pytest.approx(1e-5 * PAPER_SITE.a_in / 25 + DRIFT)
-    assert roof.minimum == pytest.approx(5e-6 - LOSS)
+    assert cistern.min == pytest.approx(5e-6 * PAPER_SITE.effective_catchment / 25 - DRIFT)
+    assert cistern.max == pytest.approx(1e-5 * PAPER_SITE.a_in / 25 + DRIFT)
+    assert roof.min == pytest.approx(5e-6 - LOSS)
     # Water that spills moves no level: the cistern at its outlet (3 m), the roof at 0.5 m of soil.
     cistern, roof = expected_movement(PAPER_SITE, 0.005, 1e-5, 1e-5, 3.0, 0.5)
-    assert (cistern, roof.minimum) == ((-DRIFT, DRIFT), -LOSS)
+    assert (cistern, roof.min) == ((-DRIFT, DRIFT), -LOSS)
 
 
 def test_wetting() -> None:
@@ -354,8 +354,8 @@ def test_a_measured_soil_rises_by_what_it_keeps() -> None:
         field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5,
     )
     _, roof = expected_movement(site, 0.005, 1e-5, 1e-5, 2.0, 0.04)
-    assert roof.minimum == pytest.approx(0.75 * (0.0726744e-3 + 1e-5) - LOSS, rel=1e-5)
-    assert expected_movement(site, 0.005, 1e-5, 1e-5, 2.0, 0.06)[1].minimum == -LOSS
+    assert roof.min == pytest.approx(0.75 * (0.0726744e-3 + 1e-5) - LOSS, rel=1e-5)
+    assert expected_movement(site, 0.005, 1e-5, 1e-5, 2.0, 0.06)[1].min == -LOSS
     fall = roof_bounds(site).fall
     assert fall(0.05) == pytest.approx(1.5 * 0.5787e-6, rel=1e-3)
     assert fall(0.07) == pytest.approx(1.5 * (0.5787e-6 + 0.01), rel=1e-3)

@@ -51,7 +51,7 @@ CAUSES: dict[str, dict[str, Any]] = {
     "frost_unknown": {"change": {"frost": None}},
     "frost": {"change": {"frost": True}},
     "quiet_hours": {"site": AT_NIGHT, "change": {"time_ns": 23 * 3600 * 10**9}},
-    "longest_run": {"settings": settings_for(PAPER_SITE, greatest_run=60.0)},
+    "max_run": {"settings": settings_for(PAPER_SITE, max_run=60.0)},
     "daily_volume": {"record": {"use": ((0.0, 1e6),)}},
     "daily_run": {"record": {"use": ((86_400.0, 0.0),)}},
     "command_unknown": {"command": None},
@@ -152,7 +152,7 @@ def test_the_table_is_whole() -> None:
         assert f'"{code}"' in (PACKAGE / folder / f"{row.source}.py").read_text(), code
     settings = {parameter.name for parameter in pump_parameters(PAPER_SITE)}
     of_inputs = {
-        topic.greatest_age.parameter for topic in read_topics().values() if topic.greatest_age
+        topic.max_age.parameter for topic in read_topics().values() if topic.max_age
     }
     of_nodes = {
         "state_file", "recovery_time", "exchange_period", "drive_timeout_limit",
@@ -183,7 +183,7 @@ def test_one_release_ends_a_hold_whoever_made_it() -> None:
 
 def test_no_release_starts_a_pump_sooner_than_it_may() -> None:
     """Neither a release nor clearing a fault starts it within 120 s."""
-    rig = Rig(x2=0.5, settings=settings_for(PAPER_SITE, least_off=120.0))
+    rig = Rig(x2=0.5, settings=settings_for(PAPER_SITE, min_off=120.0))
     assert rig.run(200, 1.0, until=lambda decision: decision.state == "running").speed is not None
     rig.ledger.hold("the page", until=time.time() + 3600)
     rig.ledger.fault("it turns at another speed", "speed_not_followed")

@@ -13,7 +13,7 @@ from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.live.devices.drive_file import LONGEST_RAMP_S
+from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
 from greenroof_ros.model.plant import maximum_pump_flow, pump_flow
@@ -29,11 +29,11 @@ def test_defaults_by_hand() -> None:
     it delivers 5.748 m3 in 3507 s and 3.14416 m3 in 1918 s.
     """
     settings = settings_for(PAPER_SITE)
-    assert settings.greatest_volume_per_day == pytest.approx(5.748, abs=5e-4)
-    assert settings.greatest_run_per_day == pytest.approx(3507, abs=1)
-    assert settings.greatest_run == pytest.approx(1918, abs=1)
+    assert settings.max_volume_per_day == pytest.approx(5.748, abs=5e-4)
+    assert settings.max_run_per_day == pytest.approx(3507, abs=1)
+    assert settings.max_run == pytest.approx(1918, abs=1)
     assert settings.starts_per_hour == PAPER_SITE.starts_per_hour
-    assert settings.drive_ramp == LONGEST_RAMP_S
+    assert settings.drive_ramp == MAX_RAMP_S
 
 
 def test_defaults_of_a_measured_soil_near_field_capacity() -> None:
@@ -47,12 +47,12 @@ def test_defaults_of_a_measured_soil_near_field_capacity() -> None:
         roof, z_cap=6.0, field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5
     )
     settings = settings_for(roof)
-    assert settings.greatest_volume_per_day == pytest.approx(94.256, abs=2e-3)
-    assert settings.greatest_run == pytest.approx(12.587 / (0.2 * 0.00819436), abs=2)
+    assert settings.max_volume_per_day == pytest.approx(94.256, abs=2e-3)
+    assert settings.max_run == pytest.approx(12.587 / (0.2 * 0.00819436), abs=2)
 
 
 def test_a_tolerance_in_which_the_minimum_speed_is_rest_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"must be less than least_speed, 0\.3"):
+    with pytest.raises(ConfigurationError, match=r"must be less than min_speed, 0\.3"):
         settings_for(PAPER_SITE, follow_tolerance=0.3)
 
 
@@ -61,7 +61,7 @@ def test_a_tolerance_in_which_the_minimum_speed_is_rest_is_refused() -> None:
 def test_as_many_starts_in_any_hour_as_are_allowed(times: list[int], allowed: int) -> None:
     """With starts wanted at any times: never more, and no start waits longer than necessary."""
     ledger = Ledger(None, lambda: 0.0)
-    settings = settings_for(PAPER_SITE, starts_per_hour=allowed, least_off=0.0)
+    settings = settings_for(PAPER_SITE, starts_per_hour=allowed, min_off=0.0)
     limits = PumpLimits(PAPER_SITE, settings, ledger)
     starts: list[float] = []
     for passed in times:
@@ -99,7 +99,7 @@ def test_dry_run_with_hysteresis() -> None:
 
 def test_volume_per_day() -> None:
     """Frozen controller and frozen roof sensor: 1 m3, and again when that slot is a day old."""
-    limits = settings_for(PAPER_SITE, greatest_volume_per_day=1.0)
+    limits = settings_for(PAPER_SITE, max_volume_per_day=1.0)
     rig = Rig(x2=0.0, settings=limits)
     rig.run(600, 1.0)
     assert rig.decisions[-1].state == "held"
@@ -114,7 +114,7 @@ def test_volume_per_day() -> None:
 
 def test_a_run_without_a_break() -> None:
     """100 s without a break, then 100 s of rest, or less if the command is 0 in between."""
-    rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, greatest_run=99.5))
+    rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, max_run=99.5))
     rig.run(200, 0.3, until=lambda decision: decision.state == "held")
     assert rig.decisions[-1].why.startswith(
         "it ran for 100 s without a break; it rests until the command is 0, or for 100 s"
@@ -155,9 +155,8 @@ CHANGES: list[dict[str, object]] = [
     ),
     x1=st.floats(18.5, 75),
     limits=st.builds(
-        settings_for, st.just(PAPER_SITE), least_on=st.floats(0, 30), least_off=st.floats(0, 30),
-        starts_per_hour=st.floats(1, 100), least_speed=st.floats(0.11, 0.9),
-        ramp=st.floats(0.01, 1),
+        settings_for, st.just(PAPER_SITE), min_on=st.floats(0, 30), min_off=st.floats(0, 30),
+        starts_per_hour=st.floats(1, 100), min_speed=st.floats(0.11, 0.9),
     ),
 )
 def test_never_runs_while_anything_speaks_against_it(
@@ -181,8 +180,8 @@ def test_never_runs_while_anything_speaks_against_it(
             if fault:
                 assert decision.state == "fault"
             if decision.speed is not None:
-                assert limits.least_speed <= decision.speed <= 1
-                assert not off_for or off_for >= limits.least_off
+                assert limits.min_speed <= decision.speed <= 1
+                assert not off_for or off_for >= limits.min_off
             off_for = off_for + 1 if decision.speed is None else 0
             assert 0 <= decision.flow < 0.03
             assert decision.why
@@ -201,10 +200,10 @@ def test_minimum_share_and_pulse_by_hand() -> None:
 
     At 80 % of the speed the flow is sqrt((0.64 55.2 - 13) / 42.2) = 0.727392 of the maximum.
     """
-    assert pulses().least_share(3.0) == 0.2
-    assert pulses().least_pulse(3.0) == pytest.approx(MIN_PULSE, rel=1e-5)
-    assert pulses(least_speed=0.8).least_share(3.0) == pytest.approx(0.727392, abs=5e-7)
-    assert pulses(least_speed=0.8).speed(0.2, 3.0) == 0.8
+    assert pulses().min_share(3.0) == 0.2
+    assert pulses().min_pulse(3.0) == pytest.approx(MIN_PULSE, rel=1e-5)
+    assert pulses(min_speed=0.8).min_share(3.0) == pytest.approx(0.727392, abs=5e-7)
+    assert pulses(min_speed=0.8).speed(0.2, 3.0) == 0.8
 
 
 def test_pulses_by_hand() -> None:
