@@ -10,8 +10,13 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError, HangError
 from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
-from greenroof_ros.controllers.protocol import Controller, knows_time
+from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
+
+
+def may_decide(controller: Controller, allowed: bool, quiet: bool) -> bool:
+    """Whether a controller decides in a tick: in quiet hours only if it takes the time."""
+    return allowed and (not quiet or hasattr(controller, "time_ns"))
 
 
 def decide(
@@ -44,7 +49,7 @@ def decide(
         ConfigurationError: the controller cannot use the forecast.
     """
     try:
-        if not allowed or (quiet and not knows_time(controller)):
+        if not may_decide(controller, allowed, quiet):
             controller.skip()
             return 0.0
         command = controller.command(cistern_level, roof_level, precipitation, evapotranspiration)

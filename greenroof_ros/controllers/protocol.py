@@ -101,11 +101,6 @@ class ControllerClass(Protocol):
         ...
 
 
-def knows_time(controller: Controller) -> bool:
-    """Whether a controller takes the time, so that it can plan for quiet hours."""
-    return hasattr(controller, "time_ns")
-
-
 def set_optional(controller: Controller, **values: Any) -> None:
     """Set those attributes that a controller has, such as ``time_ns`` and ``forecast_ends``."""
     for name, value in values.items():

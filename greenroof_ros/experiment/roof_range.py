@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import MeasuredSoil, PaperSoil, roof_after_tick, soil_of
+from greenroof_ros.model.soil import Soil, roof_after_tick, soil_of
 
 Values = NDArray[np.float64]
 
@@ -54,22 +54,31 @@ def roof_range(
         array("d", rain * site.a2), array("d", evapotranspiration), array("d", pumped), strict=True
     ):
         # Nothing is pumped if even the roof's minimum volume is above its target.
-        tick = low, high, fell, potential, max_pumped if low <= target else 0.0
-        if isinstance(soil, PaperSoil):
-            after = _of_paper(site, soil, *tick)
-        else:
-            after = _of_measured(site, soil, *tick)
-        low, high = after[:2]
-        ticks.extend(after)
-    lows, highs, *columns = np.ascontiguousarray(np.reshape(ticks, (len(rain), -1)).T)
-    return RoofRange(np.append(x2, lows), np.append(x2, highs), *columns)
+        limits = _limits_of_tick(
+            site, soil, low, high, fell, potential, max_pumped if low <= target else 0.0
+        )
+        low, high = limits[:2]
+        ticks.extend(limits)
+    lows, highs, minimum, maximum, unpumped, slope = np.ascontiguousarray(
+        np.reshape(ticks, (len(rain), -1)).T
+    )
+    return RoofRange(
+        np.append(x2, lows), np.append(x2, highs), minimum, maximum, unpumped,
+        slope if soil.measured else None,
+    )
 
 
-def _of_paper(
-    site: Site, soil: PaperSoil, low: float, high: float, rain: float, potential: float,
+def _limits_of_tick(
+    site: Site, soil: Soil, low: float, high: float, rain: float, potential: float,
     max_pumped: float,
 ) -> tuple[float, ...]:
-    """Follow the range of the volume on the paper's roof through a tick.
+    """Follow the range of the roof's volume through a tick.
+
+    On a measured soil the share of arriving water that stays falls with the volume; evaporation and
+    the excess above field capacity rise with it. So the change without pumping is a maximum at the
+    minimum volume, as on the paper's, which drains above z_cap. The volume after a tick rises with
+    the volume before it, by about the slope of the chord over the range. Minus this slope times the
+    volume before, its limits are close together.
 
     Args:
         site: its parameters.
@@ -81,74 +90,45 @@ def _of_paper(
         max_pumped: the most that the pumps can lift in the tick (m3).
 
     Returns:
-        The fields of :class:`RoofRange`, without the slope, which is always 1.
+        The fields of :class:`RoofRange`; the slope is 1 on the paper's soil.
     """
-    change = site.tau * (rain - potential)
-    after, drained = [low, high], [0.0]
-    if high >= (1 - ROUNDING) * site.z_cap:
-        # Drainage starts at z_cap with a jump and grows linearly from there, so the extremes are at
-        # the ends of the range and on both sides of z_cap.
-        after, drained = [], []
-        for x2 in (low, min(max(low, site.z_cap), high), high):
-            if x2 < (1 + ROUNDING) * site.z_cap:
-                after.append(x2)
-                drained.append(0.0)
-            if x2 >= (1 - ROUNDING) * site.z_cap:
-                drained.append(site.tau * soil.drained(max(x2, site.z_cap), 0.0, site.tau))
-                after.append(x2 - drained[-1])
-    wettest = max(after)
-    if max_pumped > 0:
-        wettest = max(wettest, min(high, (1 + ROUNDING) * site.a2 * site.z_veg) + max_pumped)
-    unpumped = change - min(drained)
-    # A roof that runs dry loses what it held, at least low.
-    return (
-        max(0.0, min(after) + change), max(0.0, wettest + change), change - max(drained),
-        max(unpumped + max_pumped, -low), max(unpumped, -low),
-    )
-
-
-def _of_measured(
-    site: Site, soil: MeasuredSoil, low: float, high: float, rain: float, potential: float,
-    max_pumped: float,
-) -> tuple[float, ...]:
-    """Follow the range of the volume in the substrate of a measured soil, as :func:`_of_paper`.
-
-    The share of arriving water that stays falls with the volume; evaporation and the excess above
-    field capacity rise with it. So the change without pumping is a maximum at the minimum volume.
-    The volume after a tick rises with the volume before it, by about the slope of the chord over
-    the range. Minus this slope times the volume before, its limits are close together.
-    """
-    ends = [roof_after_tick(soil, site.tau, x2, rain, potential) for x2 in (low, high)]
     slope = 1.0
-    if high - low > ROUNDING * site.z_cap:
-        slope = min(1.0, max(0.0, (ends[1] - ends[0]) / (high - low)))
+    if soil.measured and high - low > ROUNDING * site.z_cap:
+        first, last = (
+            roof_after_tick(soil, site.tau, x2, rain, potential) for x2 in (low, high)
+        )
+        slope = min(1.0, max(0.0, (last - first) / (high - low)))
     reached = {}
     for line in (0.0, slope):
-        ends_of_line = _ends(site, soil, low, high, rain, potential, line)
-        reached[line] = min(ends_of_line), max(ends_of_line)
+        ends = _ends(site, soil, low, high, rain, potential, line)
+        reached[line] = min(ends), max(ends)
         if max_pumped > 0:
             end = max(low, min(high, site.a2 * site.z_veg))
             pumped_to = _ends(site, soil, low, end, rain + max_pumped / site.tau, potential, line)
             reached[line] = reached[line][0], max(reached[line][1], *pumped_to)
-    # A roof that runs dry ends at 0, not below.
+    unpumped = max(_ends(site, soil, low, low, rain, potential, 1.0))
+    # A roof that runs dry ends at 0, not below: it loses what it held, at least low.
     return (
         max(0.0, reached[0.0][0]), max(0.0, reached[0.0][1]), reached[slope][0],
-        max(reached[slope][1], -slope * low), max(ends[0] - low, -low), slope,
+        max(reached[slope][1], -slope * low), max(unpumped, -low), slope,
     )
 
 
 def _ends(
-    site: Site, soil: MeasuredSoil, low: float, high: float, arriving: float, potential: float,
-    line: float,
+    site: Site, soil: Soil, low: float, high: float, arriving: float, potential: float, line: float
 ) -> list[float]:
     """Return candidates for the minimum and maximum volume after a tick, minus a line (m3).
 
-    Between the wilting point, the onset of stress and field capacity the volume after a tick is a
-    concave parabola of the volume before it, and continuous; to subtract a line changes neither. So
-    the minimum is at an end of these pieces, and the maximum at an end or at a parabola's vertex.
+    The paper's soil drains from z_cap on, with a jump, and linearly above it. So the extremes are
+    at the ends of the range and on both sides of z_cap.
+
+    On a measured soil, between the wilting point, the onset of stress and field capacity the volume
+    after a tick is a concave parabola of the volume before it, and continuous; to subtract a line
+    changes neither. So the minimum is at an end of these pieces, and the maximum at an end or at a
+    parabola's vertex.
 
     Args:
-        site: with a measured soil.
+        site: its parameters.
         soil: of the site.
         low: minimum volume before the tick (m3).
         high: maximum volume before the tick (m3).
@@ -156,11 +136,19 @@ def _ends(
         potential: evapotranspiration of plants that lack no water (m3/s).
         line: its slope: this many times the volume before the tick is subtracted.
     """
+    if not soil.measured:
+        full, ends = site.z_cap, []
+        for x2 in (low, min(max(low, full), high), high):
+            after = x2 - line * x2 + site.tau * (arriving - potential)
+            if x2 < (1 + ROUNDING) * full:
+                ends.append(after)
+            if x2 >= (1 - ROUNDING) * full:
+                ends.append(after - site.tau * soil.drained(max(x2, full), 0.0, site.tau))
+        return ends
     dry, available = site.wilting_volume, site.available_volume
     drying = site.stress_onset * available
-    onset = dry + drying
     volumes = [low, high]
-    volumes += [x2 for x2 in (dry, onset, site.z_cap) if low < x2 < high]
+    volumes += [x2 for x2 in (dry, dry + drying, site.z_cap) if low < x2 < high]
     if arriving > 0:
         # d/dx2 of x2 - tau (S^2 arriving + K_s potential) - line x2 is 0, for the two pieces.
         for slope in (1.0 - line, 1.0 - line - site.tau * potential / drying):

@@ -25,10 +25,10 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import time_limit
 from greenroof_ros.common.states import ENDED
 from greenroof_ros.common.times import from_epoch_ns, to_people
-from greenroof_ros.controllers.decide import decide, shape_rain
+from greenroof_ros.controllers.decide import decide, may_decide, shape_rain
 from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
-from greenroof_ros.controllers.protocol import ControllerClass, knows_time, set_optional
+from greenroof_ros.controllers.protocol import ControllerClass, set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
 from greenroof_ros.graph.parameters import declare, site_file
@@ -196,7 +196,7 @@ class LiveControllerNode(LiveNode):
         """
         if self._settings.controller is None:
             self._make()
-        allowed = allowed and (not self._quiet or knows_time(self._settings.controller))
+        allowed = may_decide(self._settings.controller, allowed, self._quiet)
         decides = allowed and not self._forecast_problem()
         if decides and self._outdated:
             self._make()

@@ -11,8 +11,8 @@ from typing import Any
 
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.decide import decide, read_statistics, shape_rain
-from greenroof_ros.controllers.protocol import knows_time, set_optional
+from greenroof_ros.controllers.decide import decide, may_decide, read_statistics, shape_rain
+from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
 from greenroof_ros.graph.executable import node_command
@@ -66,7 +66,7 @@ class ControllerNode(SimulationNode):
             self.set_time(time_ns)
             set_optional(controller, time_ns=time_ns)
             quiet = self._site.quiet.quiet_at(time_ns)
-            allowed = allowed and (not quiet or knows_time(controller))
+            allowed = may_decide(controller, allowed, quiet)
         self.publish("/pump/command", decide(
             controller, allowed, self._cistern.value, self._roof.value,
             shape_rain(self._choice, self._rain.value, self._rain.name),

@@ -161,56 +161,41 @@ def test_bound_and_plans_are_close(
     assert bound.bound_m3 <= metrics_of(run)["total_deviation_m3"] < ahead * bound.plan_m3
 
 
-# One tick of 10 s at full flow from 75 m3, Table I: b sqrt(3 + 55.2 - 16).
-FULL = 10 * exact_flows(PAPER_SITE, 75, 0, 1)[1]
+# One tick of 20 s at full flow from 75 m3, Table I: b sqrt(3 + 55.2 - 16).
+FULL = 20 * exact_flows(PAPER_SITE, 75, 0, 1)[1]
 
 
 @pytest.mark.parametrize(
-    ("x1", "max_command", "expected"),
+    ("x1", "max_command", "quiet", "min_off", "x2", "bound", "plan"),
     [
-        # Filled at full flow: 3.5, 2.5, 1.5, 0.5, 0, 0.
-        (75.0, 1.0, 8.0),
-        # At half of it: 3.5, 3, 2.5, 2, 1.5, 1.
-        (75.0, 0.5, 13.5),
+        # Filled at full flow: 3.5, 2.5, 1.5, 0.5 and five times 0; at half of it: 3.5, 3, ... 0.
+        (75.0, 1.0, "12:00-13:00", 0.0, 3.5, 8.0, 8.0),
+        (75.0, 0.5, "12:00-13:00", 0.0, 3.5, 14.0, 14.0),
         # Not at all: the cistern is just below the pumps' suction level.
-        (18.74, 1.0, 21.0),
-    ],
-)
-def test_five_ticks_without_weather(x1: float, max_command: float, expected: float) -> None:
-    """From 3.5 below the target, solved by hand, all in units of a tick's full flow."""
-    run = run_of_hours(DRY_HOUR, x1, PAPER_SITE.x2_star - 3.5 * FULL, steps=5)
-    bound = clairvoyant_bound(run, max_command, 1)
-    assert bound.bound_m3 == pytest.approx(expected * FULL, rel=1e-6)
-    # The real flow falls slightly with the cistern's level.
-    assert bound.bound_m3 * (1 - 1e-6) <= bound.plan_m3 < bound.bound_m3 * (1 + 1e-3)
-
-
-@pytest.mark.parametrize(
-    ("quiet", "min_off", "x2", "pumped"),
-    [
+        (18.74, 1.0, "12:00-13:00", 0.0, 3.5, 31.5, 31.5),
         # The night ends at 01:01, after three ticks: 3.5 four times, then 2.5, 1.5, 0.5, 0 and 0.
-        ("23:00-01:01", 0.0, 3.5, 18.5),
+        (75.0, 1.0, "23:00-01:01", 0.0, 3.5, 18.5, 18.5),
         # Three ticks of pumping, a minute's pause: 10.5, 9.5, 8.5, four times 7.5, 6.5 and 5.5.
-        ("01:01-01:02", 0.0, 10.5, 70.5),
+        (75.0, 1.0, "01:01-01:02", 0.0, 10.5, 70.5, 70.5),
         # The pumps then stay off for four ticks in all, although the pause is over after three.
-        ("01:01-01:02", 80.0, 10.5, 72.5),
+        (75.0, 1.0, "01:01-01:02", 80.0, 10.5, 70.5, 72.5),
     ],
 )
-def test_eight_ticks_with_quiet_hours(
-    quiet: str, min_off: float, x2: float, pumped: float
+def test_eight_ticks_without_weather(
+    x1: float, max_command: float, quiet: str, min_off: float, x2: float, bound: float, plan: float
 ) -> None:
-    """From 01:00 on by Toronto's clock, in ticks of 20 s, in units of a tick's full flow.
+    """From 01:00 on by Toronto's clock, solved by hand, all in units of a tick's full flow.
 
-    The bound leaves minimum times out; both plans keep them.
+    The bound leaves the pumps' minimum times out; both plans keep them, with an exact sensor. The
+    real flow falls slightly with the cistern's level.
     """
     site = replace(SLOW, tau=20.0, quiet_hours=(quiet,), time_zone=TORONTO)
-    run = run_of_hours(DRY_HOUR, 75.0, site.x2_star - x2 * 2 * FULL, site, steps=8)
+    run = run_of_hours(DRY_HOUR, x1, site.x2_star - x2 * FULL, site, steps=8)
     run = replace(run, sensor_and_pump=SensorAndPump(pump_min_off=min_off, roof_offset=0.1))
-    bound, recursion = clairvoyant_bound(run, block=1), recursion_plan(run)
-    expected = 70.5 if min_off else pumped
-    assert bound.bound_m3 == pytest.approx(expected * 2 * FULL, rel=1e-6)
-    for total in (bound.plan_m3, recursion.total_m3):
-        assert pumped * 2 * FULL * (1 - 1e-6) <= total < pumped * 2 * FULL * (1 + 1e-3)
+    result = clairvoyant_bound(run, max_command, block=1)
+    assert result.bound_m3 == pytest.approx(bound * FULL, rel=1e-6)
+    for total in (result.plan_m3, recursion_plan(run, max_command).total_m3):
+        assert plan * FULL * (1 - 1e-6) <= total < plan * FULL * (1 + 1e-3)
 
 
 def test_before_frost_the_roof_is_filled_above_the_target() -> None:

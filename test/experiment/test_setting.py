@@ -11,15 +11,13 @@ from pathlib import Path
 
 import pytest
 from commands import run_command
-from paper import paper_run
+from paper import metrics_of, paper_run
 from places import CHECKOUT, CONFIG
 
 from greenroof_ros.bringup import simulated
 from greenroof_ros.commands import simulate
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.experiment.options import run_from_arguments
-from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.place import kilometres, place_text
 
 BERLIN = (52.52, 13.41)
@@ -155,20 +153,13 @@ def examples() -> list[str]:
     )]
 
 
-def pumped(run: Run) -> float:
-    simulation = Simulation(run)
-    for _ in simulation.ticks():
-        pass
-    return simulation.metrics["pumped_m3"]
-
-
 @pytest.mark.parametrize("line", examples())
 def test_the_pump_runs_in_the_examples(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
     words = shlex.split(line)
     parser = {"run": simulated, "simulate": simulate}
     monkeypatch.setattr(sys, "argv", [f"greenroof {words[0]}", *words[1:]])
     arguments = parser[words[0]].make_parser().parse_args(words[1:])
-    assert pumped(run_from_arguments(arguments)) > 0.1
+    assert metrics_of(run_from_arguments(arguments))["pumped_m3"] > 0.1
 
 
 def test_there_are_examples() -> None:
