@@ -32,7 +32,7 @@ from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file, re
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
 from greenroof_ros.live.devices.relay_file import read_relay_file
 from greenroof_ros.live.devices.sensor_file import default_sensors, read_sensors
-from greenroof_ros.live.simulators.control_profiles import profile_of
+from greenroof_ros.live.simulators.control_profiles import DRIVES
 from greenroof_ros.live.simulators.server import WRITES, Connection, Device, Server
 from greenroof_ros.live.simulators.simulated_drive import (
     DriveSettings,
@@ -40,7 +40,7 @@ from greenroof_ros.live.simulators.simulated_drive import (
     SimulatedDrive,
     drive_server,
 )
-from greenroof_ros.live.simulators.simulated_relay import RelayOnBroker, SimulatedRelay, relay_of
+from greenroof_ros.live.simulators.simulated_relay import RELAYS, RelayOnBroker, SimulatedRelay
 from greenroof_ros.live.simulators.simulated_site import SimulatedSite
 from greenroof_ros.model.initial_state import default_state
 from greenroof_ros.model.pump_speed import flow_at
@@ -343,7 +343,7 @@ class FaultyDrive(SimulatedDrive):
 
 def faulty_drive(file: DriveFile, settings: DriveSettings, **options) -> FaultyDrive:
     """Return the drive of a file's make, with faults."""
-    profile = profile_of(file.make)
+    profile = DRIVES[file.make]
     drive = type(profile.__name__, (FaultyDrive, profile), {})(file, settings, **options)
     if "ABB" in file.make:
         drive.unguarded_s = 30.0
@@ -661,7 +661,7 @@ def drive_simulator(parser: argparse.ArgumentParser) -> None:
     path, workbench = find_drive_file(given.drive), local(given.workbench)
     if given.at:
         broker, device = parse_topic(given.at, "--at")
-        make = relay_of(read_relay_file(path).make)
+        make = RELAYS[read_relay_file(path).make]
         relay = type(make.__name__, (FaultyRelay, make), {})(device, given.timeout)
         bench: Bench = RelayBench(relay, broker, device, given.boot, workbench)
     else:

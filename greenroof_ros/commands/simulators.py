@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import signal
 import time
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from greenroof_ros.common.command_line import Parser, command
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 # Time without a request after which the simulated relay switches itself off (s).
 _TIMER_S = 5.0
+_Device = TypeVar("_Device")
 
 
 def make_parser() -> Parser:
@@ -74,19 +76,23 @@ def main() -> None:
     asyncio.run(_simulate(run_from_arguments(arguments), sensors, endpoint))
 
 
+def _find_make(simulated: Mapping[str, type[_Device]], make: str) -> type[_Device]:
+    if make not in simulated:
+        raise ConfigurationError(
+            f"cannot be simulated; these can: {', '.join(simulated)}", key="make", value=make
+        )
+    return simulated[make]
+
+
 async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
-    from greenroof_ros.live.simulators.control_profiles import profile_of
+    from greenroof_ros.live.simulators.control_profiles import DRIVES
     from greenroof_ros.live.simulators.server import Server
     from greenroof_ros.live.simulators.simulated_drive import (
         DriveSettings,
         SimulatedDrive,
         drive_server,
     )
-    from greenroof_ros.live.simulators.simulated_relay import (
-        RelayOnBroker,
-        SimulatedRelay,
-        relay_of,
-    )
+    from greenroof_ros.live.simulators.simulated_relay import RELAYS, RelayOnBroker, SimulatedRelay
     from greenroof_ros.live.simulators.simulated_site import SimulatedSite
 
     began, ended = time.monotonic(), asyncio.Event()
@@ -104,11 +110,12 @@ async def _simulate(run: Run, sensors: Sensors, endpoint: Endpoint) -> None:
     servers: list[Server] = []
     tasks: list[Coroutine[Any, Any, None]] = []
     if isinstance(endpoint, RelayEndpoint):
-        relay = device = relay_of(endpoint.file.make)(endpoint.device, _TIMER_S)
+        relay = device = _find_make(RELAYS, endpoint.file.make)(endpoint.device, _TIMER_S)
         tasks.append(RelayOnBroker(relay, endpoint.broker, endpoint.device).run(ended))
     else:
         file, address = endpoint.file, endpoint.address
-        drive = device = profile_of(file.make)(file, DriveSettings(), interface=address.interface)
+        kind = _find_make(DRIVES, file.make)
+        drive = device = kind(file, DriveSettings(), interface=address.interface)
         servers.append(drive_server(drive, file, address))
     device.log = log
     weather = run.series.precipitation, run.series.evapotranspiration

@@ -214,7 +214,7 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
     if expected == "stays":
         since = time.monotonic()
         time.sleep(5.0)
-        if rig.truth.greatest_speed(since, time.monotonic()) > _MIN_SPEED:
+        if rig.truth.max_speed(since, time.monotonic()) > _MIN_SPEED:
             outcome.fail("the pump ran again")
         outcome.recovery = "stayed off"
         return
@@ -235,9 +235,9 @@ def _recover(rig: Rig, case: Case, outcome: Outcome) -> None:
         outcome.fail(f"did not heal within {patience:.0f} s: {rig.watcher.last.get('pump: pump')}")
     if rig.watcher.pump_state != "fault" and expected == "latches":
         outcome.fail(f"no latched fault: {rig.watcher.last.get('pump: pump')}")
-    greatest_speed = rig.truth.greatest_speed(time.monotonic() - 0.5, time.monotonic())
-    if greatest_speed > _MIN_SPEED:
-        outcome.fail(f"the pump turns at {greatest_speed:.2f} while its fault is latched")
+    max_speed = rig.truth.max_speed(time.monotonic() - 0.5, time.monotonic())
+    if max_speed > _MIN_SPEED:
+        outcome.fail(f"the pump turns at {max_speed:.2f} while its fault is latched")
     answer = rig.watcher.reset()
     try:
         rig.until_running(30)

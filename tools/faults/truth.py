@@ -96,7 +96,7 @@ class Truth:
         """Return when the pump first stood after a time; None if it has not."""
         return next((at for at, speed in self._from(since) if speed <= AT_REST), None)
 
-    def greatest_speed(self, since: float, until: float) -> float:
+    def max_speed(self, since: float, until: float) -> float:
         """Return the maximum speed between two times."""
         return max((v for at, v in self._from(since) if at <= until), default=0.0)
 

@@ -11,7 +11,6 @@ import enum
 from collections.abc import Mapping
 from typing import ClassVar
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.simulators.simulated_drive import Motion, SimulatedDrive
 
 
@@ -301,22 +300,9 @@ class Cia402(SimulatedDrive):
         })
 
 
-_PROFILES: Mapping[str, type[SimulatedDrive]] = {
+DRIVES: Mapping[str, type[SimulatedDrive]] = {
     "ABB": AbbDrives, "Danfoss": FcProfile, "Grundfos": CimProfile, "Schneider Electric": Cia402,
 }
-
-
-def profile_of(make: str) -> type[SimulatedDrive]:
-    """Return the simulated drive of a make.
-
-    Raises:
-        ConfigurationError: the make cannot be simulated.
-    """
-    if make not in _PROFILES:
-        raise ConfigurationError(
-            f"cannot be simulated; these can: {', '.join(_PROFILES)}", key="make", value=make
-        )
-    return _PROFILES[make]
 
 
 def _word(bits: Mapping[int, object]) -> int:

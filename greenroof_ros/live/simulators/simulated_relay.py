@@ -15,7 +15,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import Broker, make_client
 
 _STEP_S = 0.01
@@ -176,20 +175,7 @@ def _pulse_time(seconds: float | None) -> int:
     return round(10 * seconds) if seconds <= 11.1 else round(seconds) + 100
 
 
-_MAKES: Mapping[str, type[SimulatedRelay]] = {"Shelly": Shelly, "Tasmota": Tasmota}
-
-
-def relay_of(make: str) -> type[SimulatedRelay]:
-    """Return the simulated relay of a make.
-
-    Raises:
-        ConfigurationError: the make cannot be simulated.
-    """
-    if make not in _MAKES:
-        raise ConfigurationError(
-            f"cannot be simulated; these can: {', '.join(_MAKES)}", key="make", value=make
-        )
-    return _MAKES[make]
+RELAYS: Mapping[str, type[SimulatedRelay]] = {"Shelly": Shelly, "Tasmota": Tasmota}
 
 
 class RelayOnBroker:
