@@ -236,6 +236,73 @@ class Table:
         return first, np.array(hours, dtype=np.intp)
 
 
+NEAR, CODE, WRONG = "near", "code", "wrong"
+"""Kinds of odd cells: just outside the range, a stand-in for a missing value, and others."""
+
+
+class Cell(NamedTuple):
+    """A cell of a column of values."""
+
+    text: str
+    number: float
+    """NaN if the text is none"""
+    value: float
+    """the number in our unit"""
+    quantity: Quantity
+
+
+Verdict = tuple[float, str]
+"""the value to use, and the kind of an odd cell; empty if it is not odd"""
+
+
+def take_plausible(cell: Cell) -> Verdict | None:
+    """Take a value of the plausible range as it is."""
+    _, low, high, *_ = cell.quantity
+    return (cell.value, "") if low <= cell.value <= high else None
+
+
+def take_missing(cell: Cell) -> Verdict | None:
+    """Take an empty cell and the usual words for a missing value as NaN."""
+    return (math.nan, "") if cell.text.lower() in MISSING else None
+
+
+def take_near(cell: Cell) -> Verdict | None:
+    """Take a value just outside the range as its end."""
+    _, low, high, nearly, _ = cell.quantity
+    near = low - nearly <= cell.value <= high + nearly
+    return (min(max(cell.value, low), high), NEAR) if near else None
+
+
+def take_code(cell: Cell) -> Verdict | None:
+    """Take as missing: other words, codes such as -999, and less than 0 of what has none."""
+    digits = cell.text.lstrip("+-").replace(".", "").strip("0")
+    if math.isnan(cell.number):
+        is_code = not re.search(r"\d", cell.text)
+    elif cell.number <= 0 <= cell.quantity.low and cell.value < cell.quantity.low:
+        is_code = True  # 0 of a pressure, too
+    else:
+        is_code = digits in _CODES or re.fullmatch("9{2,}", digits) is not None
+        is_code = is_code or not abs(cell.number) < _HUGE
+    return (math.nan, CODE) if is_code else None
+
+
+CELL_RULES = (take_plausible, take_missing, take_near, take_code)
+"""How cells are read: the first rule that takes a cell decides; what none takes is wrong."""
+
+
+def judge_cell(text: str, quantity: Quantity, unit: Unit) -> Verdict:
+    """Return the value of a cell in our unit, and what kind of odd cell it is."""
+    try:
+        number = read_number(text)
+    except ValueError:
+        number = math.nan
+    cell = Cell(text, number, (number - unit.zero) / unit.per_ours, quantity)
+    for rule in CELL_RULES:
+        if verdict := rule(cell):
+            return verdict
+    return math.nan, WRONG
+
+
 class Column:
     """The values of a column of a table, in our unit, as they are read row by row.
 
@@ -263,34 +330,19 @@ class Column:
         self._optional = optional
         self._cell = cell or (lambda row: table.cell(row, name))
         self._values = array("d")
-        self._near: list[Row] = []
-        self._codes: list[Row] = []
-        self._wrong: list[Row] = []
+        self._odd: dict[str, list[Row]] = {NEAR: [], CODE: [], WRONG: []}
 
     def add(self, row: Row) -> None:
         """Read the value of a row."""
-        text, value = self._cell(row), math.nan
-        _, low, high, nearly, _ = self._quantity
-        try:
-            number = read_number(text)
-        except ValueError:
-            if text.lower() not in MISSING:
-                (self._wrong if re.search(r"\d", text) else self._codes).append(row)
-        else:
-            ours = (number - self._unit.zero) / self._unit.per_ours
-            if low - nearly <= ours <= high + nearly:
-                value = min(max(ours, low), high)
-                if value != ours:
-                    self._near.append(row)
-            elif not math.isnan(number):
-                below = number <= 0 <= low and ours < low  # 0 of a pressure, too
-                (self._codes if below or _is_code(text, number) else self._wrong).append(row)
+        value, what = judge_cell(self._cell(row), self._quantity, self._unit)
         self._values.append(value)
+        if what:
+            self._odd[what].append(row)
 
     @property
     def is_empty(self) -> bool:
         """Whether no row has a cell, apart from those that stand for a missing value."""
-        return not (self._codes or self._wrong) and all(map(math.isnan, self._values))
+        return not any(self._odd.values()) and all(map(math.isnan, self._values))
 
     def judge(self) -> NDArray[np.float64]:
         """Return the values of all rows, shape (rows,); NaN for those that cannot be used.
@@ -300,15 +352,14 @@ class Column:
         """
         values = np.array(self._values)
         known = values[~np.isnan(values)]
-        if len(self._wrong) > max(1.0, _MAX_WRONG * np.count_nonzero(known)) or (
-            not known.size and (self._wrong or (self._codes and not self._optional))
+        near, codes, wrong = self._odd.values()
+        if len(wrong) > max(1.0, _MAX_WRONG * np.count_nonzero(known)) or (
+            not known.size and (wrong or (codes and not self._optional))
         ):
-            raise self._refuse((self._wrong or self._codes)[0])
+            raise self._refuse((wrong or codes)[0])
         unit, low, high, *_ = self._quantity
-        self._note(self._near, f"is set to the end of its range, {low:g} to {high:g} {unit}")
-        self._note(
-            sorted(self._codes + self._wrong), "is no plausible value, and is treated as missing"
-        )
+        self._note(near, f"is set to the end of its range, {low:g} to {high:g} {unit}")
+        self._note(sorted(codes + wrong), "is no plausible value, and is treated as missing")
         return values
 
     def _refuse(self, row: Row) -> ConfigurationError:
@@ -337,12 +388,6 @@ class Column:
         if len(rows) > _MAX_NAMED:
             named.append(f"{len(rows) - _MAX_NAMED} more")
         table.notes.append(f"{table.file.name}: {self._name} of {' and '.join(named)} {what}")
-
-
-def _is_code(text: str, number: float) -> bool:
-    """Return whether a value outside its range is one that stands for a missing value."""
-    digits = text.lstrip("+-").replace(".", "").strip("0")
-    return not abs(number) < _HUGE or digits in _CODES or re.fullmatch("9{2,}", digits) is not None
 
 
 def judge_columns(columns: Mapping[str, Column]) -> dict[str, NDArray[np.float64]]:

@@ -33,7 +33,6 @@ class Records:
             it was not moved to the start, otherwise 0.
         filled: for each quantity, whether an hour was missing and filled, shape (hours,).
         left_out: what could not be used as it is, in sentences that name it.
-        empty: quantities of the files without any value.
         places: latitude and longitude (degrees) of each file that gives them, by file.
         wind_height: height at which the wind was measured (m); None if it is in the site file.
     """
@@ -46,7 +45,6 @@ class Records:
     rain_late: int = 0
     filled: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
-    empty: tuple[str, ...] = ()
     places: dict[Path, tuple[float, float]] = field(default_factory=dict)
     wind_height: float | None = None
 

@@ -149,7 +149,6 @@ def drop_empty(records: Records) -> Records:
         left_out=(*records.left_out, *(
             f"{name} has no value in {records.source}" for name in empty
         )),
-        empty=(*records.empty, *empty),
     )
 
 

@@ -10,7 +10,16 @@ import pytest
 from refusals import refusal
 
 from greenroof_ros.common.ranges import Range, read_number
-from greenroof_ros.formats.cells import Column, Table, number_lines, read_table
+from greenroof_ros.formats.cells import (
+    CODE,
+    NEAR,
+    WRONG,
+    Column,
+    Table,
+    judge_cell,
+    number_lines,
+    read_table,
+)
 from greenroof_ros.formats.quantities import QUANTITIES, Quantity, Unit
 
 FILE = Path("hours.csv")
@@ -72,6 +81,22 @@ def test_texts_that_are_no_numbers(text: str) -> None:
     for whole in (False, True):
         with pytest.raises(ValueError, match="must be a"):
             Range(0, 500, whole=whole).parse(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "kind"),
+    [
+        ("500", 500.0, ""), ("NaN", np.nan, ""), ("#N/A", np.nan, ""), ("-0.5", 0.0, NEAR),
+        ("500.4", 500.0, NEAR), ("-999", np.nan, CODE), ("7999", np.nan, CODE),
+        ("9.96921e36", np.nan, CODE), ("inf", np.nan, CODE), ("ice", np.nan, CODE),
+        ("-1", np.nan, CODE), ("501", np.nan, WRONG), ("1_0", np.nan, WRONG),
+        ("5 h", np.nan, WRONG),
+    ],
+)
+def test_rules_of_cells(text: str, value: float, kind: str) -> None:
+    """Of rain, from 0 to 500 mm/h, by half a millimetre more or less."""
+    read, what = judge_cell(text, RAIN, Unit("mm/h"))
+    assert (what, read) == (kind, pytest.approx(value, nan_ok=True))
 
 
 @pytest.mark.parametrize("text", ["M", "", "-0.1", "500.1", "nan", "1_0"])

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -125,6 +126,29 @@ def test_a_day_with_too_much_evapotranspiration_is_found() -> None:
     )
     assert check_steps(record, TWIN) == []
     assert failed(replace(record, reference_column="ET"), "ET", UNIT)
+
+
+@pytest.mark.parametrize(("hours", "stuck"), [(12, False), (24, True)])
+def test_a_stuck_gauge_is_found_by_a_run_and_a_calibration(
+    tmp_path: Path, hours: int, stuck: bool
+) -> None:
+    """The same sentence; but models interpolate, and have the same 0.9 mm in twelve hours."""
+    file = tmp_path / "roof.csv"
+    file.write_text("time,rain [mm],level [m],reference evapotranspiration [mm]\n" + "".join(
+        f"{datetime(2021, 6, 1, tzinfo=LST) + timedelta(hours=hour)},"
+        f"{0.9 if 200 <= hour < 200 + hours else hour % 50 // 48},{0.02 + hour / 1e5:.5f},0.1\n"
+        for hour in range(480)
+    ))
+    weather = read_weather([file], TORONTO)
+    run = WeatherSeries(weather, replace(TORONTO, tau=600.0), weather.first, 450 * 6)
+    record = read_csv_record(file, TORONTO)
+    for sentences in (run.suspicious, check_steps(record, TORONTO)):
+        found = [sentence for sentence in sentences if "stuck or dead" in sentence]
+        assert [sentence[:41] for sentence in found] == (
+            ["rain is 0.9 mm for 24 h from 2021-06-09 0"] if stuck else []
+        )
+    unit = replace(record, rain=100 * record.rain)
+    assert any(text.startswith("rain is ") and UNIT in text for text in check_steps(unit, TORONTO))
 
 
 # --- roofs off which nothing runs -----------------------------------------------------------------
