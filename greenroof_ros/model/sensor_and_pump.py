@@ -46,6 +46,11 @@ class SensorAndPump:
         """Whether the sensor reads the true level."""
         return self.roof_noise == 0 and self.roof_offset == 0
 
+    @property
+    def instant_pump(self) -> bool:
+        """Whether the pumps follow each command at once."""
+        return self.pump_min_on == 0 and self.pump_min_off == 0
+
     def values(self) -> dict[str, float]:
         """Return each of :data:`PARAMETERS` with its value."""
         return asdict(self)
@@ -56,7 +61,7 @@ class SensorAndPump:
         Raises:
             ConfigurationError: there are minimum times.
         """
-        if self.pump_min_on or self.pump_min_off:
+        if not self.instant_pump:
             raise ConfigurationError(
                 "must be set in the pump driver if the pump is external",
                 key="minimum on and off times",

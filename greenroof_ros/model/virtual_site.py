@@ -42,7 +42,7 @@ class VirtualSite:
         self.frost = 0.0
         self._start_ns, self._tick_ns = start_ns, round(site.tau * 1e9)
         self._sensor = None if sensor_and_pump.exact_sensor else RoofSensor(sensor_and_pump)
-        self._pump = Pump(sensor_and_pump, site.tau)
+        self._pump = None if sensor_and_pump.instant_pump else Pump(sensor_and_pump, site.tau)
         self._quiet_hours = site.quiet
         self.quiet = site.quiet is not None and site.quiet.quiet_at(start_ns)
 
@@ -72,7 +72,11 @@ class VirtualSite:
         """
         plant = self.plant
         if pumped is None:
-            pumped = self._pump.flow(plant, command, self.frost == 0 and not self.quiet)
+            may_run = self.frost == 0 and not self.quiet
+            if self._pump is None:
+                pumped = plant.pump_flow(command) if may_run else 0.0
+            else:
+                pumped = self._pump.flow(plant, command, may_run)
         flows = plant.flows(precipitation, evapotranspiration, pumped)
         self._acted = command, precipitation, evapotranspiration, flows
         return flows
