@@ -95,6 +95,7 @@ class Rows:
         first: time of the first row, with its offset from UTC.
         step_s: time between rows (s).
         steps: of each row, counted from the first, each once, shape (rows,).
+        since: time of each row since the first (s), likewise.
         values: of each quantity in its unit in :data:`.quantities.QUANTITIES`, likewise; NaN if
             missing.
         about: what comments at the head of the file state, by the names of ``_ENDS``.
@@ -106,6 +107,7 @@ class Rows:
     first: datetime
     step_s: float
     steps: NDArray[np.int64]
+    since: NDArray[np.float64]
     values: dict[str, NDArray[np.float64]]
     about: dict[str, float]
 
@@ -133,7 +135,8 @@ def read_rows(file: Path, site: Site, wanted: Collection[str]) -> Rows:
     table = _open(file)
     named, method = _find_columns(table)
     first, seconds, notes = _read_times(table, site)
-    steps, step_s = find_steps(partial(_open, file), TIME, np.array(seconds))
+    since = np.array(seconds) - seconds[0]
+    steps, step_s = find_steps(partial(_open, file), TIME, since)
     step_h = step_s / 3600
     columns = {
         quantity: (column, find_unit(quantity, unit, step_h, site.a2))
@@ -157,6 +160,7 @@ def read_rows(file: Path, site: Site, wanted: Collection[str]) -> Rows:
             "before, as after a clock was set; their amounts are added up, other values averaged"
         )
         steps, begins, counts = np.unique(steps, return_index=True, return_counts=True)
+        since = since[begins]
         measured = {
             quantity: np.add.reduceat(values, begins) / (
                 1 if is_amount(quantity, columns[quantity][1]) else counts
@@ -164,7 +168,7 @@ def read_rows(file: Path, site: Site, wanted: Collection[str]) -> Rows:
             for quantity, values in measured.items()
         }
     table.notes[:0] = notes
-    return Rows(table, columns, method, first, step_s, steps, measured, _read_about(file))
+    return Rows(table, columns, method, first, step_s, steps, since, measured, _read_about(file))
 
 
 def _open(file: Path) -> Table:
@@ -269,7 +273,8 @@ def read_records(file: Path, site: Site, /) -> Records:
     else:
         first = first.replace(minute=0, second=0, microsecond=0)
         begin_h = (rows.first - first) / HOUR
-        of_rows = np.floor(begin_h + (rows.steps + CLOCK_ERROR) * step_h).astype(np.intp)
+        hours_since = rows.since / 3600 + CLOCK_ERROR * step_h
+        of_rows = np.floor(begin_h + hours_since).astype(np.intp)
         first += int(of_rows[0]) * HOUR
         of_rows -= of_rows[0]
         values = {

@@ -18,7 +18,7 @@ _HOUR_S = 3600.0
 
 
 def find_steps(
-    read: Callable[[], Table], column: str, seconds: NDArray[np.float64]
+    read: Callable[[], Table], column: str, since: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], float]:
     """Return the step of each row, counted from the first row, and the duration of steps (s).
 
@@ -30,12 +30,11 @@ def find_steps(
     Args:
         read: reads the file, for messages.
         column: its column of times.
-        seconds: times of the rows (s), each later than the one before.
+        since: times of the rows since the first (s), each later than the one before.
 
     Raises:
         ConfigurationError: more than one spacing in a hundred is not a whole number of steps.
     """
-    since = seconds - seconds[0]
     spacing = np.diff(since)
     if not spacing.size:
         return np.zeros(1, dtype=np.int64), _HOUR_S
