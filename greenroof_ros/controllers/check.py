@@ -68,7 +68,7 @@ class _Trial:
 
     def request_commands(self, controller: Controller, stride: int = 1) -> list[float]:
         """Request commands at every ``stride``-th combination of levels and forecasts."""
-        return [_checked_command(controller, *inputs) for inputs in self.inputs(stride)]
+        return [_check_command(controller, *inputs) for inputs in self.inputs(stride)]
 
 
 def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
@@ -105,7 +105,7 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
     return results
 
 
-def _checked_command(controller: Controller, *inputs: Any) -> float:
+def _check_command(controller: Controller, *inputs: Any) -> float:
     command = controller.command(*inputs)
     if isinstance(command, bool) or not isinstance(command, (int, float)):
         raise _ProblemError(f"command() returns {command!r}; it must return a float")
@@ -158,7 +158,7 @@ def _inputs_unchanged(trial: _Trial) -> None:
     controller = trial.make()
     for inputs in trial.inputs():
         before = [np.array(forecast) for forecast in inputs[2:]]
-        _checked_command(controller, *inputs)
+        _check_command(controller, *inputs)
         if not all(map(np.array_equal, before, inputs[2:])):
             raise _ProblemError("command() changes the forecasts that it gets; copy them first")
 
@@ -167,7 +167,7 @@ def _skip(trial: _Trial) -> None:
     controller = trial.make()
     controller.skip()
     for inputs in trial.inputs(stride=5):
-        _checked_command(controller, *inputs)
+        _check_command(controller, *inputs)
         controller.skip()
         controller.skip()
 
@@ -182,7 +182,7 @@ def _wrong_forecasts(trial: _Trial) -> None:
     ):
         controller = trial.make()
         try:
-            _checked_command(controller, *levels, rain, evaporated)
+            _check_command(controller, *levels, rain, evaporated)
         except ConfigurationError:
             if choice.needs_forecast or rain is not empty:
                 continue
@@ -190,7 +190,7 @@ def _wrong_forecasts(trial: _Trial) -> None:
     if choice.ensemble:
         controller = trial.make()
         for members in (1, 3):
-            _checked_command(controller, *levels, trial.forecast(1e-6, members), [0.0] * steps)
+            _check_command(controller, *levels, trial.forecast(1e-6, members), [0.0] * steps)
 
 
 def _may_change(trial: _Trial) -> None:
@@ -207,7 +207,7 @@ def _may_change(trial: _Trial) -> None:
 
 def _outputs(trial: _Trial) -> None:
     controller = trial.make()
-    _checked_command(controller, *next(trial.inputs()))
+    _check_command(controller, *next(trial.inputs()))
     for topic, attribute in optional_topics(trial.choice.outputs):
         value, expected = getattr(controller, attribute, None), "number"
         right = isinstance(value, (int, float))
@@ -224,7 +224,7 @@ def _outputs(trial: _Trial) -> None:
 
 def _statistics(trial: _Trial) -> None:
     controller = trial.make()
-    _checked_command(controller, *next(trial.inputs()))
+    _check_command(controller, *next(trial.inputs()))
     statistics = controller.statistics()
     figures = TickTimes().statistics(0, 0)
     if statistics is not None and statistics.keys() != figures.keys():

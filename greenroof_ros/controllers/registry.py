@@ -77,7 +77,7 @@ class ControllerChoice:
         Raises:
             ConfigurationError: it cannot be imported, or is no controller.
         """
-        kind: Any = self._imported() if self.given is None else self.given
+        kind: Any = self._import_class() if self.given is None else self.given
         lacking = [
             name for name in ("parameters", "command", "skip", "statistics")
             if not hasattr(kind, name)
@@ -96,7 +96,7 @@ class ControllerChoice:
             )
         return cast(ControllerClass, kind)
 
-    def _imported(self) -> Any:
+    def _import_class(self) -> Any:
         module_name, _, class_name = self.path.partition(":")
         if self.reference == self.path and "" not in sys.path and str(Path.cwd()) not in sys.path:
             # A console script does not search the current directory; python -m does.

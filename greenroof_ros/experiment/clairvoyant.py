@@ -215,7 +215,7 @@ def _changes(
     following = int(np.count_nonzero(sizes == block)) - 1
     if following > 0:
         count = following * block
-        factor, low, high = _composed(slope, limits.minimum, limits.maximum, block)
+        factor, low, high = _compose(slope, limits.minimum, limits.maximum, block)
         factor, low, high = factor[:count], low[:count], high[:count]
         mean = factor.reshape(following, block).mean(axis=1)
         # A tick's factor differs a little from its block's.
@@ -227,7 +227,7 @@ def _changes(
     return factors, minimum, maximum
 
 
-def _composed(
+def _compose(
     slope: Values, minimum: Values, maximum: Values, ticks: int
 ) -> tuple[Values, Values, Values]:
     """Return slope, minimum and maximum of ``ticks`` ticks in a row, from each tick on.

@@ -171,7 +171,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
             return
         self._checked = now
         if not self.finished:
-            if second := self.peers.second():
+            if second := self.peers.describe_second():
                 # Before the run it is a wrong set-up, later a failure.
                 raise (LockstepError if self.acted else OccupiedError)(second)
             self._update_warnings(now)
@@ -182,7 +182,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
     def _update_warnings(self, now: float) -> None:
         """Warn of refused values and, before the run, of incompatible publishers."""
         if not self.acted:
-            for sentence in self.peers.incompatible(now):
+            for sentence in self.peers.describe_incompatible(now):
                 self._warn(sentence)
         for entry in self.inputs.values():
             if entry.refused:

@@ -99,7 +99,7 @@ def _declare(node: Node, parameter: Parameter) -> Any:
     given = node.declare_parameter(parameter.name, parameter.default, anything).value
     node.undeclare_parameter(parameter.name)
     try:
-        value = _checked(parameter, given)
+        value = _check_value(parameter, given)
     except ValueError as error:
         key = f"parameter {parameter.name} of {node.get_name()}"
         raise ConfigurationError(str(error), key=key, value=given) from None
@@ -108,7 +108,7 @@ def _declare(node: Node, parameter: Parameter) -> Any:
     ).value
 
 
-def _checked(parameter: Parameter, value: Any) -> Any:
+def _check_value(parameter: Parameter, value: Any) -> Any:
     """Return a value of a parameter in the parameter's type.
 
     Raises:

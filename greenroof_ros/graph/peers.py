@@ -74,21 +74,21 @@ class Peers:
         """Return the names of the nodes that publish an input, for a sentence."""
         return list_nodes(self.publishers[name].names(DISCOVERY_S))
 
-    def second(self) -> str:
+    def describe_second(self) -> str:
         """Return which input has a second publisher, in words; empty if none has."""
         for publishers in self.publishers.values():
             if publishers.count > 1 and publishers.compatible > 1:
-                return f"{publishers.full_name} {publishers.second(DISCOVERY_S)}"
+                return f"{publishers.full_name} {publishers.describe_second(DISCOVERY_S)}"
         return ""
 
-    def incompatible(self, now: float) -> Iterator[str]:
+    def describe_incompatible(self, now: float) -> Iterator[str]:
         """Yield a sentence on each input with a publisher incompatible for the discovery time.
 
         Args:
             now: steady clock (s).
         """
         for publishers in self.publishers.values():
-            problem, name = publishers.incompatible(), publishers.full_name
+            problem, name = publishers.describe_incompatible(), publishers.full_name
             since = self._incompatible_since.setdefault(name, now) if problem else math.inf
             if not problem:
                 self._incompatible_since.pop(name, None)

@@ -71,7 +71,7 @@ class Publishers:
         self._names = sorted(map(display_name, known)) or self._names
         return self._names
 
-    def second(self, wait_s: float = 0.0) -> str:
+    def describe_second(self, wait_s: float = 0.0) -> str:
         """Return that there is a second publisher, as a clause; empty if there is none.
 
         Args:
@@ -86,7 +86,7 @@ class Publishers:
             "other, or use another ROS_DOMAIN_ID or --namespace"
         )
 
-    def incompatible(self) -> str:
+    def describe_incompatible(self) -> str:
         """Return which publishers are incompatible, and why, as a clause; empty if none is.
 
         DDS does not connect a publisher to a subscription that requests more than it offers, and

@@ -82,18 +82,18 @@ class LivePublishers(Publishers):
         """How many publishers have a compatible quality of service: their messages arrive."""
         return self._alive if self._by_lease else super().compatible
 
-    def second(self, wait_s: float = 0.0) -> str:
+    def describe_second(self, wait_s: float = 0.0) -> str:
         """Return that there is a second publisher, or with a lease an incompatible one.
 
         If only one of two is known, the middleware miscounted after a lease ran out on a busy
         machine.
         """
         if self._unfit_since > -math.inf:
-            if incompatible := self.incompatible():
+            if incompatible := self.describe_incompatible():
                 return incompatible
             if time.monotonic() - self._unfit_since > DISCOVERY_S:
                 self._unfit_since = -math.inf  # it has gone
-        return super().second(wait_s)
+        return super().describe_second(wait_s)
 
     def warning(self, now: float) -> str:
         """Return a sentence on publishers that stay incompatible for the discovery time, or "".
@@ -101,7 +101,7 @@ class LivePublishers(Publishers):
         Args:
             now: time on the steady clock (s).
         """
-        problem = self.incompatible()
+        problem = self.describe_incompatible()
         self._incompatible_since = min(self._incompatible_since, now) if problem else math.inf
         lasts = now - self._incompatible_since >= DISCOVERY_S
         return f"{self.full_name} {problem}" if lasts else ""
@@ -157,7 +157,7 @@ class LiveInput(Input):
 
     def check(self) -> None:
         """Check the newest value at the present time."""
-        self.problem = self.rules.check(boot_time(), self.publishers.second())
+        self.problem = self.rules.check(boot_time(), self.publishers.describe_second())
 
     def refuse(self, why: str) -> None:
         """Refuse the newest value, because the node cannot act on it.

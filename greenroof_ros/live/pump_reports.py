@@ -180,9 +180,9 @@ def second_publisher(publishers: Publishers, code: str) -> Diagnosis | None:
 
     If one of them is incompatible, it is named: it may be trying to stop the pump.
     """
-    second = publishers.second()
+    second = publishers.describe_second()
     if not second:
         return None
     return Diagnosis.of(
-        code, topic=publishers.full_name, problem=publishers.incompatible() or second
+        code, topic=publishers.full_name, problem=publishers.describe_incompatible() or second
     )

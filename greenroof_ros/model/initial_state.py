@@ -6,7 +6,7 @@ import functools
 import logging
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.model.site import Site, unheld
+from greenroof_ros.model.site import Site, find_unheld
 from greenroof_ros.model.soil import soil_of
 
 _log = logging.getLogger(__name__)
@@ -63,7 +63,7 @@ def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]
     Raises:
         ConfigurationError: no rain can lead to such a state; a unit is wrong.
     """
-    for place, expected in unheld(site, cistern, roof):
+    for place, expected in find_unheld(site, cistern, roof):
         raise ConfigurationError(expected, key=keys[place], value=(cistern, roof)[place])
     full = site.roof_level(site.z_cap)
     if roof > site.z_cap:

@@ -329,7 +329,7 @@ def _product(name: str, values: Mapping[str, float | None]) -> float:
     return math.prod(factor for factor in factors if factor is not None)
 
 
-def unheld(site: Site, *volumes: float) -> Iterator[tuple[int, str]]:
+def find_unheld(site: Site, *volumes: float) -> Iterator[tuple[int, str]]:
     """Yield which of two volumes a site cannot hold, and what would be right.
 
     No rain can lead to such a state; a unit is wrong.
@@ -606,7 +606,7 @@ def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, 
             f"{site.layer_storage:g} m3"
         )
     if site.initial_cistern is not None and site.initial_roof is not None:
-        for place, expected in unheld(site, site.initial_cistern, site.initial_roof):
+        for place, expected in find_unheld(site, site.initial_cistern, site.initial_roof):
             yield ("initial_cistern", "initial_roof")[place], expected
     if site.field_capacity is not None:
         soil_volume = site.a2 * site.z_soil
