@@ -16,9 +16,10 @@ from greenroof_ros.common.mqtt import make_client
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors
 from greenroof_ros.live.simulators.server import Device, Server
-from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.pump_speed import flow_at
+from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.virtual_site import VirtualSite
 
 # Readings of the drive's speed per tick, if there is time for as many.
 _POLLS = 20
@@ -34,7 +35,6 @@ class SimulatedSite:
     Attributes:
         plant: cistern and roof.
         servers: of the sensors on Modbus.
-        tick: number of ticks so far.
         pumped: volume pumped out of the cistern so far (m3).
     """
 
@@ -65,8 +65,9 @@ class SimulatedSite:
         """
         self._site, self._speed = site, speed
         self._weather = precipitation, evapotranspiration
-        self.plant = Plant(site, *volumes)
-        self.tick, self.pumped, self._rained, self._flowing = 0, 0.0, 0.0, 0.0
+        self._virtual_site = VirtualSite(site, *volumes, 0, SensorAndPump())
+        self.plant = self._virtual_site.plant
+        self.pumped, self._rained, self._flowing = 0.0, 0.0, 0.0
         self._sensors = sensors.by_section
         self._tick_s = site.tau / factor
         self.servers: list[Server] = []
@@ -86,6 +87,11 @@ class SimulatedSite:
                 parse_address(address),
                 {device_id: self.device(sensors) for device_id, sensors in by_id.items()}, line,
             ))
+
+    @property
+    def tick(self) -> int:
+        """Number of ticks so far."""
+        return self._virtual_site.tick
 
     def device(self, sensors: Mapping[str, ModbusSensor]) -> Device:
         """Return the Modbus device that has these sensors."""
@@ -187,13 +193,12 @@ class SimulatedSite:
             flow: out of the cistern through the pump, mean of the tick (m3/s).
         """
         rain, evapotranspiration = self._present_weather()
-        plant, tau = self.plant, self._site.tau
-        flows = plant.flows(rain, evapotranspiration, flow)
-        plant.step(rain, flows)
+        tau = self._site.tau
+        flows = self._virtual_site.act(rain, evapotranspiration, 0.0, pumped=flow)
+        self._virtual_site.step()
         self.pumped += tau * flows.pump
         self._rained += tau * rain
         self._flowing = flows.pump
-        self.tick += 1
 
 
 def payload(raw: float, sensor: MqttSensor) -> str:
