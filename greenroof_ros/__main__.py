@@ -36,7 +36,7 @@ class Command:
 # Grouped by what a user wants to do; then by name.
 GROUPS = {
     "run the roof": {
-        "run": Command("bringup.simulated", "run the node graph, simulated or with a drive"),
+        "run": Command("bringup.simulated", "run the node graph of a simulated site"),
         "live": Command("bringup.live", "keep a site with sensors and a pump running"),
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
         "hold": Command("pump_requests", "keep the pump off, until a release or a time", "HOLD"),

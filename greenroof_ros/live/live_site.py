@@ -217,8 +217,8 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--state", type=Path, default=Path("live"), metavar="DIR",
-        help="directory for what must survive a restart (a stop, a fault, the pump's use of the "
-        "day), bag, logs and summary (default: live)",
+        help="directory for what must survive a restart (a stop, a fault, the pump's use of 24 "
+        "h), bag, logs and summary (default: live)",
     )
     group.add_argument("--no-record", action="store_true", help="no bag")
     group.add_argument(

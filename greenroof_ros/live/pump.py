@@ -76,7 +76,7 @@ _OWN = (
         "be read",
     ),
     Parameter(
-        "state_file", "", meaning="file that keeps a hold, a fault and the day's use across "
+        "state_file", "", meaning="file that keeps a hold, a fault and the use of 24 h across "
         "restarts; empty: greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
     ),
 )

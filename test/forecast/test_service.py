@@ -327,7 +327,7 @@ def test_the_fetched_forecast_reports_when_it_arrived(server, tmp_path):
     assert file.stem == f"{issue.available:%Y%m%d%H%M%S}"
 
 
-def test_the_services_wind_is_at_ten_metres_regardless_of_the_sites_is(server):
+def test_the_services_wind_is_at_ten_metres_even_if_the_sites_is_not(server):
     """A wind at 10 m treated as at 2 m would be a third too fast in Penman-Monteith."""
     for height in (2.0, 3.5):
         low = replace(SITE, wind_height=height)

@@ -201,7 +201,7 @@ def test_a_live_site_with_drive_and_sensors(
         site.until(lambda: levels[-1] > levels[0] + 0.0005, 60, "a roof that rises")
         # A pump node that hangs keeps the drive running, and only bringup can stop it.
         os.kill(process.nodes()["pump"], signal.SIGSTOP)
-        site.until(lambda: hardware.speed() == 0, 60, "the stop of a pump node's that hangs")
+        site.until(lambda: hardware.speed() == 0, 60, "the stop of a pump node that hangs")
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump after that")
         hardware.inject("refused")
     assert hardware.speed() > 0.9

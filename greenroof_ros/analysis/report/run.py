@@ -174,7 +174,6 @@ def _changes(content: Mapping[str, Any]) -> list[str]:
 
 
 def _ending(content: Mapping[str, Any]) -> str:
-    """Return how an unfinished run ended."""
     ending, tick = _NOT_DONE[content["status"]], content.get("last_tick")
     if tick is not None:
         time = hours_minutes_seconds(tick * content["tau_s"])

@@ -1,4 +1,4 @@
-"""State of the pump node that must survive a restart: hold, fault, starts, the day's use.
+"""State of the pump node that must survive a restart: hold, fault, starts, use of 24 h.
 
 A hold keeps the pump off. It has an owner, who requested it; a reason, which may be empty; and an
 end, or none. This is what it promises:

@@ -81,7 +81,8 @@ class PumpSettings:
         1.0, DAY_S, unit="s",
     )
     max_run_per_day: float = entry(
-        "maximum time on in any 24 h; default: a fifth of the flow delivers the day's volume in it",
+        "maximum time on in any 24 h; default: a fifth of the flow delivers the maximum volume in "
+        "it",
         1.0, DAY_S, unit="s",
     )
     max_volume_per_day: float = entry(
