@@ -30,7 +30,7 @@ SILENT_S = 3.5
 _AGAIN_S = 10.0
 # While all nodes have run for less than this (s), the site starts: what is late may still come.
 _START_S = 60.0
-# How far the beginning of a diagnosis may be ahead of the graph's time (s).
+# How far a node's stamps may be ahead of the graph's time (s).
 _AHEAD_S = 60.0
 # How many alarms that are over are kept, and how many names a diagnosis is about.
 _MAX_OVER, _MAX_ABOUT = 20, 10
@@ -444,7 +444,9 @@ class Judge:
             diagnosis = diagnoses.get(name)
             if diagnosis is None or diagnosis.identity != (alarm.code, alarm.fault):
                 seconds = round(wall - self._began[name], 1)
-                self.alarms[name] = replace(alarm, ended=now, seconds=seconds)
+                ahead = 0 < alarm.since - now <= _AHEAD_S  # else the clock was set back
+                ended = alarm.since if ahead else now
+                self.alarms[name] = replace(alarm, ended=ended, seconds=seconds)
                 self._ended[name] = wall
                 yield Change("ends", self.alarms[name])
 

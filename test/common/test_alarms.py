@@ -99,6 +99,17 @@ def test_how_long_it_lasts_before_it_is_an_alarm(code: str, level: int, seconds:
     assert other.told == site.told
 
 
+def test_an_alarm_does_not_end_before_it_began() -> None:
+    """The stamp of its node can be ahead of the time by which its end is dated."""
+    site = Site()
+    ahead = NOON + site.wall + 2.0
+    site.pass_time(1, drive=wrong("drive_lost", since=ahead))
+    site.pass_time(0.25)
+    assert [(what, alarm.ended) for what, alarm in site.changes] == [
+        ("begins", None), ("ends", ahead),
+    ]
+
+
 def test_another_code_or_fault_is_another_alarm() -> None:
     """Also if all was well in between; the same one within 10 s is the same alarm again."""
     site = Site()
