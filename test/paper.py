@@ -22,7 +22,7 @@ from greenroof_ros.common.command_line import Parser
 from greenroof_ros.controllers.lookahead import Lookahead
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.closed_loop import Simulation
-from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
+from greenroof_ros.experiment.options import add_run_arguments, build_run
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.model.metrics import Metrics
@@ -51,7 +51,7 @@ def paper_run(*options: str) -> Run:
     """Build a run like a command line with these options."""
     parser = Parser()
     add_run_arguments(parser, options)
-    return run_from_arguments(parser.parse_args(options))
+    return build_run(parser.parse_args(options))
 
 
 def weather_of(

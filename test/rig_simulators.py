@@ -27,7 +27,7 @@ from pathlib import Path
 from greenroof_ros.common.command_line import add_site, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.mqtt import parse_topic
-from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
+from greenroof_ros.experiment.options import add_site_arguments, build_run
 from greenroof_ros.live.devices.drive_file import DriveFile, find_drive_file, read_drive_file
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, ModbusLine, parse_address
 from greenroof_ros.live.devices.relay_file import read_relay_file
@@ -42,7 +42,7 @@ from greenroof_ros.live.simulators.simulated_drive import (
 )
 from greenroof_ros.live.simulators.simulated_relay import RELAYS, RelayOnBroker, SimulatedRelay
 from greenroof_ros.live.simulators.simulated_site import SimulatedSite
-from greenroof_ros.model.initial_state import default_state
+from greenroof_ros.model.initial_state import initial_states
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
 
@@ -366,7 +366,7 @@ class DriveBench(Bench):
         self.drive.flow = lambda speed: flow_at(
             site, speed, self.registers[CISTERN_LEVEL] * LEVEL_UNIT
         )
-        level = site.cistern_level(default_state(site)[1][0])
+        level = site.cistern_level(next(iter(initial_states(site).values()))[0])
         self.registers[CISTERN_LEVEL] = round(level / LEVEL_UNIT)
         (self._server,) = self.servers = [drive_server(self.drive, file, self._reached)]
         self._server.connection = partial(FaultyConnection, fault=self.fault)
@@ -686,7 +686,7 @@ def site_simulator(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fault", type=fault_of, default=(NONE, DEFAULT))
     add_site_arguments(parser.add_argument_group("site"))
     given = parser.parse_args()
-    run = run_from_arguments(given)
+    run = build_run(given)
     rain, loss = run.series.precipitation, run.series.evapotranspiration
     if given.rain is not None:
         rain = [given.rain * 1e-3 / 3600]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -36,16 +37,39 @@ def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
     assert not any(topic.startswith("/controller/") for topic in graph["messages"])
 
 
+# What changes, and whether it is code of the controller: its module, and what it imports.
+CHANGED = {
+    "my_own/__init__.py": True, "my_own/controller.py": True, "my_own/near.py": True,
+    "my_own/lazy.py": True, "my_helper.py": True, "my_deep.py": True, "my_own/unused.py": False,
+}
+
+
+@pytest.mark.parametrize("changed", CHANGED)
 def test_another_state_of_its_code_is_another_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changed: str
 ) -> None:
     """A study that was begun with other code of the controller is not continued."""
     monkeypatch.syspath_prepend(tmp_path)
-    file = tmp_path / "my_own.py"
-    file.write_text((CHECKOUT / "examples" / "proportional.py").read_text())
-    grid = GRID[: GRID.index("  mpc:\n")] + "  my_own:Proportional:\n"
+    (tmp_path / "my_own").mkdir()
+    code = (CHECKOUT / "examples" / "proportional.py").read_text().replace(
+        "from __future__ import annotations\n",
+        "from __future__ import annotations\nimport math, numpy, my_helper\nfrom . import near\n",
+    )
+    lazy = "\n\ndef late():\n    from my_own.lazy import a\n    import not_installed\n"
+    for file, text in {
+        **dict.fromkeys(CHANGED, "a = 1\n"), "my_own/controller.py": code + lazy,
+        "my_helper.py": "from my_deep import a\n",
+    }.items():
+        (tmp_path / file).write_text(text)
+    grid = GRID[: GRID.index("  mpc:\n")] + "  my_own.controller:Proportional:\n"
     (tmp_path / "grid.yaml").write_text(grid)
-    identities = [read_grid(tmp_path / "grid.yaml")[0].identity for _ in range(2)]
-    with file.open("a") as stream:
-        stream.write("# changed\n")
-    assert identities[0] == identities[1] != read_grid(tmp_path / "grid.yaml")[0].identity
+    try:
+        identities = [read_grid(tmp_path / "grid.yaml")[0].identity for _ in range(2)]
+        with (tmp_path / changed).open("a") as stream:
+            stream.write("# changed\n")
+        after = read_grid(tmp_path / "grid.yaml")[0].identity
+    finally:
+        for name in [name for name in sys.modules if name.startswith("my_")]:
+            del sys.modules[name]
+    assert identities[0] == identities[1]
+    assert (identities[0] != after) == CHANGED[changed]

@@ -139,11 +139,11 @@ def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
     """Return the time of a tick of ``simulate`` (s), with metrics, and its decision times."""
     from greenroof_ros.common.command_line import Parser
     from greenroof_ros.experiment.closed_loop import Simulation
-    from greenroof_ros.experiment.options import add_run_arguments, run_from_arguments
+    from greenroof_ros.experiment.options import add_run_arguments, build_run
 
     parser = Parser()
     add_run_arguments(parser, arguments)
-    run = run_from_arguments(parser.parse_args(arguments))
+    run = build_run(parser.parse_args(arguments))
     controller = run.make_controller()
     began = time.perf_counter()
     for _ in Simulation(run, controller).ticks():
@@ -157,7 +157,7 @@ def measure_do_mpc(steps: int = 30) -> float:
     import do_mpc
     import numpy as np
 
-    from greenroof_ros.model.initial_state import initial_state
+    from greenroof_ros.model.initial_state import initial_states
     from greenroof_ros.model.site import read_site
 
     site = read_site(CONFIG / "site.yaml")
@@ -200,7 +200,7 @@ def measure_do_mpc(steps: int = 30) -> float:
     template = controller.get_tvp_template()
     controller.set_tvp_fun(lambda now: template)
     controller.setup()
-    state = np.array(initial_state(site, "low-low")).reshape(-1, 1)
+    state = np.array(initial_states(site)["low-low"]).reshape(-1, 1)
     controller.x0 = state
     controller.set_initial_guess()
     controller.make_step(state)

@@ -12,9 +12,9 @@ from typing import Any
 from greenroof_ros.bringup.watchdog import Watchdog
 from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.progress import RunProgress
 from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import EXTERNAL
-from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.graph.messages import LockstepError, describe
 from greenroof_ros.graph.node import SimulationNode

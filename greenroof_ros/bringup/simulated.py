@@ -17,21 +17,21 @@ from greenroof_ros.common.command_line import (
     command,
 )
 from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.common.progress import RunProgress
 from greenroof_ros.common.standard_error import LINES, print_line
 from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.options import (
-    add_graph_arguments,
     add_output_arguments,
     add_run_arguments,
-    run_from_arguments,
+    build_run,
 )
-from greenroof_ros.experiment.parameter_file import node_parameter_files
-from greenroof_ros.experiment.progress import RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
+from greenroof_ros.graph.arguments import add_graph_arguments
 from greenroof_ros.graph.domain import importing_ros, lock_namespace, refuse_other_nodes
+from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.recording.bag_reader import count_ticks
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
     Raises:
         ConfigurationError: an option or a file that it names is wrong.
     """
-    run = run_from_arguments(arguments)
+    run = build_run(arguments)
     if arguments.pump == EXTERNAL:
         run.sensor_and_pump.refuse_external_pump()
     return run

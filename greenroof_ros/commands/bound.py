@@ -17,7 +17,7 @@ from greenroof_ros.common.command_line import (
     make_number_type,
 )
 from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, clairvoyant_bound
-from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
+from greenroof_ros.experiment.options import add_site_arguments, build_run
 from greenroof_ros.experiment.plan import PlanResult, recursion_plan
 from greenroof_ros.experiment.run import Run, count_ticks
 from greenroof_ros.experiment.summary import setting
@@ -113,7 +113,7 @@ def make_parser() -> Parser:
 def main() -> int:
     """Compute the bound of the run on the command line."""
     arguments = make_parser().parse_args()
-    run = run_from_arguments(arguments)
+    run = build_run(arguments)
     block = None
     if arguments.block is not None:
         block = count_ticks(run.site, arguments.block, "--block", unit_s=1.0)

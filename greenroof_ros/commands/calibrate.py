@@ -29,8 +29,8 @@ from greenroof_ros.analysis.calibration.site_file import (
 from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import add_path_to_errors
+from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.experiment.progress import ProgressBar
 from greenroof_ros.formats.cells import read_table
 from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, name_time
 from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve

@@ -12,14 +12,14 @@ from pathlib import Path
 from greenroof_ros.common.command_line import Parser, command, make_number_type, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import add_path_to_errors
+from greenroof_ros.common.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.closed_loop import Simulation, Tick, record
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
-    run_from_arguments,
+    build_run,
 )
-from greenroof_ros.experiment.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.recording.trajectory import COLUMNS, CSV, LAYER, Trajectory
@@ -66,7 +66,7 @@ def make_parser() -> Parser:
 def main() -> None:
     """Simulate the run that the command line asks for."""
     arguments = make_parser().parse_args()
-    run = run_from_arguments(arguments)
+    run = build_run(arguments)
     if arguments.trajectory_every and not (arguments.trajectory or arguments.plot):
         raise ConfigurationError("needs --trajectory or --plot", key="--trajectory-every")
     every = max(1, round(arguments.trajectory_every / run.site.tau))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from greenroof_ros.common.command_line import Parser, command
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.experiment.options import add_site_arguments, run_from_arguments
+from greenroof_ros.experiment.options import add_site_arguments, build_run
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
 from greenroof_ros.live.devices.modbus_line import check_installed
@@ -73,7 +73,7 @@ def main() -> None:
     check_installed()
     endpoint = read_endpoint(find_drive_file(arguments.drive), arguments.at, "--at")
     sensors = read_sensors(arguments.sensors or default_sensors())
-    asyncio.run(_simulate(run_from_arguments(arguments), sensors, endpoint))
+    asyncio.run(_simulate(build_run(arguments), sensors, endpoint))
 
 
 def _find_make(simulated: Mapping[str, type[_Device]], make: str) -> type[_Device]:

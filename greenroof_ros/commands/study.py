@@ -14,8 +14,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Column, Table
 
+from greenroof_ros.analysis.study.case import Case, collect_contents
 from greenroof_ros.analysis.study.case_run import bound_case, run_case
-from greenroof_ros.analysis.study.grid import Case, contents, read_grid
+from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.analysis.study.store import StudyStore
 from greenroof_ros.analysis.study.workers import Workers, processes
@@ -30,7 +31,7 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.experiment.progress import ProgressBar
+from greenroof_ros.common.progress import ProgressBar
 
 _REFRESH_S = 0.5
 _NOTES = {
@@ -129,7 +130,7 @@ def main() -> int:
         print(f"{len(store.outcomes)} of {len(cases)} runs are stored already", file=sys.stderr)
     try:
         if open_cases or unbounded:
-            files = contents(cases)
+            files = collect_contents(cases)
             if arguments.scheduler is None:
                 cores = len(os.sched_getaffinity(0))
                 those = processes(arguments.jobs or cores, files)
@@ -167,7 +168,8 @@ def _run(
     ordered = sorted(
         cases,
         key=lambda case: (
-            not case.controller.ensemble, not case.controller.outputs, -case.hours
+            not case.inputs.controller.ensemble, not case.inputs.controller.outputs,
+            -case.hours,
         ),
     )
     pending: dict[Future[Any], tuple[Case, bool]] = {
@@ -193,7 +195,9 @@ def _run(
                     what, reason = "no bound", str(error) or type(error).__name__
                     if is_run:  # a missing bound is no failure
                         what, store.failures[case.identity] = "failed", reason
-                    print(f"{what}: {names.name(case)}: {reason}", file=sys.stderr)
+                    name = ", ".join(filter(None, names.columns(case).values()))
+                    name += f", {case.inputs.initial}, run {case.identity}"
+                    print(f"{what}: {name}: {reason}", file=sys.stderr)
                 else:
                     (store.write_outcome if is_run else store.write_bound)(case, result)
                 runs += is_run

@@ -26,9 +26,9 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import add_path_to_errors
+from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.common.times import to_people
-from greenroof_ros.experiment.options import add_forecast_options, forecast_from_arguments
-from greenroof_ros.experiment.progress import ProgressBar
+from greenroof_ros.experiment.options import add_forecast_options, read_forecast
 from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import find_files, read_weather
@@ -114,7 +114,7 @@ def main() -> None:
     with require_extra("study"):  # fail before the work if a page needs it
         if any(file.suffix == ".html" for file in arguments.output):
             from greenroof_ros.analysis.verification.page import render
-    choice = forecast_from_arguments(arguments, arguments.forecasts, "FORECASTS")
+    choice = read_forecast(arguments, arguments.forecasts, "FORECASTS")
     site = read_site(arguments.site)
     weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
     forecasts = read_issued_forecasts(choice, weather, site, arguments.horizon)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -16,6 +16,9 @@ class ConfigurationError(Exception):
     Attributes:
         wrong: the message without file and line.
         expected: what would be right.
+        file: the wrong file; None if it is another input.
+        key: what has the wrong value; None if the message names nothing.
+        value: the wrong value; None if the message shows none.
     """
 
     def __init__(
@@ -33,9 +36,25 @@ class ConfigurationError(Exception):
         subject = key or ""
         if value is not None:
             subject += f" = {value!r}" if key else repr(value)
-        self.expected = expected
+        self.expected, self.file, self.key, self.value = expected, file, key, value
         self.wrong = ": ".join(part for part in (subject, expected) if part)
         super().__init__(f"{place}: {self.wrong}" if place else self.wrong)
+
+
+@contextmanager
+def rename_keys(names: Mapping[str, str]) -> Iterator[None]:
+    """Name the inputs in errors as the user knows them, such as ``--hours`` for ``hours``.
+
+    Args:
+        names: by the keys of errors; others, and the keys of files, stay.
+    """
+    try:
+        yield
+    except ConfigurationError as error:
+        name = names.get(error.key or "")
+        if error.file is not None or name is None:
+            raise
+        raise ConfigurationError(error.expected, key=name, value=error.value) from error
 
 
 class HangError(Exception):

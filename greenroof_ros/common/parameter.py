@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 import types
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -175,6 +175,25 @@ def read_record(
     return record
 
 
+def make_record(kind: type[Record], values: Mapping[str, Any]) -> Record:
+    """Return a dataclass from the values of its keys, checked as those of a file.
+
+    Args:
+        kind: as for :func:`read_record`.
+        values: by key.
+
+    Raises:
+        ConfigurationError: a key is unknown or missing, or a value is of the wrong kind or out of
+            range.
+    """
+    try:
+        record: Record = _record(kind, values, ())
+    except _Wrong as wrong:
+        key = ".".join(wrong.parts)
+        raise ConfigurationError(wrong.expected, key=key, value=wrong.value) from None
+    return record
+
+
 def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
     """Return line and value of a key: names, and for items of lists numbers from 1.
 
@@ -212,8 +231,8 @@ def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
     return kind(**fields)
 
 
-def _mapping(value: Any, parts: tuple[str, ...]) -> YamlMapping:
-    if not isinstance(value, YamlMapping):
+def _mapping(value: Any, parts: tuple[str, ...]) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
         raise _Wrong(parts, "must hold 'key: value' lines", value)
     return value
 

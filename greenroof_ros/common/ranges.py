@@ -10,7 +10,9 @@ import re
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
+from numbers import Integral, Real
 from pathlib import Path
+from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 
@@ -48,11 +50,9 @@ class Range:
     whole: bool = False
     words: tuple[str, ...] = ()
 
-    def __contains__(self, value: object) -> bool:
-        return (
-            isinstance(value, int if self.whole else (int, float)) and not isinstance(value, bool)
-            and self.low <= value <= self.high
-        )
+    def __contains__(self, value: Any) -> bool:
+        is_number = isinstance(value, Integral if self.whole else Real)
+        return is_number and not isinstance(value, bool) and bool(self.low <= value <= self.high)
 
     @property
     def limits(self) -> str:
@@ -89,15 +89,18 @@ class Range:
         comma = isinstance(value, str) and re.fullmatch(r"[-+]?\d*,\d+", value.strip())
         return f"must be {self}{', with a decimal point' if comma else ''}"
 
-    def check(self, value: object) -> float:
-        """Return a value as a number: an int if it must be whole, otherwise a float.
+    def check(self, value: Any) -> float:
+        """Return a value as a number of Python: an int if it must be whole, otherwise a float.
+
+        Args:
+            value: a number of Python or NumPy; true and false are none.
 
         Raises:
             ValueError: it is not a number of this range; the message is the sentence about it.
         """
         if value in self:
             with suppress(OverflowError):
-                return value if self.whole else float(value)  # type: ignore[return-value,arg-type]
+                return int(value) if self.whole else float(value)
         raise ValueError(self.expected(value))
 
     def parse(self, text: str) -> float:
@@ -109,13 +112,13 @@ class Range:
         return self.check(value)
 
     def read(
-        self, value: object, *, file: Path, line: int | None, key: str, about: str = ""
+        self, value: Any, *, file: Path | None, line: int | None, key: str, about: str = ""
     ) -> float:
         """Return the number under a key of a file; a whole one may be written as 5.0.
 
         Args:
             value: what the file has.
-            file: the file.
+            file: the file; None if a program gives the value.
             line: of the key.
             key: its name.
             about: end of the message.
@@ -125,7 +128,7 @@ class Range:
         """
         plain = self.whole and isinstance(value, float) and value.is_integer()
         try:
-            return self.check(int(value) if plain else value)  # type: ignore[call-overload]
+            return self.check(int(value) if plain else value)
         except ValueError as error:
             raise ConfigurationError(
                 f"{error}{about}", file=file, line=line, key=key, value=value

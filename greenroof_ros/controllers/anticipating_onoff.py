@@ -62,6 +62,7 @@ class AnticipatingOnOff:
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
+        horizon: how far it looks ahead (h).
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -90,7 +91,7 @@ class AnticipatingOnOff:
             waiting_share: what it may cost in addition, as a share of the cost of plain on/off.
         """
         self._site, self._soil = site, soil_of(site)
-        self.fraction = fraction
+        self.fraction, self.horizon = fraction, horizon
         self._after = AfterForecast(site, horizon, days_after)
         self._lengths = np.diff(self._after.edges)
         self._observer = RoofObserver(site, observer_time_constant)

@@ -77,6 +77,7 @@ class Lookahead:
     :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
 
     Attributes:
+        horizon: how far the forecast is used (h).
         fill_to: level of the roof (m) to which it is filled, or at which it is held, in this tick;
             NaN if it is left alone, or if the controller did not decide.
         plan: the plan made in this tick, shape (steps, 4). Each row is a step: its end (s from this
@@ -139,7 +140,7 @@ class Lookahead:
     ) -> None:
         """Set the site and the parameters; :attr:`parameters` has their units and meanings."""
         self._site, self._soil = site, soil_of(site)
-        self._max_command = max_command
+        self.horizon, self._max_command = horizon, max_command
         self._min_on = max(min_on, site.tau)
         self._recourse = recourse * _HOUR_S
         self._after = AfterForecast(site, horizon, days_after)

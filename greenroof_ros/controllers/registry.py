@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import importlib
-import inspect
 import re
 import sys
 from collections.abc import Mapping
@@ -22,6 +20,7 @@ from greenroof_ros.common.errors import (
 from greenroof_ros.common.files import YamlMapping, read_ros_parameters
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.failure import locate_error, not_imported
+from greenroof_ros.controllers.own_code import digest_own_code
 from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_optional
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
@@ -131,13 +130,15 @@ class ControllerChoice:
         """Topics that its node also publishes, each with the value's attribute."""
         return dict(getattr(self.kind, "outputs", {}))
 
-    @property
+    @functools.cached_property
     def source(self) -> str:
-        """Twelve digits that identify the code of a controller outside this package; else empty."""
+        """Twelve digits that identify the code of a controller outside this package; else empty.
+
+        See :func:`greenroof_ros.controllers.own_code.digest_own_code`.
+        """
         if self.reference in BUILT_IN:
             return ""
-        file = inspect.getsourcefile(cast(type, self.kind))
-        return hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12] if file else ""
+        return digest_own_code([self.path.partition(":")[0], cast(type, self.kind).__module__])
 
     def make(self, site: Site, parameters: dict[str, float]) -> Controller:
         """Make the controller.
@@ -172,8 +173,23 @@ class ControllerChoice:
         """Return the value of each parameter on a site, unless a user gives another."""
         return {parameter.name: parameter.default for parameter in self.parameters_on(site)}
 
-    def read_parameters(self, path: Path, site: Site) -> dict[str, float]:
-        """Read its parameters from a ROS 2 parameter file; those not in it have their defaults.
+    def check_parameters(self, given: Mapping[str, Any]) -> dict[str, float]:
+        """Return values of its parameters as numbers.
+
+        Raises:
+            ConfigurationError: one is not a number, or not in its range; the error's key is its
+                name.
+        """
+        known, values = self.parameters, {}
+        for name, value in given.items():
+            try:
+                values[name] = known[name].range.check(value)
+            except ValueError as error:
+                raise ConfigurationError(str(error), key=name, value=value) from None
+        return values
+
+    def read_parameters(self, path: Path) -> dict[str, float]:
+        """Return the values of its parameters that a ROS 2 parameter file gives.
 
         The section is ``/**/NAME``, which applies in any namespace, ``NAME``, ``/NAME``, or
         ``/**``, which applies to every node.
@@ -190,37 +206,17 @@ class ControllerChoice:
             raise ConfigurationError(
                 f"must hold '/**/{self.name}:' and in it 'ros__parameters:'", file=path
             )
-        for key, line in entries.lines.items():
-            if keys[0] == "/**" and key.partition(".")[0] in OF_EVERY_NODE:
-                continue
-            self.check_name(key, path, line)
-        return self.defaults(site) | read_numbers(path, entries, self.parameters)
-
-    def check_name(self, key: str, path: Path, line: int) -> None:
-        """Refuse a name that is not one of its parameters.
-
-        Raises:
-            ConfigurationError: it has no parameter of that name.
-        """
-        if key not in self.parameters:
-            raise ConfigurationError(
-                f"is not a parameter of {self.name}; {suggest_names(key, self.parameters)}",
-                file=path, line=line, key=key,
-            )
-
-
-def read_numbers(
-    path: Path, entries: YamlMapping, parameters: Mapping[str, Parameter]
-) -> dict[str, Any]:
-    """Return the values that a file's mapping gives for these parameters.
-
-    Raises:
-        ConfigurationError: a value is not a number, or not in its range.
-    """
-    return {
-        key: parameters[key].range.read(value, file=path, line=entries.lines[key], key=key)
-        for key, value in entries.items() if key in parameters
-    }
+        known, values = self.parameters, {}
+        for key, value in entries.items():
+            line = entries.lines[key]
+            if key in known:
+                values[key] = known[key].range.read(value, file=path, line=line, key=key)
+            elif keys[0] != "/**" or key.partition(".")[0] not in OF_EVERY_NODE:
+                raise ConfigurationError(
+                    f"is not a parameter of {self.name}; {suggest_names(key, known)}",
+                    file=path, line=line, key=key,
+                )
+        return values
 
 
 def controller_names() -> list[str]:

@@ -9,13 +9,14 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.times import duration, epoch_ns, read_start, to_minutes
+from greenroof_ros.common.times import duration, epoch_ns, to_minutes
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
-from greenroof_ros.forecast.resampling import Forecast, make_forecast
+from greenroof_ros.forecast.resampling import Forecast
 from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.hourly import Records
+from greenroof_ros.model.initial_state import note_full_roof
 from greenroof_ros.model.place import kilometres, place_text
 from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site
@@ -30,7 +31,7 @@ class Run:
     """Everything that decides a run's numbers.
 
     Attributes:
-        site_file: where the site was read from.
+        site_file: where the site was read from; None if a program gave it.
         site: Table I.
         weather: hourly records.
         series: the weather, tick by tick.
@@ -44,9 +45,10 @@ class Run:
         x2: initial volume on the roof (m3).
         forecast_choice: which forecasts the controller gets.
         sensor_and_pump: how its level sensor and pumps differ from the paper's.
+        records: those that a program gave for weather; None if they are from files.
     """
 
-    site_file: Path
+    site_file: Path | None
     site: Site
     weather: Weather
     series: WeatherSeries
@@ -60,6 +62,7 @@ class Run:
     x2: float
     forecast_choice: ForecastChoice = field(default_factory=ForecastChoice)
     sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
+    records: Records | None = None
 
     def time_ns(self, tick: int) -> int:
         """Return the time of a tick (ns since 1970), as on the graph's clock."""
@@ -73,9 +76,12 @@ class Run:
 
     def notes(self) -> list[str]:
         """Return what a reader must know before the results, in sentences."""
-        return [*self._short(), *_far(self.weather, self.site)]
+        return [
+            *self._note_short(), *_note_far(self.weather, self.site),
+            *note_full_roof(self.site, self.x2),
+        ]
 
-    def _short(self) -> Iterator[str]:
+    def _note_short(self) -> Iterator[str]:
         """Yield a sentence if the run is shorter than the look-ahead: it may wait for later rain.
 
         The rain is what the records have from the run's end to the end of the last look-ahead.
@@ -107,7 +113,7 @@ class Run:
         return self.controller.make(self.site, self.parameters)
 
 
-def _far(weather: Weather, site: Site) -> Iterator[str]:
+def _note_far(weather: Weather, site: Site) -> Iterator[str]:
     """Yield a sentence for each weather file whose place is far from the site's."""
     if site.latitude is None or site.longitude is None:
         return
@@ -142,64 +148,3 @@ def count_ticks(site: Site, length: float | None, key: str, unit_s: float = 3600
             key=key, value=length,
         )
     return steps
-
-
-def build_run(
-    site_file: Path,
-    site: Site,
-    weather: Weather,
-    start: str,
-    steps: int,
-    controller: ControllerChoice,
-    parameters: dict[str, float],
-    initial: str,
-    volumes: tuple[float, float],
-    choice: ForecastChoice,
-    sensor_and_pump: SensorAndPump | None = None,
-) -> Run:
-    """Assemble a run and check it.
-
-    Args:
-        site_file: where the site was read from.
-        site: its parameters.
-        weather: hourly records.
-        start: time of tick 0, ISO 8601; without a UTC offset it is in the weather's time zone.
-        steps: N, its length (ticks).
-        controller: the chosen controller.
-        parameters: its parameters, all of them.
-        initial: name of the initial state.
-        volumes: of the initial state, in cistern and roof (m3).
-        choice: which forecasts the controller gets.
-        sensor_and_pump: how its level sensor and pumps differ from the paper's.
-
-    Raises:
-        ConfigurationError: weather or forecasts do not cover the run, or it has values that the
-            nodes would refuse.
-    """
-    sensor_and_pump = sensor_and_pump or SensorAndPump()
-    if "min_on" in parameters:  # the controller knows its pumps
-        min_on = max(parameters["min_on"], sensor_and_pump.pump_min_on)
-        parameters = {**parameters, "min_on": min_on}
-    first = read_start(start, weather.first.tzinfo)
-    horizon = parameters.get("horizon", 0.0)
-    series = WeatherSeries(weather, site, first, steps)
-    x1, x2 = volumes
-    topics = read_topics()
-    # Refuse here what the nodes would refuse: graph and simulation give the same numbers.
-    for name, largest in (
-        ("/cistern/level", site.cistern_level(x1)),
-        ("/roof/level", site.roof_level(x2)),
-        ("/weather/precipitation", series.precipitation.largest),
-        ("/weather/evapotranspiration", series.evapotranspiration.largest),
-    ):
-        topic = topics[name]
-        if largest > topic.high:
-            raise ConfigurationError(
-                f"the run has {largest:g} {topic.unit} on {name}, but at most {topic.high:g} is "
-                "accepted (msg_defs/topics.yaml); is a unit wrong?"
-            )
-    forecast = make_forecast(weather, series, site, first, horizon, choice, controller.ensemble)
-    return Run(
-        site_file, site, weather, series, forecast, first, steps, controller, parameters, initial,
-        x1, x2, choice, sensor_and_pump,
-    )

@@ -15,7 +15,8 @@ import yaml
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import unique_name
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.site import edited
+from greenroof_ros.formats.own_csv import write_records
+from greenroof_ros.model.site import edited, site_text
 
 # Parent of the runs' directories, unless a user gives one.
 _RUNS = Path("runs")
@@ -86,11 +87,18 @@ def write_configuration(
     configuration = directory / "configuration"
     with writable(directory):
         site_file = configuration / "site.yaml"
-        site_file.write_text(edited(run.site_file, {}), encoding="utf-8")
+        site = site_text(run.site) if run.site_file is None else edited(run.site_file, {})
+        site_file.write_text(site, encoding="utf-8")
         weather_files: list[str] = []
         for file in run.weather.files:
             name = unique_name(file, [Path(copy).name for copy in weather_files])
-            weather_files.append(str(_copy(file, configuration / "weather" / name)))
+            copy = configuration / "weather" / name
+            copy.parent.mkdir(exist_ok=True)
+            if run.records is None:
+                shutil.copyfile(file, copy)
+            else:
+                copy.write_text(write_records(run.records, name), encoding="utf-8")
+            weather_files.append(str(copy))
         choice = run.forecast_choice
         if choice.file is not None:
             name = choice.file.resolve().name

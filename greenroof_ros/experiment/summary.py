@@ -18,6 +18,8 @@ from greenroof_ros.experiment.run import Run
 
 # The file's name in the directory of a run.
 SUMMARY = "summary.json"
+# The site file's name in the configuration of a run.
+SITE_FILE = "site.yaml"
 # Status of a run. It is RUNNING until the run ends, and for ever if its process was killed.
 RUNNING, DONE, FAILED, INTERRUPTED = "running", "done", "failed", "interrupted"
 
@@ -116,7 +118,7 @@ def setting(run: Run) -> dict[str, Any]:
         "start": run.start.isoformat(),
         "steps": run.steps,
         "tau_s": run.site.tau,
-        "site": str(run.site_file),
+        "site": str(run.site_file or SITE_FILE),
         "place": [run.site.latitude, run.site.longitude],
         "weather": weather.source,
         "weather_places": [list(place) for place in dict.fromkeys(weather.places.values())],
@@ -158,7 +160,7 @@ def write(summary: Mapping[str, Any], directory: Path) -> None:
 def site_file_of(run: Path) -> Path:
     """Return the path of a run's site file; a live site keeps it in a directory of its own."""
     configuration = run / "configuration"
-    return next(iter((configuration / "site").glob("*")), configuration / "site.yaml")
+    return next(iter((configuration / "site").glob("*")), configuration / SITE_FILE)
 
 
 def versions() -> dict[str, str]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from greenroof_ros.common.errors import ConfigurationError, describe_choices
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.errors import ConfigurationError, describe_choices, rename_keys
+from greenroof_ros.common.parameter import entry, make_record, parameters_of
 from greenroof_ros.forecast.skill import REAL, SKILLS
+from greenroof_ros.formats.forecasts import SERVICE_DELAY_H
 from greenroof_ros.formats.reading import SUFFIXES
 from greenroof_ros.model.look_ahead import MAX_MEMBERS
 
@@ -24,22 +27,6 @@ MODELS: dict[str, tuple[str, ...]] = {
 
 _OPTIONS_OF = {**MODELS, FILE: ("delay",)}
 
-NUMBERS = {
-    "seed": Parameter(
-        "forecast_seed", 0, "", 0, 2**31 - 1, "errors, ensemble: seed of the errors"
-    ),
-    "members": Parameter(
-        "forecast_members", 10, "", 1, MAX_MEMBERS, "ensemble: number of its members"
-    ),
-    "delay": Parameter(
-        "forecast_delay", -1.0, "h", 0.0, 48.0,
-        "errors, ensemble, a file: time from an issue's nominal time until it is available",
-    ),
-}
-"""the options that are numbers, by name; the delay has no default"""
-
-OPTIONS = ("skill", *NUMBERS)
-
 
 @dataclass(frozen=True)
 class ForecastChoice:
@@ -47,21 +34,30 @@ class ForecastChoice:
 
     Attributes:
         model: one of :data:`MODELS`, or ``file``.
+        file: file of forecasts, or directory of such files; None for a model.
         skill: one of :data:`greenroof_ros.forecast.skill.SKILLS`, or the path of a file such as
             ``config/forecasts/skill.yaml``.
         seed: of the errors.
         members: number of members of the ensemble.
-        file: file of forecasts, or directory of such files; None for a model.
         delay: time after its nominal time from which an issue is known (h); None for the usual
             delay of the kind of file, or of weather services for a model with errors.
     """
 
     model: str = PERFECT
-    skill: str = REAL
-    seed: int = 0
-    members: int = 10
     file: Path | None = None
-    delay: float | None = None
+    skill: str = entry(
+        "errors, ensemble: how good the forecasts are. real: as good as a weather service's; "
+        "better: like real ones at half the lead time; worse: at twice the lead time; a FILE.yaml: "
+        "as it states", default=REAL,
+    )
+    seed: int = entry("errors, ensemble: seed of the errors", 0, 2**31 - 1, default=0)
+    members: int = entry("ensemble: number of its members", 1, MAX_MEMBERS, default=10)
+    delay: float | None = entry(
+        "errors, ensemble, a file: time from an issue's nominal time until it is available; by "
+        f"default {SERVICE_DELAY_H:g} h for the first two, and what is usual for a file's kind: 0 "
+        "for this project's format, which states when it was available", 0.0, 48.0, unit="h",
+        default=None,
+    )
 
     def __str__(self) -> str:
         """The model's name or the file's path, as in the option ``--forecast``."""
@@ -83,35 +79,48 @@ class ForecastChoice:
         return {name: value for name, value in values.items() if value is not None}
 
 
-def check_skill(text: str, key: str) -> None:
-    """Check a skill's name, or the path of its file.
-
-    Args:
-        text: of an option or a file.
-        key: which gives it, for messages.
-
-    Raises:
-        ConfigurationError: it is neither.
-    """
-    if text not in SKILLS and not text.lower().endswith(".yaml"):
-        raise ConfigurationError(
-            describe_choices(SKILLS, text, ", or a FILE.yaml"), key=key, value=text
-        )
+OPTIONS = {parameter.name: parameter for parameter in parameters_of(ForecastChoice)}
+"""the options of forecasts, by name"""
+INPUTS = {
+    f"forecast_{name}": replace(parameter, name=f"forecast_{name}")
+    for name, parameter in OPTIONS.items()
+}
+"""the same by the names that inputs of a run have"""
 
 
-def choose(text: str, key: str) -> ForecastChoice:
+def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoice:
     """Return the choice of a model by its name, or of an archive by its path.
 
     Args:
-        text: of an option or a file.
-        key: which gives it, for messages.
+        text: the input ``forecast`` of a run.
+        options: values of :data:`OPTIONS`.
 
     Raises:
-        ConfigurationError: it is neither.
+        ConfigurationError: there is no such model, or it has no such option or value; the error's
+            key is ``forecast``, or one of :data:`INPUTS`.
     """
     if text in MODELS:
-        return ForecastChoice(text)
-    if text.lower().endswith((*SUFFIXES, "/")) or (text and Path(text).is_dir()):
-        return ForecastChoice(FILE, file=Path(text))
-    files = f", or forecasts: a file ({', '.join(SUFFIXES)}) or a directory of files"
-    raise ConfigurationError(describe_choices(MODELS, text, files), key=key, value=text)
+        choice = ForecastChoice(text)
+    elif text.lower().endswith((*SUFFIXES, "/")) or (text and Path(text).is_dir()):
+        choice = ForecastChoice(FILE, Path(text))
+    else:
+        files = f", or forecasts: a file ({', '.join(SUFFIXES)}) or a directory of files"
+        raise ConfigurationError(describe_choices(MODELS, text, files), key="forecast", value=text)
+    with rename_keys({name: f"forecast_{name}" for name in OPTIONS}):
+        checked = make_record(ForecastChoice, options or {})
+        for name, value in (options or {}).items():
+            if name not in choice.option_names:
+                owners = [
+                    "a file" if model == FILE else model
+                    for model, names in _OPTIONS_OF.items() if name in names
+                ]
+                raise ConfigurationError(
+                    f"is an option of {' and '.join(owners)}; the forecast is {choice}", key=name,
+                    value=value,
+                )
+        if checked.skill not in SKILLS and not checked.skill.lower().endswith(".yaml"):
+            raise ConfigurationError(
+                describe_choices(SKILLS, checked.skill, ", or a FILE.yaml"), key="skill",
+                value=checked.skill,
+            )
+    return replace(checked, model=choice.model, file=choice.file)

@@ -1,7 +1,7 @@
 """Node parameters: described once, declared with description and range, checked when given.
 
 rclpy silently ignores a parameter that a node has not declared, so a mistyped limit would have no
-effect. Here it is refused on a node's command line; :mod:`greenroof_ros.experiment.parameter_file`
+effect. Here it is refused on a node's command line; :mod:`greenroof_ros.graph.parameter_file`
 refuses it in files.
 """
 

@@ -15,10 +15,10 @@ from greenroof_ros.common.states import PUMP, RECORDER
 from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
 from greenroof_ros.experiment.options import (
     add_controller_arguments,
-    add_graph_arguments,
-    controller_from_arguments,
+    read_controller,
 )
 from greenroof_ros.forecast.service import ENSEMBLE, FORECAST, OPEN_METEO
+from greenroof_ros.graph.arguments import add_graph_arguments
 from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
@@ -54,7 +54,8 @@ class LiveSite:
         """
         self.site_file: Path = arguments.site
         site = read_site(self.site_file)
-        self.controller, self.parameters = controller_from_arguments(arguments, site)
+        self.controller, parameters = read_controller(arguments)
+        self.parameters = self.controller.defaults(site) | parameters
         self.drive = drive = read_drive_choice(arguments)
         others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
         refuse(

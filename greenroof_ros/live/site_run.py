@@ -34,10 +34,10 @@ from greenroof_ros.common.states import PUMP, DriveState
 from greenroof_ros.common.times import iso
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary
-from greenroof_ros.experiment.parameter_file import node_parameter_files
 from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import importing_ros, lock_namespace, refuse_other_nodes
+from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart

@@ -2,54 +2,72 @@
 
 from __future__ import annotations
 
-import functools
-import logging
-
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import Site, find_unheld
 from greenroof_ros.model.soil import soil_of
 
-_log = logging.getLogger(__name__)
-
 # Table II: factors of the volumes at the outlet's level and at the target.
-INITIAL_STATES = {
+_TABLE_II = {
     "low-low": (1 / 1.3, 1 / 1.3),
     "high-low": (1.3, 1 / 1.3),
     "high-high": (1.3, 1.3),
 }
-
 SITE_STATE = "site"
 """Name of the state that a site file defines by ``initial_cistern`` and ``initial_roof``."""
-SITE_STATE_KEYS = ("initial_cistern", "initial_roof")
-"""Keys of that state's volumes in the site file."""
+INITIAL_STATES = (*_TABLE_II, SITE_STATE)
+"""Names of the states of a site that defines its own."""
 
 
-def initial_state(site: Site, name: str) -> tuple[float, float]:
-    """Return the volumes x1 and x2 (m3) of one of the paper's initial states, Table II."""
-    cistern, roof = INITIAL_STATES[name]
-    return site.a1 * site.z_o * cistern, site.a2 * site.z_veg * roof
+def initial_states(site: Site) -> dict[str, tuple[float, float]]:
+    """Return the volumes x1 and x2 (m3) of the states that runs begin in, the default first.
 
-
-def site_state(site: Site) -> tuple[float, float] | None:
-    """Return the volumes x1 and x2 (m3) that the site file gives; None if it gives none."""
-    if site.initial_cistern is None or site.initial_roof is None:
-        return None
-    return site.initial_cistern, site.initial_roof
-
-
-def default_state(site: Site) -> tuple[str, tuple[float, float]]:
-    """Return the state that a run begins in by default: its name and its volumes (m3).
-
-    It is the site file's own, or else low-low. The drainage layer of a measured soil always begins
-    with the site file's ``initial_layer``: the states do not include it.
+    The default is the site file's own, or else low-low. The drainage layer of a measured soil
+    always begins with the site file's ``initial_layer``: the states do not include it.
     """
-    state = site_state(site)
-    return ("low-low", initial_state(site, "low-low")) if state is None else (SITE_STATE, state)
+    states = {
+        name: (site.a1 * site.z_o * cistern, site.a2 * site.z_veg * roof)
+        for name, (cistern, roof) in _TABLE_II.items()
+    }
+    if site.initial_cistern is None or site.initial_roof is None:
+        return states
+    return {SITE_STATE: (site.initial_cistern, site.initial_roof), **states}
 
 
-@functools.cache  # so that a study warns once, not in each of its runs
-def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]) -> None:
-    """Refuse initial volumes that the site cannot hold, and warn of a roof fuller than its soil.
+def find_state(
+    site: Site, name: str | None, volumes: tuple[float, float] | None
+) -> tuple[str, tuple[float, float]]:
+    """Return the state that a run begins in: its name, and the volumes x1 and x2 (m3).
+
+    Args:
+        site: the site.
+        name: of a state of the site, or with volumes any other; None for the default.
+        volumes: x1 and x2 (m3); None for the named state's.
+
+    Raises:
+        ConfigurationError: there is no such state, its volumes are others than those given, or the
+            site cannot hold them.
+    """
+    states = initial_states(site)
+    if volumes is None:
+        name = next(iter(states)) if name is None else name
+        if name not in states:
+            raise ConfigurationError(
+                "needs initial_cistern and initial_roof in the site file" if name == SITE_STATE
+                else f"must be one of {', '.join(INITIAL_STATES)}, or volumes in cistern and roof "
+                "must be given (m3)", key="initial", value=name,
+            )
+        volumes = states[name]
+    elif states.get(name or "", volumes) != volumes:
+        raise ConfigurationError(
+            "has other volumes than those given for cistern and roof; leave out one or the other",
+            key="initial", value=name,
+        )
+    check_volumes(site, *volumes)
+    return name or "custom", volumes
+
+
+def check_volumes(site: Site, cistern: float, roof: float) -> None:
+    """Refuse initial volumes that the site cannot hold.
 
     The plant has no rim: rain can raise the roof above the soil's capacity. It then drains slowly,
     on a measured soil in the first tick. A run can begin in any state in which another one ends.
@@ -58,18 +76,23 @@ def check_volumes(site: Site, cistern: float, roof: float, keys: tuple[str, str]
         site: the site.
         cistern: volume x1 (m3).
         roof: volume x2 (m3).
-        keys: names of the two volumes in messages.
 
     Raises:
-        ConfigurationError: no rain can lead to such a state; a unit is wrong.
+        ConfigurationError: no rain can lead to such a state; a unit is wrong. The error's key is
+            ``cistern`` or ``roof``.
     """
     for place, expected in find_unheld(site, cistern, roof):
-        raise ConfigurationError(expected, key=keys[place], value=(cistern, roof)[place])
+        key, value = (("cistern", cistern), ("roof", roof))[place]
+        raise ConfigurationError(expected, key=key, value=value)
+
+
+def note_full_roof(site: Site, roof: float) -> list[str]:
+    """Return a sentence if a volume on the roof (m3) is more than its soil holds."""
+    if roof <= site.z_cap:
+        return []
     full = site.roof_level(site.z_cap)
-    if roof > site.z_cap:
-        _log.warning(
-            "warning: %s = %r: more than the %g m3 (a level of %g m) that the soil holds: %.3g m "
-            "%s. It is a volume in m3",
-            keys[1], roof, site.z_cap, full, site.roof_level(roof) - full,
-            soil_of(site).excess,
-        )
+    return [
+        f"the run begins with {roof:g} m3 on the roof, more than the {site.z_cap:g} m3 (a level of "
+        f"{full:g} m) that the soil holds: {site.roof_level(roof) - full:.3g} m "
+        f"{soil_of(site).excess}. It is a volume in m3"
+    ]

@@ -9,8 +9,10 @@ from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta, timezone, tzinfo
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 from zoneinfo import ZoneInfo
+
+from yaml import safe_dump
 
 from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import read_text, read_yaml, shared_directory
@@ -48,13 +50,15 @@ _OF_CLOCK = {
     _ZONE: "must be the IANA name of a time zone that this machine knows (package tzdata), such as "
     "America/Toronto",
 }
+_Entry: TypeAlias = "tuple[Path | None, int | None, Any]"
+"""File and line of a value, None if a program gives it, and the value."""
 # Key of the file that has what a site file omits.
 _EXTENDS = "extends"
-PLACE = (
-    "latitude", "longitude", "elevation", "utc_offset", "albedo", "k_Rs", "wind_height",
-    "crop_coefficient",
-)
-"""What the weather of a site depends on, including computed evapotranspiration."""
+# What the reader of weather may use, including for computed evapotranspiration.
+_OF_WEATHER = {
+    "a2", "latitude", "longitude", "elevation", "utc_offset", "time_zone", "albedo", "k_Rs",
+    "wind_height", "crop_coefficient", "monthly_evapotranspiration",
+}
 # Optional parameters that belong together: each needs the others of its line. A measured soil can
 # lack a drainage layer.
 _TOGETHER = (
@@ -296,6 +300,18 @@ class Site:
         """Twice the soil's depth (m): a higher reading is not a level in metres."""
         return 2 * self.z_soil
 
+    def of_weather(self) -> Site:
+        """Return a site with only what weather depends on; its other parameters are 0 or defaults.
+
+        Weather is read for this site, so it is the same for all sites with the same one.
+        """
+        values: dict[str, Any] = {
+            key.name: getattr(self, key.name) if key.name in _OF_WEATHER
+            else key.entry.default if key.optional else 0
+            for key in keys(Site)
+        }
+        return Site(**values)
+
     def climatic_evapotranspiration(self, month: int) -> float | None:
         """Mean evapotranspiration off the bed in a month, 1 to 12 (m3/s); None if unknown."""
         if self.monthly_evapotranspiration is None:
@@ -376,18 +392,32 @@ def edited(path: Path, values: Mapping[str, Any]) -> str:
         values: by their symbols; those missing in the file are added.
     """
     current = {key: value for key, (_, _, value) in _entries(path).items()}
+    changed = {
+        key: value if isinstance(value, str) else repr(value)
+        for key, value in _changes(current, values).items()
+    }
+    if not changed and _EXTENDS not in read_yaml(path):
+        return read_text(path)
+    return _with(_full_text(path), changed)
+
+
+def _changes(current: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what changes in a site's values if some get other ones, which volumes follow."""
     new = {**current, **values}
     for volume, factors in _FOLLOW.items():
         if volume in current and volume not in values:
             ratio = math.prod(new.get(name, 1.0) / current.get(name, 1.0) for name in factors)
             new[volume] = current[volume] * ratio
-    changed = {
-        key: value if isinstance(value, str) else repr(value)
-        for key, value in new.items() if value != current.get(key)
-    }
-    if not changed and _EXTENDS not in read_yaml(path):
-        return read_text(path)
-    return _with(_full_text(path), changed)
+    return {key: value for key, value in new.items() if value != current.get(key)}
+
+
+def site_text(site: Site) -> str:
+    """Return the text of a site file, without comments, that :func:`read_site` reads as a site."""
+    text: str = safe_dump({
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in asdict(site).items() if value is not None
+    }, sort_keys=False)
+    return text
 
 
 def _with(text: str, values: Mapping[str, str]) -> str:
@@ -435,13 +465,15 @@ def site_yaml() -> YAML:
     return yaml
 
 
-def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, tuple[Path, int, Any]]:
+def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, _Entry]:
     """Return the entries of a site file, including the file that it extends.
 
     By key: file, line and value. The site file's own entries take precedence.
     """
     mapping = read_yaml(path)
-    entries = {key: (path, mapping.lines[key], value) for key, value in mapping.items()}
+    entries: dict[str, _Entry] = {
+        key: (path, mapping.lines[key], value) for key, value in mapping.items()
+    }
     if _EXTENDS not in entries:
         return entries
     _, line, base = entries.pop(_EXTENDS)
@@ -466,65 +498,101 @@ def _base(path: Path, name: str) -> Path:
     )
 
 
-def read_site(path: Path) -> Site:
+def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
     """Read and check a site file such as ``config/site.yaml``.
 
     It can extend another file (``extends: site.yaml``), in its own directory or of this package.
     It then contains only the differences.
+
+    Args:
+        path: of the file.
+        changes: parameters with other values than in the file; volumes that depend on them follow,
+            as in :func:`edited`.
 
     Raises:
         ConfigurationError: a parameter is missing, unknown, not a number, beyond its range, or
             inconsistent with another; the message names the file, line, key and value.
     """
     entries = _entries(path)
+    site = _site_of(entries, path)
+    if not changes:
+        return site
+    given = _values_of({name: (None, None, value) for name, value in changes.items()})
+    current = {key: value for key, (_, _, value) in entries.items()}
+    new = {name: (None, None, value) for name, value in _changes(current, given).items()}
+    return _site_of({**entries, **new}, path)
 
-    def refuse(key: str, expected: str) -> ConfigurationError:
-        file, line, value = entries[key]
-        return ConfigurationError(expected, file=file, line=line, key=key, value=value)
 
+def check_site(site: Site) -> Site:
+    """Return a site that a program gives, with its numbers as numbers of Python.
+
+    Raises:
+        ConfigurationError: as for :func:`read_site`; the message names key and value.
+    """
+    return _site_of({
+        name: (None, None, value) for name, value in asdict(site).items() if value is not None
+    })
+
+
+def _site_of(entries: Mapping[str, _Entry], path: Path | None = None) -> Site:
+    """Return the site of checked entries, from a file unless a program gives them."""
+    values = _values_of(entries)
+    for key in keys(Site):
+        if not key.optional and key.name not in {*values, *_FOLLOW_FROM}:
+            unit = "" if key.entry.unit in ("", "1") else f"{key.entry.unit}, "
+            raise ConfigurationError(
+                f"is missing ({unit}{key.entry.meaning}): add it, or begin the file with "
+                "'extends: site.yaml' to use the paper's values for all keys that are missing",
+                file=path, key=key.name,
+            )
+    for name in _FOLLOW_FROM.keys() - values.keys():
+        values[name] = _product(name, values)
+    site = Site(**values)
+    for name, expected in _contradictions(site, entries):
+        raise _refusal(entries, name, expected)
+    return site
+
+
+def _refusal(entries: Mapping[str, _Entry], key: str, expected: str) -> ConfigurationError:
+    file, line, value = entries[key]
+    return ConfigurationError(expected, file=file, line=line, key=key, value=value)
+
+
+def _values_of(entries: Mapping[str, _Entry]) -> dict[str, Any]:
+    """Return the value of each entry, in its parameter's type.
+
+    Raises:
+        ConfigurationError: one is unknown, of the wrong kind or out of range.
+    """
     by_name = {key.name: key for key in keys(Site)}
-    for name, (file, line, _) in entries.items():
+    values: dict[str, Any] = {}
+    for name, (file, line, value) in entries.items():
         if name not in by_name:
             raise ConfigurationError(
                 f"is not a parameter of a site; {suggest_names(name, by_name)}",
                 file=file, line=line, key=name,
             )
-    values: dict[str, Any] = {}
-    for name, key in by_name.items():
-        if name not in entries:
-            if not key.optional and name not in _FOLLOW_FROM:
-                unit = "" if key.entry.unit in ("", "1") else f"{key.entry.unit}, "
-                raise ConfigurationError(
-                    f"is missing ({unit}{key.entry.meaning}): add it, or begin the file with "
-                    "'extends: site.yaml' to use the paper's values for all keys that are missing",
-                    file=path, key=name,
-                )
-            continue
-        file, line, value = entries[name]
+        key = by_name[name]
         allowed = replace(key.entry.range, whole=key.kind is int)
         if name == _CLIMATE:
-            if not isinstance(value, list) or len(value) != 12 or any(
+            if not isinstance(value, (list, tuple)) or len(value) != 12 or any(
                 month not in allowed for month in value
             ):
-                raise refuse(
-                    name, f"must be twelve numbers in brackets, January to December, each {allowed}"
+                raise _refusal(
+                    entries, name,
+                    f"must be twelve numbers in brackets, January to December, each {allowed}",
                 )
             values[name] = tuple(map(float, value))
         elif name in _OF_CLOCK:
             try:
                 values[name] = _of_clock(name, value)
             except (TypeError, OSError, ValueError, KeyError):
-                raise refuse(name, _OF_CLOCK[name]) from None
+                raise _refusal(entries, name, _OF_CLOCK[name]) from None
         else:
             values[name] = allowed.read(
                 value, file=file, line=line, key=name, about=f" ({key.entry.meaning})"
             )
-    for name in _FOLLOW_FROM.keys() - values.keys():
-        values[name] = _product(name, values)
-    site = Site(**values)
-    for name, expected in _contradictions(site, entries):
-        raise refuse(name, expected)
-    return site
+    return values
 
 
 def _of_clock(name: str, value: Any) -> tuple[str, ...] | str:
@@ -535,7 +603,7 @@ def _of_clock(name: str, value: Any) -> tuple[str, ...] | str:
     """
     if name == _ZONE and isinstance(value, str):
         return ZoneInfo(value).key
-    if name == _ZONE or not isinstance(value, list):
+    if name == _ZONE or not isinstance(value, (list, tuple)):
         raise TypeError
     QuietHours(value, timezone.utc)
     return tuple(value)

@@ -16,7 +16,7 @@ from typing import Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-from greenroof_ros.common.errors import OccupiedError
+from greenroof_ros.common.errors import OccupiedError, rename_keys
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.states import PLANT
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
@@ -25,7 +25,7 @@ from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
-from greenroof_ros.model.initial_state import check_volumes, default_state
+from greenroof_ros.model.initial_state import check_volumes, initial_states
 from greenroof_ros.model.plant import Flows
 from greenroof_ros.model.sensor_and_pump import PARAMETERS, SensorAndPump
 from greenroof_ros.model.site import Site
@@ -43,7 +43,7 @@ _IDENTITY_BITS = 53
 
 def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
-    _, (cistern, roof) = default_state(site)
+    cistern, roof = next(iter(initial_states(site).values()))
     return [
         site_file(),
         Parameter(
@@ -75,9 +75,9 @@ class PlantNode(SimulationNode):
         super().__init__("plant", PLANT)
         site = self.declare_site()
         values = declare(self, parameters(site))
-        keys = "initial_cistern_volume", "initial_roof_volume"
-        x1, x2 = (values[key] for key in keys)
-        check_volumes(site, x1, x2, keys)
+        x1, x2 = values["initial_cistern_volume"], values["initial_roof_volume"]
+        with rename_keys({"cistern": "initial_cistern_volume", "roof": "initial_roof_volume"}):
+            check_volumes(site, x1, x2)
         self._run_length = values["run_length"]
         self._speed = values["speed"]
         self._external = values["pump"] == "external"

@@ -8,19 +8,11 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from greenroof_ros.common.errors import rename_keys
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
-from greenroof_ros.forecast.choice import (
-    MODELS,
-    NUMBERS,
-    OPTIONS,
-    ForecastChoice,
-    check_skill,
-    choose,
-)
+from greenroof_ros.forecast.choice import INPUTS, MODELS, PERFECT, ForecastChoice, choose
 from greenroof_ros.forecast.resampling import make_forecast
-from greenroof_ros.forecast.skill import SKILLS
-from greenroof_ros.formats.forecasts import SERVICE_DELAY_H
 from greenroof_ros.graph.executable import node_command, node_help
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError, WithFront
@@ -36,11 +28,12 @@ _RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspirat
 _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST = (
     "/forecast/precipitation", "/forecast/evapotranspiration",
 )
+# A parameter of a node must have a value: this one stands for the usual delay (h).
+_USUAL_DELAY = -1.0
 
 
 def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
-    forecast, delay = ForecastChoice(), NUMBERS["delay"]
     return [
         site_file(),
         Parameter("weather_files", [str(default_weather())], meaning="hourly records, joined"),
@@ -59,34 +52,30 @@ def parameters(site: Site) -> list[Parameter]:
         ),
         *look_ahead_parameters(),
         Parameter(
-            "forecast", str(forecast),
+            "forecast", PERFECT,
             meaning=f"{', '.join(MODELS)}, or a file or directory of archived ones",
         ),
-        Parameter(
-            "forecast_skill", forecast.skill,
-            meaning=f"errors, ensemble: how good they are: {', '.join(SKILLS)}, or a FILE.yaml",
-        ),
-        NUMBERS["seed"],
-        NUMBERS["members"],
-        replace(
-            delay, low=delay.default, meaning=f"{delay.meaning}; {delay.default:g}: "
-            f"{SERVICE_DELAY_H:g} for the first two, and what is usual for a file's kind",
+        *(
+            replace(parameter, default=_USUAL_DELAY, low=_USUAL_DELAY,
+                    meaning=f"{parameter.meaning}; {_USUAL_DELAY:g} for the default")
+            if parameter.default is None else parameter
+            for parameter in INPUTS.values()
         ),
     ]
 
 
-def _forecast(values: dict[str, Any]) -> ForecastChoice:
+def _choose_forecast(values: dict[str, Any]) -> ForecastChoice:
     """Return the choice of forecasts that the parameters make.
 
     Raises:
         ConfigurationError: a parameter is wrong.
     """
-    choice = choose(values["forecast"], "parameter forecast of weather")
-    check_skill(values["forecast_skill"], "parameter forecast_skill of weather")
-    options = {name: values[f"forecast_{name}"] for name in OPTIONS}
-    if options["delay"] == NUMBERS["delay"].default:
-        del options["delay"]
-    return replace(choice, **options)
+    with rename_keys({name: f"parameter {name} of weather" for name in ("forecast", *INPUTS)}):
+        options = choose(values["forecast"]).option_names
+        given = {name: values[f"forecast_{name}"] for name in options}
+        return choose(values["forecast"], {
+            name: value for name, value in given.items() if value != _USUAL_DELAY
+        })
 
 
 class WeatherNode(SimulationNode):
@@ -110,7 +99,7 @@ class WeatherNode(SimulationNode):
         start = read_start(values["start"], weather.first.tzinfo)
         self._series = WeatherSeries(weather, site, start, self._last_tick)
         self._forecast = make_forecast(
-            weather, self._series, site, start, values["horizon"], _forecast(values),
+            weather, self._series, site, start, values["horizon"], _choose_forecast(values),
             values["all_members"],
         )
         self._start_ns, self._tick_ns = epoch_ns(start), round(site.tau * 1e9)

@@ -21,7 +21,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import acquire_file_lock
 from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.parameter_file import node_parameter_files
+from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.live import site_run
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.lock import acquire_drive_lock

@@ -13,8 +13,8 @@ from disks import full_pipe
 from graphs import wait_for
 from places import CHECKOUT
 
+from greenroof_ros.common.progress import RunProgress
 from greenroof_ros.common.standard_error import Lines
-from greenroof_ros.experiment.progress import RunProgress
 
 TOO_LONG_S = 60
 

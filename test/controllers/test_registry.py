@@ -28,7 +28,7 @@ def test_a_file_for_all_nodes(tmp_path: Path) -> None:
     (tmp_path / "mine.yaml").write_text(
         "/**:\n  ros__parameters:\n    use_sim_time: true\n    weight: 5\n"
     )
-    values = find_controller("mpc").read_parameters(tmp_path / "mine.yaml", PAPER_SITE)
+    values = find_controller("mpc").read_parameters(tmp_path / "mine.yaml")
     assert values["weight"] == 5.0
 
 
@@ -54,7 +54,7 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
     """Each is refused with file, line, key and value."""
     (tmp_path / "mine.yaml").write_text(text)
     with pytest.raises(ConfigurationError, match=message):
-        find_controller(name).read_parameters(tmp_path / "mine.yaml", PAPER_SITE)
+        find_controller(name).read_parameters(tmp_path / "mine.yaml")
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_a_controller_that_a_package_registers(
         assert controller_names() == [*BUILT_IN, "gentle"]
     finally:
         registry._of_other_packages.cache_clear()
-    values = choice.read_parameters(tmp_path / "gentle.yaml", PAPER_SITE)
+    values = choice.read_parameters(tmp_path / "gentle.yaml")
     assert (choice.name, values) == ("gentle", {"gain": 10.0})
 
 
@@ -138,4 +138,4 @@ def test_how_far_a_controller_looks_ahead_follows_from_the_roof(name: str, tmp_p
     assert choice.defaults(PAPER_SITE)["horizon"] == 120.0
     assert choice.defaults(measured)["horizon"] == 48.0
     (tmp_path / "mine.yaml").write_text(f"{name}: {{ros__parameters: {{horizon: 24.0}}}}")
-    assert choice.read_parameters(tmp_path / "mine.yaml", measured)["horizon"] == 24.0
+    assert choice.read_parameters(tmp_path / "mine.yaml")["horizon"] == 24.0

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 from places import CHECKOUT
 
+from greenroof_ros.analysis.study.case import collect_contents
 from greenroof_ros.analysis.study.case_run import run_case, write_inputs
-from greenroof_ros.analysis.study.grid import contents, read_grid
+from greenroof_ros.analysis.study.grid import read_grid
 
 PAGE = (CHECKOUT / "doc" / "results.md").read_text()
 STUDIES = CHECKOUT / "config" / "studies"
@@ -48,8 +49,8 @@ def test_the_papers_runs(papers: Path) -> None:
 @pytest.mark.parametrize(("controller", "name"), [("onoff", "on/off"), ("lookahead", "lookahead")])
 def test_a_storm(controller: str, name: str, tmp_path: Path) -> None:
     _, case = (
-        case for case in read_grid(STUDIES / "windows.yaml") if case.controller.name == controller
+        case for case in read_grid(STUDIES / "windows.yaml") if case.controller == controller
     )
-    write_inputs(contents([case]), tmp_path)
+    write_inputs(collect_contents([case]), tmp_path)
     mean = run_case(tmp_path, case, None).results["mean_deviation_mm"]
     assert rows("windows")[name][1].split("<br>")[0] == f"{mean:.2f}"

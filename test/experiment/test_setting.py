@@ -17,7 +17,7 @@ from places import CHECKOUT, CONFIG
 from greenroof_ros.bringup import simulated
 from greenroof_ros.commands import simulate
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.experiment.options import run_from_arguments
+from greenroof_ros.experiment.options import build_run
 from greenroof_ros.model.place import kilometres, place_text
 
 BERLIN = (52.52, 13.41)
@@ -159,7 +159,7 @@ def test_the_pump_runs_in_the_examples(line: str, monkeypatch: pytest.MonkeyPatc
     parser = {"run": simulated, "simulate": simulate}
     monkeypatch.setattr(sys, "argv", [f"greenroof {words[0]}", *words[1:]])
     arguments = parser[words[0]].make_parser().parse_args(words[1:])
-    assert metrics_of(run_from_arguments(arguments))["pumped_m3"] > 0.1
+    assert metrics_of(build_run(arguments))["pumped_m3"] > 0.1
 
 
 def test_there_are_examples() -> None:

@@ -11,8 +11,9 @@ from graphs import environment
 from paper import paper_run
 from studies import edited
 
+from greenroof_ros.analysis.study.case import collect_contents
 from greenroof_ros.analysis.study.case_run import run_case, write_inputs
-from greenroof_ros.analysis.study.grid import contents, read_grid
+from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.recording.trajectory import read_trajectory
 
@@ -50,7 +51,7 @@ def test_results_do_not_depend_on_it(tmp_path: Path) -> None:
     """A study's run without a trajectory, with each tick, and with one every 100 s."""
     (tmp_path / "grid.yaml").write_text(edited("0.25", "0.1"))
     case = read_grid(tmp_path / "grid.yaml")[-1]
-    write_inputs(contents([case]), tmp_path)
+    write_inputs(collect_contents([case]), tmp_path)
     outcomes = [run_case(tmp_path, case, every) for every in (None, 0.0, 100.0)]
     assert outcomes[0].files == {}
     assert outcomes[1].results == outcomes[0].results == outcomes[2].results

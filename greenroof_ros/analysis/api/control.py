@@ -128,7 +128,7 @@ def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | N
     return choice_of(type(name, (FunctionController,), members)), None
 
 
-def parameters_of(instance: Controller, choice: ControllerChoice) -> dict[str, float]:
+def read_parameters(instance: Controller, choice: ControllerChoice) -> dict[str, float]:
     """Return the parameters that an instance has as attributes.
 
     Raises:

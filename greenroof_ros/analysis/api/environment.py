@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from greenroof_ros.analysis.api.arguments import make_run
+from greenroof_ros.analysis.api.arguments import build_run
 from greenroof_ros.analysis.api.control import ForecastSteps, FunctionController, SiteState
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
@@ -70,7 +70,7 @@ class Environment:
         Raises:
             ConfigurationError: an input is wrong.
         """
-        self._run = make_run(choice_of(FunctionController), **inputs)
+        self._run = build_run(choice_of(FunctionController), inputs)
         self.site = self._run.site
         self._ends = look_ahead_ends(self.site, self._run.parameters["horizon"])
         self.reset()

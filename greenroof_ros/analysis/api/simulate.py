@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from datetime import date
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greenroof_ros.analysis.api.arguments import PathText, file_of_site, make_run
+from greenroof_ros.analysis.api.arguments import PathText, build_run
 from greenroof_ros.analysis.api.control import (
     Function,
     FunctionController,
     choose_controller,
-    parameters_of,
+    read_parameters,
 )
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.times import duration, to_minutes
@@ -24,7 +23,6 @@ from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import Site
@@ -88,7 +86,8 @@ class Result:
         - ``time``, with its time zone (UTC if its offset from UTC is not of whole hours), and
           ``time_s``, since the start
         - ``cistern_m3``, ``roof_m3``: water volumes x1 and x2
-        - ``cistern_level_m``, ``roof_level_m``: water depths
+        - ``cistern_level_m``, ``roof_level_m``: water depths; the command's file and bags have the
+          readings of the sensors instead, which differ if the roof's sensor has errors
         - ``precipitation_m_per_s``: rain
         - ``evapotranspiration_m3_per_s``: off the whole bed, of plants that lack no water
         - ``command``: share of the pumps' maximum flow (1)
@@ -109,7 +108,7 @@ class Result:
             >>> frame["time", "command"].row(0)[1], frame.height
             (1.0, 3601)
         """
-        return table(self.run.site, self.ticks)
+        return make_table(self.run.site, self.ticks)
 
     def plot(self) -> altair.VConcatChart:
         """Return a chart: rain, levels of roof and cistern, and the pump, over time.
@@ -155,17 +154,7 @@ class Result:
 
 
 def simulate(
-    controller: str | type | Controller | Function = "mpc",
-    *,
-    site: PathText | Site | None = None,
-    weather: Any = None,
-    start: str | date | None = None,
-    hours: float | None = None,
-    forecast: PathText | ForecastChoice = "perfect",
-    initial: str | Sequence[float] | None = None,
-    evapotranspiration: str | None = None,
-    gaps: str = "refuse",
-    **parameters: float,
+    controller: str | type | Controller | Function = "mpc", **inputs: Any
 ) -> Result:
     """Simulate a run, with the numbers of ``greenroof simulate``; without ROS.
 
@@ -177,23 +166,29 @@ def simulate(
             flow. ``state`` has time, cistern_level and roof_level (m), cistern and roof (m3), and
             the site. ``forecast`` has rain (m/s), evapotranspiration (m3/s) and the ends of its
             steps (s); a function's parameter ``horizon`` (h, 24 by default) is its length.
-        site: a site file or what ``gr.read_site`` returns; by default the paper's.
-        weather: a file, a pattern or several of them, or a data frame of polars or pandas with
-            hourly rows and the columns of such a file: ``time`` (or an index of times),
-            ``precipitation [mm/h]`` and others. By default the paper's.
-        start: time of the first tick, ISO 8601, a datetime or a date; without an offset from UTC it
-            is in the weather's time zone. By default the paper's window, 2021-07-07T02:00-05:00.
-        hours: length of the run (h); by default N of the site file, 12 h.
-        forecast: ``"perfect"``, ``"persistence"``, ``"errors"``, ``"ensemble"``, the path of
-            archived forecasts, or a ``ForecastChoice`` (``greenroof_ros.forecast.choice``), which
-            also has a seed and a skill.
-        initial: ``"low-low"``, ``"high-low"`` or ``"high-high"``, Table II of the paper, or the
-            volumes in cistern and on the roof (m3). By default from the site file, or low-low.
-        evapotranspiration: ``"fao56"``, ``"hargreaves"``, ``"monthly"``, or the name of the weather
-            file's own column; by default the file's own, otherwise the first of these three for
-            which it has what is needed.
-        gaps: ``"refuse"``, or ``"fill"`` to fill long gaps of the weather.
-        parameters: of the controller, such as ``weight=0.01``.
+        inputs: the inputs below and the controller's parameters, by name; None for the default.
+
+            - ``site``: a site file or what ``gr.read_site`` returns; by default the paper's.
+            - ``weather``: a file, a pattern or a list of them, or a data frame of polars or pandas
+              with hourly rows and the columns of such a file: ``time`` (or an index of times),
+              ``precipitation [mm/h]`` and others. By default the paper's.
+            - ``start``: time of the first tick, ISO 8601, a datetime or a date; without an offset
+              from UTC it is in the weather's time zone. By default the paper's window,
+              2021-07-07T02:00-05:00.
+            - ``hours``: length of the run (h); by default N of the site file, 12 h.
+            - ``forecast``: ``"perfect"``, ``"persistence"``, ``"errors"``, ``"ensemble"``, or the
+              path of archived forecasts; with ``forecast_skill``, ``forecast_seed``,
+              ``forecast_members`` and ``forecast_delay`` (h), as the command's options.
+            - ``initial``: ``"low-low"``, ``"high-low"`` or ``"high-high"``, Table II of the paper,
+              ``"site"``, the site file's own, or the volumes in cistern and on the roof (m3). By
+              default the site file's own, or low-low.
+            - ``evapotranspiration``: ``"fao56"``, ``"hargreaves"``, ``"monthly"``, or the name of
+              the weather's own column; by default the weather's own, otherwise the first of these
+              three for which it has what is needed.
+            - ``gaps``: ``"refuse"``, or ``"fill"`` to fill long gaps of the weather.
+            - ``roof_noise`` and ``roof_offset`` of the roof's level sensor (m), ``noise_seed``, and
+              ``pump_min_on`` and ``pump_min_off`` (s); by default 0, as in the paper.
+            - parameters of the controller, such as ``weight=0.01``.
 
     Returns:
         The metrics, the trajectory with a chart of it, and a way to save both.
@@ -202,7 +197,8 @@ def simulate(
         ConfigurationError: an input is wrong; the message states which, and what would be right.
 
     Warns:
-        UserWarning: what was assumed about the weather, such as the meaning of its times.
+        UserWarning: what a reader must know before the results, as the command's notes: weather
+            from far away, a run shorter than the look-ahead, or what was assumed about the weather.
 
     Example:
         >>> import greenroof_ros as gr
@@ -214,16 +210,19 @@ def simulate(
         2
     """
     choice, instance = choose_controller(controller)
-    own = None if instance is None else parameters_of(instance, choice)
-    if own is not None and parameters:
-        raise ConfigurationError(
-            f"cannot be given with an instance of {choice.name}, which has its own",
-            key=", ".join(parameters),
-        )
-    run = make_run(
-        choice, own, site=site, weather=weather, start=start, hours=hours, forecast=forecast,
-        initial=initial, evapotranspiration=evapotranspiration, gaps=gaps, **parameters,
-    )
+    if instance is not None:
+        given = inputs.keys() & choice.parameters.keys()
+        if given:
+            raise ConfigurationError(
+                f"cannot be given with an instance of {choice.name}, which has its own",
+                key=", ".join(sorted(given)),
+            )
+        own = read_parameters(instance, choice)
+        run = build_run(choice, {**inputs, **own})
+        # Not the defaults: of its other parameters nothing is known.
+        run = replace(run, parameters={name: run.parameters[name] for name in own})
+    else:
+        run = build_run(choice, inputs)
     if instance is None:
         instance = run.make_controller()
     else:
@@ -233,10 +232,7 @@ def simulate(
         instance.start = run.start
     simulation = Simulation(run, instance)
     ticks = record(run, simulation.ticks())
-    result = Result(run, simulation.summary(), ticks)
-    for note in result.summary["weather_notes"]:
-        warnings.warn(note, stacklevel=2)
-    return result
+    return Result(run, simulation.summary(), ticks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +319,7 @@ def compare(
     })
 
 
-def table(site: Site, ticks: Trajectory) -> polars.DataFrame:
+def make_table(site: Site, ticks: Trajectory) -> polars.DataFrame:
     """Return a trajectory as :attr:`Result.trajectory` describes it."""
     frame = ticks.to_frame()
     with require_extra("study"):
@@ -363,10 +359,10 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
     """
     with require_extra("study"):
         from greenroof_ros.analysis.report.bags import read_run
-    run = read_run(Path(path), None if site is None else file_of_site(site))
+    run = read_run(Path(path), Path(site) if isinstance(site, (str, os.PathLike)) else site)
     trajectory = run.trajectory()
     if trajectory is None:
         raise ConfigurationError(
             "has no trajectory; repeat the run with --trajectory", file=Path(path)
         )
-    return table(run.site, trajectory)
+    return make_table(run.site, trajectory)

@@ -55,14 +55,14 @@ def _closed_bag(bag: Path) -> Path | None:
     return bag if (bag / METADATA).is_file() else None
 
 
-def read_run(path: Path, site_file: Path | None = None) -> ReportedRun:
+def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
     """Read a run directory, a bag or an .mcap file.
 
     Results of a finished run are its summary's; all others are computed from the trajectory.
 
     Args:
         path: its path.
-        site_file: the site; by default the one next to the bag, or else the paper's.
+        site: the site, or its file; by default the one next to the bag, or else the paper's.
 
     Raises:
         ConfigurationError: the bag is damaged or foreign, or there is neither bag nor result; of a
@@ -70,19 +70,19 @@ def read_run(path: Path, site_file: Path | None = None) -> ReportedRun:
     """
     about = read_about(run_directory(path))
     try:
-        return _read_run(path, site_file, about)
+        return _read_run(path, site, about)
     except ConfigurationError as error:
         if about.ending:
             raise ConfigurationError(f"{about.ending}; {error}") from error
         raise
 
 
-def _read_run(path: Path, site_file: Path | None, about: About) -> ReportedRun:
+def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRun:
     run, bag, notes = run_directory(path), _bag_in(path), list(about.notes)
     own_site = site_file_of(run)
-    file = site_file or (own_site if own_site.is_file() else None)
-    site = read_site(file or default_site_file())
-    if file is None:
+    file = given if isinstance(given, Path) else own_site if own_site.is_file() else None
+    site = given if isinstance(given, Site) else read_site(file or default_site_file())
+    if file is None and given is None:
         notes.append("no site file came with the bag: the site is the paper's, config/site.yaml")
     name = run.resolve().name
     row: Row = {

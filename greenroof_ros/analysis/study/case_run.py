@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.analysis.study.grid import Case, in_directory
+from greenroof_ros.analysis.study.case import Case
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import Simulation, record
-from greenroof_ros.experiment.run import Run, build_run, count_ticks
-from greenroof_ros.model.site import read_site
 from greenroof_ros.recording.results_table import summary_columns
 from greenroof_ros.recording.trajectory import TRAJECTORY
-from greenroof_ros.weather.reading import read_weather
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
     Raises:
         ConfigurationError: the case is wrong.
     """
-    run = _build(directory, case)
+    run = case.find_inputs(directory).build()
     simulation, files = Simulation(run), dict[str, bytes]()
     if trajectory_every is None:
         for _ in simulation.ticks():
@@ -61,7 +58,7 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
         every = max(1, round(trajectory_every / run.site.tau))
         files[TRAJECTORY] = record(run, simulation.ticks(), every).to_parquet()
     result = simulation.summary()
-    return Outcome(summary_columns(result), _timings(result), files)
+    return Outcome(summary_columns(result), _read_timings(result), files)
 
 
 def bound_case(directory: Path, case: Case) -> float:
@@ -69,25 +66,12 @@ def bound_case(directory: Path, case: Case) -> float:
 
     See :func:`greenroof_ros.experiment.clairvoyant.clairvoyant_bound`.
     """
-    run = _build(directory, case)
+    run = case.find_inputs(directory).build()
     block = None if case.bound_block is None else round(case.bound_block / run.site.tau)
     return clairvoyant_bound(run, block=block).bound_m3
 
 
-def _build(directory: Path, case: Case) -> Run:
-    site_file = directory / case.site.name
-    site = read_site(site_file)
-    weather = read_weather(
-        [directory / file.name for file in case.weather], site, case.evapotranspiration, case.gaps
-    )
-    return build_run(
-        site_file, site, weather, case.start, count_ticks(site, case.hours, "hours"),
-        case.controller, case.parameters, case.initial, (case.cistern, case.roof),
-        in_directory(case.forecast, case.forecast_files, directory), case.sensor_and_pump,
-    )
-
-
-def _timings(result: dict[str, Any]) -> dict[str, float]:
+def _read_timings(result: Mapping[str, Any]) -> dict[str, float]:
     solver = result["solver"] or {}
     return {
         "wall_s": result["wall_s"],

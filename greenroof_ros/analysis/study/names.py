@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 
-from greenroof_ros.analysis.study.grid import Case
+from greenroof_ros.analysis.study.case import Case
 from greenroof_ros.recording.results_table import find_differing_keys, format_exactly
 
 _SEASON_HOURS = 168
@@ -17,26 +16,20 @@ class Names:
 
     def __init__(self, cases: Sequence[Case]) -> None:
         """Find what differs between all cases, and between the cases of each controller."""
-        self._facts = find_differing_keys([_facts(case) for case in cases])
-        self._forecasts = len({_forecast(case, seed=False) for case in cases}) > 1
+        self._forecasts = len({_name_forecast(case) for case in cases}) > 1
         self._values = {
             name: find_differing_keys(
-                [_values(case) for case in cases if case.controller.name == name]
+                [_read_values(case) for case in cases if case.controller == name]
             )
-            for name in {case.controller.name for case in cases}
+            for name in {case.controller for case in cases}
         }
         years: dict[tuple[object, ...], set[int]] = {}
         for case in cases:
-            years.setdefault(_season(case), set()).add(datetime.fromisoformat(case.start).year)
+            years.setdefault(_find_season(case), set()).add(case.start.year)
         self._seasons = {
             season for season, of_season in years.items() if season[0] and len(of_season) > 1
         }
-        self._windows = find_differing_keys([self._window(case) for case in cases])
-
-    def name(self, case: Case) -> str:
-        """Return the full name of a case."""
-        facts = _facts(case)
-        return ", ".join([self._setting(case), *(facts[key] for key in self._facts)])
+        self._windows = find_differing_keys([self._name_window(case) for case in cases])
 
     def columns(self, case: Case) -> dict[str, str]:
         """Return the columns that group the runs of a study.
@@ -44,68 +37,55 @@ class Names:
         Runs are compared if they agree in ``window`` and initial state. Of these, the runs with one
         ``case`` differ only in their seeds and, if ``season`` is not empty, in the year.
         """
-        window, name = self._window(case), self._setting(case, seed=False)
+        window, name = self._name_window(case), self._name_setting(case)
         return {
             "window": ", ".join(
                 text for key, text in window.items() if text and key in (self._windows or window)
             ),
-            "case": f"{name}, {_forecast(case, seed=False)}" if self._forecasts else name,
-            "season": window["start"] if _season(case) in self._seasons else "",
+            "case": f"{name}, {_name_forecast(case)}" if self._forecasts else name,
+            "season": window["start"] if _find_season(case) in self._seasons else "",
         }
 
-    def _setting(self, case: Case, *, seed: bool = True) -> str:
-        """Return the controller with its parameters, and the errors of sensor and pump."""
-        values, name = _values(case), case.controller.name
-        shown = (key for key in self._values[name] if seed or key != "noise_seed")
-        return _named(name, {key: values[key] for key in shown})
+    def _name_setting(self, case: Case) -> str:
+        """Return the controller with its parameters, and those of sensor and pump, but no seed."""
+        values, name = _read_values(case), case.controller
+        shown = (key for key in self._values[name] if key != "noise_seed")
+        return _add_values(name, {key: values[key] for key in shown})
 
-    def _window(self, case: Case) -> dict[str, str]:
+    def _name_window(self, case: Case) -> dict[str, str]:
         """Return the facts that runs share with those that they are compared with, in words."""
-        facts = {name: _facts(case)[name] for name in _WINDOW}
-        if _season(case) in self._seasons:
-            start = datetime.fromisoformat(case.start)
-            facts |= {"weather": "", "start": f"from {start:%d %B %H:%M}"}
+        facts = {
+            "site": case.site.name, "weather": case.weather_name,
+            "start": f"from {case.inputs.start}", "hours": f"{format_exactly(case.hours)} h",
+            "evapotranspiration": f"{case.inputs.evapotranspiration} evapotranspiration",
+        }
+        if _find_season(case) in self._seasons:
+            facts |= {"weather": "", "start": f"from {case.start:%d %B %H:%M}"}
         return facts
 
 
-_WINDOW = ("site", "weather", "start", "hours", "evapotranspiration")
-
-
-def _season(case: Case) -> tuple[object, ...]:
+def _find_season(case: Case) -> tuple[object, ...]:
     """Return what a season's runs of several years have in common; its first item is the start."""
-    start = datetime.fromisoformat(case.start)
+    inputs = case.inputs
     return (
-        f"{start:%m-%dT%H:%M}" if case.hours >= _SEASON_HOURS else "", case.site.name, case.hours,
-        case.evapotranspiration, case.initial, case.sensor_and_pump,
+        f"{case.start:%m-%dT%H:%M}" if case.hours >= _SEASON_HOURS else "", case.site.name,
+        case.hours, inputs.evapotranspiration, inputs.initial, inputs.sensor_and_pump,
     )
 
 
-def _values(case: Case) -> dict[str, float | str]:
+def _read_values(case: Case) -> dict[str, float | str]:
     """Return the parameters of a case's controller, and the errors of its sensor and pump."""
-    errors = case.sensor_and_pump
-    return {**case.parameters, **({} if errors is None else errors.values())}
+    return {**case.inputs.parameters, **case.inputs.sensor_and_pump.values()}
 
 
-def _facts(case: Case) -> dict[str, str]:
-    """Return the facts that can distinguish cases of one controller, in words."""
-    return {
-        "initial": case.initial, "start": f"from {case.start}",
-        "hours": f"{format_exactly(case.hours)} h", "weather": case.weather_name,
-        "site": case.site.name,
-        "evapotranspiration": f"{case.evapotranspiration} evapotranspiration",
-        "forecast": _forecast(case),
-    }
+def _name_forecast(case: Case) -> str:
+    """Name the forecasts of a case, without their seed."""
+    choice = case.inputs.forecast
+    options = {key: value for key, value in choice.options().items() if key != "seed"}
+    return _add_values(f"forecast {choice}", options)
 
 
-def _forecast(case: Case, *, seed: bool = True) -> str:
-    """Name the forecasts of a case."""
-    options = {
-        key: value for key, value in case.forecast.options().items() if seed or key != "seed"
-    }
-    return _named(f"forecast {case.forecast}", options)
-
-
-def _named(name: str, values: Mapping[str, float | str]) -> str:
+def _add_values(name: str, values: Mapping[str, float | str]) -> str:
     """Return a name followed by values."""
     texts = (
         f"{key} {value if isinstance(value, str) else format_exactly(value)}"

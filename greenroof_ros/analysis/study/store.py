@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import csv
 import hashlib
 import io
@@ -13,14 +12,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.analysis.study.case import Case, collect_contents
 from greenroof_ros.analysis.study.case_run import Outcome, write_inputs
-from greenroof_ros.analysis.study.grid import Case, contents
 from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import add_path_to_errors, replace_text
 from greenroof_ros.common.processes import LockedError, acquire_file_lock
 from greenroof_ros.experiment.summary import versions
 from greenroof_ros.forecast.skill import REAL, read_skill
+from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.recording.results_table import parameter_columns
 
 _OUTCOME = "outcome.json"
@@ -71,7 +71,7 @@ class StudyStore:
         self._bounds = directory / "bounds.json"
         identity = {
             "trajectory_every": trajectory_every,
-            "numbers": _numbers(),
+            "versions": {**versions(), "skill": repr(read_skill(REAL))},
             "runs": [case.identity for case in cases],
         }
         try:
@@ -106,7 +106,7 @@ class StudyStore:
             self._check(file, identity)
         else:
             shutil.copyfile(grid, configuration / "grid.yaml")
-            write_inputs(contents(self.cases), configuration)
+            write_inputs(collect_contents(self.cases), configuration)
             replace_text(file, json.dumps(identity, indent=2) + "\n")
         self._runs.mkdir(exist_ok=True)
         for cut_short in self._runs.glob("*.part"):
@@ -130,7 +130,7 @@ class StudyStore:
         for key, what in (
             ("runs", "another grid, or other files"),
             ("trajectory_every", "other trajectories, or none"),
-            ("numbers", "other versions of the code or its packages"),
+            ("versions", "other versions of the code or its packages"),
         ):
             if not isinstance(begun, dict) or begun.get(key) != identity[key]:
                 raise ConfigurationError(
@@ -166,9 +166,11 @@ class StudyStore:
         Returns:
             The rows of ``results.csv``.
         """
-        parameters = list(dict.fromkeys(name for case in self.cases for name in case.parameters))
+        parameters = dict.fromkeys(name for case in self.cases for name in case.inputs.parameters)
+        imperfect = any(case.inputs.sensor_and_pump != SensorAndPump() for case in self.cases)
         rows, timings, names = [], [], Names(self.cases)
         for case in self.cases:
+            inputs = case.inputs
             run, error = {"run": case.identity}, self.failures.get(case.identity)
             outcome, bound = self.outcomes.get(case.identity), self.bounds.get(case.problem)
             results = {} if outcome is None else outcome.results
@@ -176,7 +178,8 @@ class StudyStore:
                 **run,
                 **names.columns(case),
                 **case.columns(),
-                **parameter_columns({name: case.parameters.get(name) for name in parameters}),
+                **(inputs.sensor_and_pump.values() if imperfect else {}),
+                **parameter_columns({name: inputs.parameters.get(name) for name in parameters}),
                 "status": "done" if outcome else "not run" if error is None else "failed",
                 "error": error or "",
                 **results,
@@ -189,39 +192,6 @@ class StudyStore:
         _write_csv(self.directory / "results.csv", rows)
         _write_csv(self.directory / "timings.csv", timings)
         return rows
-
-
-class _WithoutTexts(ast.NodeTransformer):
-    """Drops expressions that are only a constant, such as docstrings."""
-
-    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
-        return None if isinstance(node.value, ast.Constant) else node
-
-
-def _numbers() -> dict[str, str]:
-    """Return the versions of everything that affects a run's numbers; stored runs must match.
-
-    For this package they are a digest of the relevant code, without comments and docstrings, and
-    the constants of the named forecast skills.
-    """
-    package = Path(__file__).parents[2]
-    digest = hashlib.sha256()
-    parts = ["model", "formats", "weather", "forecast", "controllers", "experiment"]
-    parts += ["analysis/study/case_run.py", "recording/results_table.py"]
-    parts += ["recording/trajectory.py"]
-    # They read the numbers of sites, controllers and windows.
-    parts += ["common/files.py", "common/parameter.py", "common/ranges.py", "common/times.py"]
-    for part in parts:
-        path = package / part
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
-            code = ast.dump(_WithoutTexts().visit(ast.parse(file.read_bytes())))
-            digest.update(file.relative_to(package).as_posix().encode() + code.encode())
-    digest.update(repr(read_skill(REAL)).encode())
-    others = {
-        name: version for name, version in versions().items()
-        if name in ("python", "numpy", "scipy", "osqp", "eto")
-    }
-    return {"code": digest.hexdigest()[:12], **others}
 
 
 def _with_digest(values: Mapping[str, Any]) -> str:

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from greenroof_ros.commands.checks.node import NodeCheck, require
 from greenroof_ros.common.states import PumpState
 from greenroof_ros.graph.messages import qos_profile
-from greenroof_ros.model.initial_state import initial_state
+from greenroof_ros.model.initial_state import initial_states
 from greenroof_ros.model.site import Site
 
 _COMMAND = "/pump/command"
@@ -113,7 +113,7 @@ class PumpCheck(NodeCheck):
         self._site = site
         self._limits = limits
         # Low, so that the roof has room for all water that will be pumped.
-        self._empty_roof = 0.5 * initial_state(site, "low-low")[1]
+        self._empty_roof = 0.5 * initial_states(site)["low-low"][1]
         self._volumes = [site.suction_level * site.a1 + _WATER, self._empty_roof]
         self._above_suction = _MIN_ABOVE_SUCTION
         self._steady = 0.0

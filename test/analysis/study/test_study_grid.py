@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ from places import DATA
 from refusals import refusal
 from studies import CONFIG, GRID, WEATHER, edited, grid, record, run_here
 
+from greenroof_ros.analysis.study.case import collect_contents
 from greenroof_ros.analysis.study.case_run import bound_case, run_case, write_inputs
-from greenroof_ros.analysis.study.grid import contents, read_grid
+from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.commands.study import show
+from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.model.sensor_and_pump import PARAMETERS
 
 SITE = f"site: {CONFIG / 'site.yaml'}"
@@ -28,6 +31,10 @@ WRONG = {
     "no-initial": (
         re.sub("initial:.*\n", "", GRID), "initial: is missing or empty; it must be one of low-low"
     ),
+    "window-without-file": (edited("- file:", "- year: 2021 #"), "file: is missing or empty"),
+    "window-kind": (
+        edited(f"  - file: {WEATHER}\n", "  - 5\n  - file: x\n"), "line 3: weather: must be a list"
+    ),
     "site-kind": (edited(SITE, "site: [10]"), "line 2: site: must be the name of a file, {file"),
     "site-value": (  # the error is in the grid, not in the copy of the site file with the value
         edited(SITE, "site: {file: site.yaml, tau: [1.0, 0.0]}"),
@@ -36,16 +43,27 @@ WRONG = {
     ),
     "no-file": (edited("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
     "start": (edited("2021-07-07T02:00", "noon"), "line 5: start = 'noon': must be a time such as"),
+    "hours": (edited("0.25", "0.2501"), "line 6: hours = 0.2501: must be a whole number of ticks"),
+    "gaps": (
+        edited(HOURS, f"{HOURS}    gaps: drop\n"), "line 7: gaps = 'drop': must be one of refuse, "
+    ),
     "year": (edited(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be {from: 1, to: 50}"),
-    "initial": (edited("low-low", "low"), "line 8: initial: 'low' must be one of low-low, hig"),
-    "own-state": (edited("low-low", "site"), "line 8: initial: site needs initial_cistern and in"),
-    "volume": (edited("roof: 0.5", "roof: -0.5"), "line 8: roof = -0.5: must be a number of at"),
-    "state-twice": (edited("name: dry", "name: low-low"), "initial: has low-low twice"),
+    "initial": (edited("low-low", "low"), "line 8: initial = 'low': must be one of low-low, hig"),
+    "own-state": (edited("low-low", "site"), "line 8: initial = 'site': needs initial_cistern an"),
+    "volume": (edited("roof: 0.5", "roof: -0.5"), "line 8: roof = -0.5: must be a number from 0"),
+    "one-volume": (edited(", roof: 0.5", ""), "line 8: roof: is missing: both volumes"),
+    "state-twice": (edited("name: dry", "name: low-low"), "line 8: name = 'low-low': is given tw"),
     "controller": (edited("onoff:", "pid:"), "line 13: controller = 'pid': must be one of mpc"),
-    "own-site": (edited("onoff:", "onoff: {site: x.yaml}"), "x.yaml is not under 'site:' of the"),
-    "parameter": (edited("weight", "weights"), "line 11: weights: is not a parameter of mpc; d"),
+    "parameter": (edited("weight", "weights"), "line 11: weights: is not a key here; did you mean"),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than 0"),
-    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': 'perfekt' is unk"),
+    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': is unknown; did"),
+    "option": (
+        GRID + "forecast: {model: errors, members: 3}\n",
+        "line 14: forecast_members = 3: is an option of ensemble; the forecast is errors",
+    ),
+    "sensor_and_pump": (
+        GRID + "sensor_and_pump: {pump_min_on: -1}\n", "line 14: pump_min_on = -1: must be a number"
+    ),
     "sensor_and_pump-twice": (
         GRID + "sensor_and_pump: [{}, {roof_noise: 0}]\n",
         "is the same run twice: mpc {'weight': 0.001, ",
@@ -96,7 +114,7 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         assert len(cases) == len(whole)
         assert {case.weather_name for case in cases} == {"2 files, part-1.csv to part-2.csv"}
         assert [file.name for file in cases[-1].files] == ["site.yaml", "part-1.csv", "part-2.csv"]
-    write_inputs(contents([*cases, *whole]), tmp_path)
+    write_inputs(collect_contents([*cases, *whole]), tmp_path)
     results = [run_case(tmp_path, some[-1], None).results for some in (cases, whole)]
     assert results[0] == results[1]
 
@@ -140,7 +158,7 @@ def test_grids_of_years(tmp_path: Path, file: str) -> None:
     refusal(read_grid, name, match=rf"{year}_\*.csv is neither next to the grid")
     cases = read_grid(name, tmp_path / "record")
     assert len(cases) == runs
-    assert {case.start for case in cases} == {f"{year}-05-01T00:00:00-05:00"}
+    assert {case.inputs.start for case in cases} == {f"{year}-05-01T00:00:00-05:00"}
     assert len({case.site.content for case in cases}) == sites
     assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == ticks
 
@@ -175,10 +193,10 @@ def test_settings_and_whole_numbers(tmp_path: Path) -> None:
     - {weight: 0.1, forecast: {model: errors, skill: real, seed: {from: 1, to: 2}}}
 """
     cases = read_grid(tmp_path / grid(tmp_path, text))
-    assert {case.start[:10] for case in cases} == {f"2021-07-0{day}" for day in (7, 8, 9)}
+    assert {case.inputs.start[:10] for case in cases} == {f"2021-07-0{day}" for day in (7, 8, 9)}
     assert {
-        (case.parameters["weight"], str(case.forecast), case.forecast.options().get("seed"))
-        for case in cases
+        (inputs.parameters["weight"], str(inputs.forecast), inputs.forecast.options().get("seed"))
+        for inputs in (case.inputs for case in cases)
     } == {(0.001, "perfect", None), (0.01, "perfect", None), (0.1, "errors", 1), (0.1, "errors", 2)}
     assert len(cases) == 3 * 2 * 2 * 4  # years, methods, initial states, settings
 
@@ -203,12 +221,85 @@ def test_sites_with_other_values(tmp_path: Path) -> None:
     assert site["initial_roof"] == pytest.approx(2.0)
     assert site["z_o"] == 3.0
     assert "bottom surface area of the cistern [T1]" in cases[0].site.content.decode()
-    volumes = {(case.initial, case.site.name): (case.cistern, case.roof) for case in cases}
+    volumes = {
+        (inputs.initial, case.site.name): (inputs.cistern, inputs.roof)
+        for case in cases for inputs in [case.inputs]
+    }
     for initial, expected in (
         ("site", [(10.0, 2.0), (50.0, 2.0), (50.0, 1.0)]),
         ("dry", [(15.0, 1.376), (75.0, 1.376), (75.0, 0.688)]),
     ):
         np.testing.assert_allclose([volumes[initial, name] for name in files], expected)
+
+
+def two_sites(directory: Path, weather: str, *lines: str) -> Path:
+    """Write a grid with sites that differ in a line, and a day of weather whose times say no zone.
+
+    Args:
+        directory: where it is written.
+        weather: header and cells of the weather, besides the time.
+        lines: of each site.
+    """
+    paper = (CONFIG / "site.yaml").read_text()
+    (directory / "paper.yaml").write_text(re.sub("(utc_offset|monthly_.*):.*\n", "", paper))
+    for name, line in zip(("here", "there"), lines, strict=True):
+        (directory / f"{name}.yaml").write_text(f"extends: paper.yaml\n{line}\n")
+    header, cells = weather.split("\n")
+    (directory / "weather.csv").write_text(f"time,{header}\n" + "".join(
+        f"2021-07-07T{hour:02}:00,{cells}\n" for hour in range(24)
+    ))
+    return directory / grid(directory, """
+site: [here.yaml, there.yaml]
+weather: {file: weather.csv, start: 2021-07-07T02:00, hours: 0.1}
+initial: low-low
+controllers: {onoff: }
+""")
+
+
+def test_weather_is_shared_by_sites_only_if_it_is_the_same(tmp_path: Path) -> None:
+    """Sites that differ in their clock, or in their monthly means, read a file differently."""
+    file = two_sites(
+        tmp_path, "precipitation [mm/h],my evapotranspiration [mm/day]\n0,1",
+        "time_zone: America/Toronto", "time_zone: America/Winnipeg",
+    )
+    assert [case.inputs.start for case in read_grid(file)] == [
+        "2021-07-07T02:00:00-04:00", "2021-07-07T02:00:00-05:00",
+    ]
+    months = ", ".join(map(str, range(1, 13)))
+    zone = "time_zone: America/Toronto"
+    file = two_sites(
+        tmp_path, "precipitation [mm/h]\n0", f"{zone}\nmonthly_evapotranspiration: [{months}]", zone
+    )
+    refusal(read_grid, file, match="give the site file monthly_evapotranspiration")
+    text = file.read_text().replace("there.yaml", "{file: here.yaml, crop_coefficient: 2}")
+    store = run_here(tmp_path, text)
+    # 7 mm/day in July.
+    taken = [row["evapotranspiration_m3"] for row in store.write_tables()]
+    assert taken == pytest.approx([68.8 * 0.007 / 240, 2 * 68.8 * 0.007 / 240])
+
+
+def test_a_directory_of_forecasts_with_two_delays(tmp_path: Path) -> None:
+    """With a delay it does not matter when its forecasts were available, without one it does."""
+    (tmp_path / "issued").mkdir()
+    rows = [f"2021-07-07T0{hour}:00-05:00,0\n" for hour in range(9)]
+    header = "issued,available,time,precipitation [mm/h]\n"
+    (tmp_path / "issued" / "a.csv").write_text(header + "".join(
+        f"2021-07-07T00:00-05:00,2021-07-07T01:30-05:00,{row}" for row in rows
+    ))
+    file = tmp_path / grid(tmp_path, edited("[published, fao56]", "published").replace(
+        "  onoff:\n", ""
+    ) + "forecast: [{model: issued, delay: 1}, issued]\n")
+    (tmp_path / "inputs").mkdir()
+    cases = read_grid(file)
+    write_inputs(collect_contents(cases), tmp_path / "inputs")
+    known = {}
+    for case in cases:
+        inputs = case.find_inputs(tmp_path / "inputs")
+        archive = read_archive(inputs.forecast.file, inputs.build().site, inputs.forecast.delay)
+        known[case.inputs.forecast] = archive.issues[0].available, archive.delay
+    assert [*known.values()] == [
+        (None, 1.0), (datetime.fromisoformat("2021-07-07T01:30-05:00"), 0.0)
+    ]
 
 
 def test_seconds_of_the_bound(tmp_path: Path) -> None:
@@ -218,7 +309,7 @@ def test_seconds_of_the_bound(tmp_path: Path) -> None:
     ten = read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 600\n"))[0]
     assert usual.identity == ten.identity and usual.problem != ten.problem
     # With larger blocks that are whole multiples it is never higher (Jensen's inequality).
-    write_inputs(contents([usual]), tmp_path)
+    write_inputs(collect_contents([usual]), tmp_path)
     assert 0 < bound_case(tmp_path, ten) <= bound_case(tmp_path, usual)
     assert read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 0\n"))[0].bound_block == 0
     for wrong in ("1.0e-10", "-1", "1.5", ".inf"):
@@ -239,7 +330,7 @@ def test_names_of_files(tmp_path: Path) -> None:
     assert [file.name for file in case.weather] == ["toronto_2021-07.csv"]
     grid(tmp_path, text.replace("site.yaml", "my_site.yaml"))
     assert refusal(read_grid, copy) == (
-        f"{copy}, line 2: site = 'my_site.yaml': my_site.yaml is neither next to the grid, in "
+        f"{copy}, line 2: file = 'my_site.yaml': my_site.yaml is neither next to the grid, in "
         f"{tmp_path}, nor among the package's own files, in {CONFIG}"
     )
 

@@ -1,0 +1,151 @@
+"""A case of a study: the inputs of a run, with its files, and how the table describes it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.experiment.inputs import RunInputs
+from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
+from greenroof_ros.model.sensor_and_pump import SensorAndPump
+from greenroof_ros.recording.results_table import format_exactly
+from greenroof_ros.weather.series import REFUSE
+
+# Keys for the digests of a case's forecast files in the data of its identity.
+_DIGESTS = {"file": "forecast_file", "skill": "skill_file"}
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """An input file of runs. The content is sent to each worker once, and not with each case."""
+
+    name: str
+    """unique in the study"""
+    content: bytes
+
+    def __getstate__(self) -> dict[str, str]:
+        """Return what a worker gets with a case: the name."""
+        return {"name": self.name}
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of the content."""
+        return hashlib.sha256(self.content).hexdigest()
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run of a study, with everything that affects its numbers.
+
+    Attributes:
+        inputs: of the run, complete: also what the grid leaves out has its value.
+        site: site file.
+        weather: weather files, in the order of time, to be joined.
+        weather_name: one name for them, unique in the study.
+        forecast_files: files of forecasts, by the attribute of the choice that names them.
+        bound_block: time (s) that shares a variable when the minimum possible deviation is
+            computed; None for the default, 0 to compute no bound.
+    """
+
+    inputs: RunInputs
+    site: InputFile
+    weather: tuple[InputFile, ...]
+    weather_name: str
+    forecast_files: Mapping[str, InputFile]
+    bound_block: float | None = None
+
+    @property
+    def controller(self) -> str:
+        """Name of the controller."""
+        return self.inputs.controller.name
+
+    @property
+    def start(self) -> datetime:
+        """Time of tick 0."""
+        return datetime.fromisoformat(self.inputs.start)
+
+    @property
+    def hours(self) -> float:
+        """Length (h)."""
+        return self.inputs.hours or 0.0
+
+    @property
+    def files(self) -> tuple[InputFile, ...]:
+        """All input files."""
+        return self.site, *self.weather, *self.forecast_files.values()
+
+    @cached_property
+    def identity(self) -> str:
+        """Twelve hexadecimal digits, the same for equal cases on any machine at any time."""
+        inputs = self.inputs
+        content = {
+            **self.columns(),
+            **inputs.sensor_and_pump.values(),
+            "site": self.site.digest,
+            "weather": " ".join(file.digest for file in self.weather),
+            "forecast_file": "",
+            **{_DIGESTS[key]: file.digest for key, file in self.forecast_files.items()},
+            "parameters": sorted(inputs.parameters.items()),
+            "controller": [inputs.controller.reference, inputs.controller.source],
+        }
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+
+    @property
+    def problem(self) -> str:
+        """Identity of the inputs that do not depend on the controller, and of the bound's block."""
+        alike = replace(self, forecast_files={}, inputs=replace(
+            self.inputs, controller=find_controller("onoff"), parameters={},
+            forecast=ForecastChoice(), sensor_and_pump=SensorAndPump(),
+        )).identity
+        return alike if self.bound_block is None else f"{alike}-{format_exactly(self.bound_block)}"
+
+    def columns(self) -> dict[str, Any]:
+        """Return the columns of the table that describe the case.
+
+        Its parameters, and those of sensor and pumps, are not among them.
+        """
+        inputs = self.inputs
+        return {
+            "site": self.site.name,
+            "weather": self.weather_name,
+            "start": inputs.start,
+            "hours": self.hours,
+            "evapotranspiration": inputs.evapotranspiration,
+            **({"gaps": inputs.gaps} if inputs.gaps != REFUSE else {}),
+            "forecast": str(inputs.forecast),
+            **{f"forecast_{name}": inputs.forecast.options().get(name) for name in OPTIONS},
+            "controller": self.controller,
+            "initial": inputs.initial,
+            "cistern_m3": inputs.cistern,
+            "roof_m3": inputs.roof,
+        }
+
+    def find_inputs(self, directory: Path) -> RunInputs:
+        """Return the inputs with their files in a directory."""
+        return replace(
+            self.inputs, site=directory / self.site.name,
+            weather=tuple(directory / file.name for file in self.weather),
+            forecast=place_files(self.inputs.forecast, self.forecast_files, directory),
+        )
+
+
+def place_files(
+    choice: ForecastChoice, files: Mapping[str, InputFile], directory: Path
+) -> ForecastChoice:
+    """Return a choice of forecasts with its files in a directory."""
+    places: dict[str, Any] = {key: directory / file.name for key, file in files.items()}
+    if "skill" in places:
+        places["skill"] = str(places["skill"])
+    return replace(choice, **places)
+
+
+def collect_contents(cases: Iterable[Case]) -> dict[str, bytes]:
+    """Return the contents of all input files of cases, by name."""
+    return {file.name: file.content for case in cases for file in case.files}

@@ -1,0 +1,86 @@
+"""The code that a user's controller consists of, so that a study notices when it changes.
+
+Data files that it reads, and modules that it imports by a computed name, are not found.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import sys
+import sysconfig
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+_PACKAGES = {"site-packages", "dist-packages"}
+_STANDARD_LIBRARY = {Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")}
+
+
+def digest_own_code(modules: Sequence[str]) -> str:
+    """Return twelve digits that identify the source of modules and of all that they import.
+
+    That is without the standard library, this package and installed packages, unless a module
+    belongs to one of the packages of ``modules``.
+
+    Args:
+        modules: names of modules that can be imported.
+    """
+    packages = {name.partition(".")[0] for name in modules}
+    waiting, seen, sources = list(modules), set[str](), dict[str, bytes]()
+    while waiting:
+        name = waiting.pop()
+        if name in seen or (name.partition(".")[0] not in packages and _is_foreign(name)):
+            continue
+        seen.add(name)
+        file = _find_file(name)
+        if file is None:
+            continue
+        sources[name] = file.read_bytes()
+        parent = name.rpartition(".")[0]
+        waiting.append(parent)
+        if file.suffix == ".py":
+            waiting += _imported_names(sources[name], name if file.stem == "__init__" else parent)
+    digest = hashlib.sha256()
+    for name in sorted(sources):
+        digest.update(name.encode() + b"\0" + sources[name] + b"\0")
+    return digest.hexdigest()[:12]
+
+
+def _find_file(name: str) -> Path | None:
+    """Return the file of a module; None if there is none, as for what is built in."""
+    try:
+        spec = sys.modules[name].__spec__ if name in sys.modules else importlib.util.find_spec(name)
+    except (ImportError, AttributeError, ValueError):  # it is a function, for instance
+        return None
+    return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
+
+
+def _is_foreign(name: str) -> bool:
+    """Whether a module is not the user's own; its package is found first, so it is not imported."""
+    package = name.rpartition(".")[0]
+    if package and _is_foreign(package):
+        return True
+    file = _find_file(name)
+    return file is not None and (
+        name.partition(".")[0] == __name__.partition(".")[0]
+        or not _PACKAGES.isdisjoint(file.parts)
+        or any(file.is_relative_to(place) for place in _STANDARD_LIBRARY)
+    )
+
+
+def _imported_names(source: bytes, package: str) -> Iterator[str]:
+    """Yield the modules that a source imports, and names in them, which can be modules as well.
+
+    Args:
+        source: the source.
+        package: where relative imports begin.
+    """
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parents = package.split(".") if node.level else []
+            parents = parents[: len(parents) - node.level + 1]
+            base = ".".join([*parents, *filter(None, [node.module])])
+            yield from (base, *(f"{base}.{alias.name}" for alias in node.names))

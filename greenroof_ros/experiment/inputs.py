@@ -1,0 +1,262 @@
+"""What a user gives for a run, and the one way to build a run from it.
+
+Command line, Python and the grid of a study give the same inputs by the same names, which
+:func:`make_inputs` checks. A new input is a field of :class:`RunInputs`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import date
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
+from greenroof_ros.common.files import default_site_file
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
+from greenroof_ros.common.times import DEFAULT_START, read_start
+from greenroof_ros.controllers.registry import DEFAULT, ControllerChoice, find_controller
+from greenroof_ros.experiment.run import Run, count_ticks
+from greenroof_ros.forecast import choice
+from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
+from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.formats.hourly import Records
+from greenroof_ros.model import sensor_and_pump
+from greenroof_ros.model.initial_state import INITIAL_STATES, find_state
+from greenroof_ros.model.sensor_and_pump import SensorAndPump
+from greenroof_ros.model.site import Site, check_site, read_site
+from greenroof_ros.weather.data_frame import is_frame, read_frame
+from greenroof_ros.weather.reading import (
+    complete_records,
+    default_weather,
+    find_files,
+    read_weather,
+)
+from greenroof_ros.weather.series import GAPS, REFUSE, Weather, WeatherSeries
+
+
+@dataclass(frozen=True)
+class RunInputs:
+    """What a user gives for a run; no file is read yet.
+
+    Attributes:
+        controller: decides how much to pump.
+        parameters: of the controller; those left out have their defaults, also by site.
+        site: its file, or a site.
+        weather: its files, or records, or a data frame.
+        forecast: what the controller knows of the coming weather.
+        sensor_and_pump: how level sensor and pumps differ from the paper's.
+    """
+
+    controller: ControllerChoice = field(default_factory=partial(find_controller, DEFAULT))
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    site: Path | Site = field(default_factory=default_site_file)
+    weather: Any = field(default_factory=lambda: (default_weather(),))
+    forecast: ForecastChoice = field(default_factory=ForecastChoice)
+    sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
+    start: str = entry(
+        "time of the first tick, ISO 8601; without an offset from UTC, the weather's is used",
+        default=DEFAULT_START,
+    )
+    hours: float | None = entry(
+        "length of the run, by default N of the site", 1e-9, 1e9, unit="h", default=None
+    )
+    initial: str | None = entry(
+        "initial levels of cistern and roof, of Table II of the paper, or site, the site file's "
+        "own (default: site, or low-low if the file gives none)",
+        default=None,
+    )
+    cistern: float | None = entry(
+        "instead of a named state: initial volume in the cistern, with that on the roof", 0.0, 1e9,
+        unit="m3", default=None,
+    )
+    roof: float | None = entry(
+        "instead of a named state: initial volume on the roof", 0.0, 1e9, unit="m3", default=None
+    )
+    evapotranspiration: str | None = entry(
+        "fao56: computed by FAO-56 Penman-Monteith; hargreaves: from temperature alone, by "
+        "FAO-56 Eq. 52; monthly: the site's monthly_evapotranspiration; or the name of the "
+        "weather's own column, for example published (default: the weather's own, otherwise the "
+        "first of these three for which it has what is needed)", default=None,
+    )
+    gaps: str = entry(
+        "what to do if an hour of the run is missing in the weather and the gap is not short. "
+        "refuse: name the hours; fill: treat missing rain as none, and replace other values by the "
+        "mean at that time of day over the three days before and after", choices=GAPS,
+        default=REFUSE,
+    )
+
+    def build(
+        self, read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather
+    ) -> Run:
+        """Read the files, and return the run, checked.
+
+        Args:
+            read: reads weather files; runs that are built together can share what it has read.
+
+        Raises:
+            ConfigurationError: an input is wrong, or a file; weather or forecasts do not cover the
+                run; or it has values that the nodes would refuse. The error's key is the name of
+                the input, as for :func:`make_inputs`.
+        """
+        file = self.site if isinstance(self.site, Path) else None
+        site = check_site(self.site) if isinstance(self.site, Site) else read_site(self.site)
+        given = None
+        if self.cistern is not None and self.roof is not None:
+            given = self.cistern, self.roof
+        elif self.cistern is not None or self.roof is not None:
+            lacking = "cistern" if self.cistern is None else "roof"
+            raise ConfigurationError("is missing: both volumes must be given", key=lacking)
+        initial, (x1, x2) = find_state(site, self.initial, given)
+        records = self.weather if isinstance(self.weather, Records) else None
+        if is_frame(self.weather):
+            records = read_frame(self.weather, site)
+        what = site.of_weather(), self.evapotranspiration, self.gaps
+        weather = read(self.weather, *what) if records is None else complete_records(records, *what)
+        start = read_start(self.start, weather.first.tzinfo)
+        steps = count_ticks(site, self.hours, "hours")
+        series = WeatherSeries(weather, site, start, steps)
+        _refuse_what_nodes_refuse(site, series, x1, x2)
+        parameters = self.controller.defaults(site) | dict(self.parameters)
+        if "min_on" in parameters:  # the controller knows its pumps
+            min_on = max(parameters["min_on"], self.sensor_and_pump.pump_min_on)
+            parameters["min_on"] = min_on
+        forecast = make_forecast(
+            weather, series, site, start, parameters.get("horizon", 0.0), self.forecast,
+            self.controller.ensemble,
+        )
+        return Run(
+            file, site, weather, series, forecast, start, steps, self.controller, parameters,
+            initial, x1, x2, self.forecast, self.sensor_and_pump, records,
+        )
+
+
+INPUTS: dict[str, Parameter] = {
+    parameter.name: parameter for parameter in (
+        Parameter("site", None, meaning="site file"),
+        Parameter(
+            "weather", None, meaning="weather files, joined in order of time, or a pattern such as "
+            "'weather/2021_*.csv': CSV in this project's format, hourly bulk files of Environment "
+            "and Climate Change Canada, or hourly CSV of Open-Meteo's archive, whose rain and "
+            "radiation are moved from the end of their hour to its start "
+            "(default: config/weather/toronto_2021-07.csv)",
+        ),
+        *parameters_of(RunInputs),
+        Parameter(
+            "forecast", PERFECT, meaning="what the controller knows about the coming weather. "
+            "perfect: all of it; persistence: it stays unchanged; errors: a forecast as good as "
+            "real ones; ensemble: several of these; a file, or a directory of files: archived "
+            "forecasts, in this project's CSV, or CSV or JSON of Open-Meteo. All but perfect are "
+            "issued every 6 hours, archived forecasts at their own times",
+        ),
+        *choice.INPUTS.values(),
+        *sensor_and_pump.PARAMETERS.values(),
+    )
+}
+"""the inputs of a run by their names, apart from its controller and the controller's parameters"""
+_SCALARS = {parameter.name for parameter in parameters_of(RunInputs)}
+
+
+def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunInputs:
+    """Return the inputs of a run from their values by name: of options, keywords or a grid.
+
+    Args:
+        controller: of the run.
+        given: values of :data:`INPUTS` and of the controller's parameters; None stands for the
+            default. ``site`` may be a site, ``weather`` one name of a file or several, records or a
+            data frame, ``start`` a date or a datetime, and ``initial`` the two volumes.
+
+    Raises:
+        ConfigurationError: a name is unknown, or a value is wrong; the error's key is the name.
+    """
+    values = {name: value for name, value in given.items() if value is not None}
+    own = {name: values.pop(name) for name in controller.parameters if name in values}
+    for name, value in values.items():
+        if name not in INPUTS:
+            known = [*INPUTS, *controller.parameters]
+            raise ConfigurationError(
+                f"is neither an input nor a parameter of {controller.name}; "
+                f"{suggest_names(name, known)}", key=name, value=value,
+            )
+    if isinstance(values.get("start"), date):
+        values["start"] = values["start"].isoformat()
+    if not isinstance(values.get("initial", ""), str):
+        values |= _read_volumes(values.pop("initial"))
+    text = values.get("forecast", PERFECT)
+    if not isinstance(text, (str, os.PathLike)):
+        raise ConfigurationError("must be a name or a path", key="forecast", value=text)
+    further: dict[str, Any] = {}
+    if "site" in values:
+        further["site"] = _find_site(values["site"])
+    if "weather" in values:
+        further["weather"] = _find_weather(values["weather"])
+    return replace(
+        make_record(RunInputs, {name: values[name] for name in _SCALARS if name in values}),
+        controller=controller,
+        parameters=controller.check_parameters(own),
+        forecast=choice.choose(os.fspath(text), {
+            name: values[f"forecast_{name}"] for name in choice.OPTIONS
+            if f"forecast_{name}" in values
+        }),
+        sensor_and_pump=make_record(SensorAndPump, {
+            name: values[name] for name in sensor_and_pump.PARAMETERS if name in values
+        }),
+        **further,
+    )
+
+
+def _read_volumes(initial: Any) -> dict[str, Any]:
+    try:
+        cistern, roof = initial
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(
+            f"must be one of {', '.join(INITIAL_STATES)}, or the volumes in cistern and roof (m3)",
+            key="initial", value=initial,
+        ) from error
+    return {"cistern": cistern, "roof": roof}
+
+
+def _find_site(site: Any) -> Path | Site:
+    if isinstance(site, (str, os.PathLike)):
+        return Path(site)
+    if not isinstance(site, Site):
+        raise ConfigurationError(
+            "must be a site file, or what gr.read_site returns", key="site", value=site
+        )
+    return site
+
+
+def _find_weather(weather: Any) -> Any:
+    if isinstance(weather, Records) or is_frame(weather):
+        return weather
+    names = [weather] if isinstance(weather, (str, os.PathLike)) else weather
+    if not isinstance(names, (list, tuple)) or not all(
+        isinstance(name, (str, os.PathLike)) for name in names
+    ):
+        kind = type(weather)
+        raise ConfigurationError(
+            "must be a file, a pattern or a list of them, or a data frame of polars or pandas, not "
+            f"of type {kind.__module__}.{kind.__qualname__}", key="weather",
+        )
+    return tuple(find_files(map(os.fspath, names), "weather"))
+
+
+def _refuse_what_nodes_refuse(site: Site, series: WeatherSeries, x1: float, x2: float) -> None:
+    """Refuse values that the graph's nodes would: simulation and graph give the same numbers."""
+    topics = read_topics()
+    for name, value in (
+        ("/cistern/level", site.cistern_level(x1)),
+        ("/roof/level", site.roof_level(x2)),
+        ("/weather/precipitation", series.precipitation.largest),
+        ("/weather/evapotranspiration", series.evapotranspiration.largest),
+    ):
+        topic = topics[name]
+        if value > topic.high:
+            raise ConfigurationError(
+                f"the run has {value:g} {topic.unit} on {name}, but at most {topic.high:g} is "
+                "accepted (msg_defs/topics.yaml); is a unit wrong?"
+            )

@@ -1,0 +1,50 @@
+"""The options that the commands which run a graph of nodes share."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from greenroof_ros.common.command_line import add_foxglove, make_number_type, parse_namespace
+from greenroof_ros.controllers.registry import EXTERNAL
+
+
+def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:
+    """Add the options of a graph, the same for ``run`` and ``live``.
+
+    Args:
+        parser: the command's parser.
+        pump: the default of ``--pump``; if empty, ``external`` is the only choice.
+    """
+    group = parser.add_argument_group("the graph")
+    group.add_argument(
+        "--pump", choices=[*filter(None, [pump]), EXTERNAL], default=pump,
+        help="external: /pump/flow comes from a pump driver that you start yourself"
+        + (f" (default: {pump})" if pump else ""),
+    )
+    group.add_argument(
+        "--namespace", type=parse_namespace, default="", metavar="NAME",
+        help="put the whole graph, including its clock, under /NAME, so that several run side by "
+        "side in one domain (default: none)",
+    )
+    group.add_argument(
+        "--peer-limit", type=make_number_type(2, 1e6), default=5.0, metavar="S",
+        help="longest wait for a node, in wall time, at least 2 s: joining nodes listen for one "
+        "second (default: %(default)s s)",
+    )
+    group.add_argument(
+        "--watch", action="store_true",
+        help="show the graph on a page in a browser, whose address is printed; a run, at a --speed "
+        "of at most 60. The page ends with "
+        "the graph; the graph does not need it. The page of greenroof watch stays. Needs "
+        "the extra [watch]",
+    )
+    add_foxglove(
+        group, "serve the graph to Foxglove or Lichtblick on this machine, at the address that is "
+        "printed, until the graph ends; the graph does not need it.",
+    )
+    group.add_argument(
+        "--node-parameters", type=Path, metavar="FILE",
+        help="ROS 2 parameter file for what bringup does not decide, such as the pump node's "
+        "limits; each node's --help lists its parameters; unknown ones are refused",
+    )
