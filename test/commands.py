@@ -1,13 +1,15 @@
-"""Commands in forked processes that import nothing first; most of them are expected to be refused.
+"""The package's commands and nodes in forked processes that import nothing first.
 
-A new Python process takes a second to import what the commands need, and three hundred tests
-of wrong options and files need nothing else from it. Here one process imports it once, and forks
-for each command: with its own directory, environment, output and exit code, as with
-``python -m``.
+A new Python process takes a second of processor time to import what commands and nodes need, and
+the tests start two thousand of them. Here one process for each worker imports it once, and forks
+for each command, with its own directory, environment and streams, as with ``python -m``. What
+Python itself does when it starts is shown by test_interrupted.py, test_greenroof.py and others.
 """
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import gc
 import importlib
 import importlib.util
@@ -16,52 +18,104 @@ import os
 import pkgutil
 import runpy
 import signal
+import socket
 import subprocess
 import sys
-import tempfile
+import threading
+import time
 import traceback
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from places import words_of
 
-# Without the nodes: each must be the main module of its process.
 _ROOMS = (
     "common", "controllers", "experiment", "live.pumping", "live.devices", "recording",
     "live.simulators", "watch", "analysis.report", "analysis.study", "analysis.calibration",
-    "analysis.verification", "graph", "bringup",
+    "analysis.verification", "graph", "bringup", "nodes", "live",
 )
-_OF_ROS = ("graph", "bringup")
+_OF_ROS = ("graph", "bringup", "nodes", "live")
 _LIMIT_S = 900
+_PR_SET_CHILD_SUBREAPER = 36
+
+
+class Forked(subprocess.Popen[Any]):
+    """A process that does what ``[sys.executable, "-m", module, ...]`` does.
+
+    It is a child of this process. It is started as any other process if something must be done
+    before it imports: a ``preexec_fn``, a library to load first, or a ``sitecustomize.py``.
+    """
+
+    def _execute_child(
+        self, args: Any, executable: Any, preexec_fn: Any, close_fds: Any, pass_fds: Any, cwd: Any,
+        env: Any, startupinfo: Any, creationflags: Any, shell: Any, p2cread: int, p2cwrite: int,
+        c2pread: int, c2pwrite: int, errread: int, errwrite: int, *others: Any,
+    ) -> None:
+        environment = dict(os.environ if env is None else env)
+        if preexec_fn is not None or "LD_PRELOAD" in environment or any(
+            Path(place, "sitecustomize.py").exists() for place in _python_path(environment)
+        ):
+            super()._execute_child(  # type: ignore[misc]
+                args, executable, preexec_fn, close_fds, pass_fds, cwd, env, startupinfo,
+                creationflags, shell, p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite,
+                *others,
+            )
+            return
+        _, _, module, *arguments = args
+        session = others[5]
+        request = [module, arguments, str(cwd or Path.cwd()), environment, session]
+        streams = [
+            number if given == -1 else given
+            for number, given in enumerate((p2cread, c2pwrite, errwrite))
+        ]
+        channel = _server()
+        socket.send_fds(channel, [json.dumps(request).encode()], streams)
+        self.pid = int(channel.recv(100))
+        self._child_created = True
+        self._close_pipe_fds(  # type: ignore[attr-defined]
+            p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite
+        )
+
+
+def _python_path(environment: dict[str, str]) -> list[str]:
+    return list(filter(None, environment.get("PYTHONPATH", "").split(os.pathsep)))
 
 
 def run_command(
     module: str, *arguments: str, cwd: Path, env: dict[str, str]
 ) -> subprocess.CompletedProcess[str]:
     """Run a command, by its module, until it ends; a node's module is e.g. nodes.plant."""
-    server = _server()
-    assert server.stdin is not None and server.stdout is not None
-    with tempfile.TemporaryDirectory() as scratch:
-        out, err = (Path(scratch) / name for name in ("out", "err"))
-        name, *words = words_of(module)
-        request = (name, (*words, *arguments), str(cwd), env, str(out), str(err))
-        server.stdin.write(json.dumps(request) + "\n")
-        server.stdin.flush()
-        code = int(server.stdout.readline())
-        return subprocess.CompletedProcess(arguments, code, out.read_text(), err.read_text())
+    with Forked(
+        [sys.executable, "-m", *words_of(module), *arguments], cwd=cwd, env=env, text=True,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:
+        try:
+            out, err = process.communicate(timeout=_LIMIT_S)
+        except BaseException:
+            process.kill()
+            raise
+    return subprocess.CompletedProcess(arguments, process.returncode, out, err)
 
 
 @cache
-def _server() -> subprocess.Popen[str]:
-    """Start the process that imports everything; it ends when this process closes its stdin."""
-    return subprocess.Popen(
-        [sys.executable, __file__], text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
+def _server() -> socket.socket:
+    """Start the process that imports everything; it ends when this process closes the socket.
+
+    What it forks becomes a child of this process, since the process between them ends.
+    """
+    ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with theirs:
+        subprocess.Popen(
+            [sys.executable, __file__, str(theirs.fileno())], pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL,
+        )
+    return ours
 
 
-def _serve() -> None:
-    """Fork for each request, and answer with the exit code."""
-    sys.path[0] = str(Path(__file__).resolve().parent.parent)
+def _serve(channel: socket.socket) -> None:
+    """Fork for each request, and answer with the number of the process."""
     for room in _ROOMS:
         if room in _OF_ROS and importlib.util.find_spec("rclpy") is None:
             continue
@@ -72,27 +126,46 @@ def _serve() -> None:
     for solver in ("osqp", "scipy.optimize"):  # they import modules when they first solve something
         importlib.import_module(solver)
     gc.freeze()  # keeps children from copying pages in garbage collection
-    for line in sys.stdin:
-        child = os.fork()
-        if child == 0:
-            _become(*json.loads(line))
-        _, status = os.waitpid(child, 0)
-        print(os.waitstatus_to_exitcode(status), flush=True)
+    while True:
+        request, streams, _, _ = socket.recv_fds(channel, 1 << 20, 3)
+        if not request:
+            return
+        reading, writing = os.pipe()
+        between = os.fork()
+        if between == 0:
+            parent, child = os.getpid(), os.fork()
+            if child:
+                os.write(writing, str(child).encode())
+                os._exit(0)
+            for number in (channel.fileno(), reading, writing):
+                os.close(number)
+            while os.getppid() == parent:
+                time.sleep(0.001)
+            _become(*json.loads(request), streams)
+        os.waitpid(between, 0)  # from now on it is the client's child
+        channel.send(os.read(reading, 100))
+        for number in (reading, writing, *streams):
+            os.close(number)
 
 
 def _become(
-    module: str, arguments: list[str], cwd: str, env: dict[str, str], out: str, err: str
+    module: str, arguments: list[str], cwd: str, env: dict[str, str], session: bool,
+    streams: list[int],
 ) -> None:
-    """Run as the command in this process; an alarm ends it after the limit."""
-    signal.alarm(_LIMIT_S)
-    null = os.open(os.devnull, os.O_RDONLY)
-    outputs = [os.open(file, os.O_WRONLY | os.O_CREAT) for file in (out, err)]
-    for number, stream in enumerate((null, *outputs)):
+    """Run a module in this process, which then ends."""
+    if session:
+        os.setsid()
+    for number, stream in enumerate(streams):
         os.dup2(stream, number)
+        os.close(stream)
     os.chdir(cwd)
     os.environ.clear()
     os.environ.update(env)
+    time.tzset()
+    sys.path[:0] = [cwd, *_python_path(env)]
     sys.argv = [module, *arguments]
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, importlib.import_module("greenroof_ros").end_interrupted)
     code = 0
     sys.modules.pop(module, None)  # imported above as a part of its package
     try:
@@ -103,9 +176,13 @@ def _become(
         traceback.print_exc()
         code = 1
     finally:
+        threading._shutdown()  # type: ignore[attr-defined]
+        atexit._run_exitfuncs()
         sys.stdout.flush()
         os._exit(code)
 
 
 if __name__ == "__main__":
-    _serve()
+    sys.path[0] = str(Path(__file__).resolve().parent.parent)
+    sys.path.append(str(Path(__file__).resolve().parent))
+    _serve(socket.socket(fileno=int(sys.argv[1])))

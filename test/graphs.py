@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
+from commands import Forked
 from mcap.reader import make_reader
 from places import words_of
 
@@ -156,7 +157,7 @@ class Process:
         number = len(list(cwd.glob("*.err")))
         self._out = (cwd / f"{number}-{module}.out").open("w+")
         self._err = (cwd / f"{number}-{module}.err").open("w+")
-        self.process = subprocess.Popen(
+        self.process = Forked(
             [sys.executable, "-m", *words_of(module), *arguments],
             cwd=cwd, stdin=subprocess.DEVNULL, stdout=self._out,
             stderr=self._err if stderr is None else stderr,

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from commands import Forked
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from graphs import environment, wait_for
 from places import CONFIG
@@ -119,7 +120,7 @@ class Observer:
     ) -> subprocess.Popen[Any]:
         """Start a node next to it: its module in the package, with arguments."""
         words = [*f"greenroof_ros.{command}".split(), *ros_arguments(**parameters)]
-        process = subprocess.Popen(
+        process = Forked(
             [sys.executable, "-m", *words], cwd=self.cwd,
             **{"env": environment(self.domain), **(popen or {})},
         )

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 import rig_simulators
+from commands import Forked
 from graphs import environment
 from places import CHECKOUT, words_of
 from rig_simulators import DEFAULT, PseudoLine
@@ -90,7 +91,7 @@ class Simulator(Workbench):
     """
 
     def __init__(self, module: str, *options: str) -> None:
-        self.process = subprocess.Popen(
+        self.process = Forked(
             [sys.executable, "-m", *words_of(module), *options],
             cwd=CHECKOUT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             stdin=subprocess.DEVNULL, env={**child_environment(), **environment(0)},

@@ -10,6 +10,8 @@ from collections.abc import Iterable
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
+from commands import Forked, run_command
+
 from greenroof_ros.analysis.study.case_run import bound_case, run_case
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.study.store import StudyStore
@@ -35,15 +37,12 @@ controllers:
 
 def study(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
     """Run the study command until it ends."""
-    return subprocess.run(
-        [sys.executable, "-m", "greenroof_ros", "study", *options],
-        cwd=directory, capture_output=True, text=True, timeout=600, check=False,
-    )
+    return run_command("study", *options, cwd=directory, env=dict(os.environ))
 
 
 def begun(directory: Path, *options: str, **variables: str) -> subprocess.Popen[str]:
     """Start the study command on the grid in a directory, in a separate session."""
-    return subprocess.Popen(
+    return Forked(
         [sys.executable, "-m", "greenroof_ros", "study", "grid.yaml", "--output", "out", *options],
         cwd=directory, env={**os.environ, **variables}, stdout=subprocess.PIPE,
         stderr=subprocess.PIPE, text=True, start_new_session=True,

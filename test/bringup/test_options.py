@@ -75,14 +75,11 @@ WRONG = {
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
         "show whether there is frost; give it if your own node publishes /gauge/temperature",
     f"{WEATHERED} --forecast no.json": "--forecast = 'no.json': must be a FILE.csv, which is",
-    f"{WEATHERED} --weather external --forecast forecast.csv":
-        "--forecast = 'forecast.csv': is for the weather node",
     f"{SENSED} --drive no_such_drive --drive-at tcp://127.0.0.1:1": "drive = 'no_such_drive': is",
     f"{SENSED} --pump external --thermometer external":
         "--thermometer = 'external': contradicts the file of --sensors, which has a thermometer",
     f"{SENSED} --pump external {DRIVE}":
         "--pump = 'external': leaves the pump to someone else's node",
-    f"{SENSED} --drive abb_acs880": "--drive = 'abb_acs880': needs --drive-at, such as tcp://",
     "run --pump external --pump-min-on 60": "minimum on and off times: must be set in the pump",
 }
 
@@ -145,8 +142,6 @@ NO_EFFECT = {
     # Only bringup sets the drive: otherwise the node could run one drive, and bringup stop another.
     "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    drive: danfoss_fc202\n":
         f"line 4: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
-    "/**:\n  ros__parameters:\n    address: tcp://127.0.0.1:2\n":
-        f"line 3: /**: address = 'tcp://127.0.0.1:2': {_ONLY_BRINGUP}",
     # A real drive would run on levels at another speed than --speed, which is refused.
     "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
         "line 3: site1/plant: speed = 60.0: must not be given to the node plant here: under "
@@ -154,16 +149,12 @@ NO_EFFECT = {
     "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    max_volume_per_dai: 0.5\n":
         "line 4: /**/pump: max_volume_per_dai = 0.5: there is no such parameter; the closest "
         "is max_volume_per_day;",
-    "/**/onoff:\n  ros__parameters:\n    min_off: 1.0\n":
-        "line 3: /**/onoff: min_off = 1.0: there is no such parameter",
     "# mine\n/**/pum:\n  ros__parameters:\n    min_off: 1.0\n":
         "line 2: /**/pum: bringup starts no such node; the closest is /**/pump;",
     "/site2/pump:\n  ros__parameters:\n    min_off: 1.0\n":
         "line 1: /site2/pump: bringup starts no such node; the closest is /**/pump;",
     "pump:\n  max_volume_per_day: 0.5\n":
         "line 2: pump: max_volume_per_day = 0.5: has no effect here: write /**/NODE: {ros__",
-    "/**/pump:\n  ros__parameters: 0.5\n":
-        "line 1: /**/pump: ros__parameters = 0.5: must hold parameters, NAME: VALUE",
 }
 
 
@@ -178,17 +169,6 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
     with pytest.raises(ConfigurationError) as error:
         parameters(file)
     assert str(error.value).startswith(f"{file}, {NO_EFFECT[text]}")
-
-
-def test_a_wrong_parameter_file_is_refused_before_anything_is_made(tmp_path: Path) -> None:
-    (tmp_path / "nodes.yaml").write_text("pump:\n  min_off: 1.0\n")
-    done = run_command(
-        "bringup.live", "--sensors", "external", "--weather", "external", "--drive", "abb_acs880",
-        "--drive-at", "gateway://127.0.0.1:1", "--node-parameters", "nodes.yaml",
-        cwd=tmp_path, env=environment(0),
-    )
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("error: nodes.yaml, line 2: pump: min_off = 1.0: has no effect")
     assert [file.name for file in tmp_path.iterdir()] == ["nodes.yaml"]
 
 

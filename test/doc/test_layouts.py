@@ -70,29 +70,6 @@ def test_foxglove() -> None:
     assert layout["configById"]["DiagnosticSummary!greenroof"]["topicToRender"] in read_topics()
 
 
-def panels(node: str | dict) -> list[str]:
-    """Return the panels in a layout's tree of splits."""
-    if isinstance(node, str):
-        return [node]
-    assert node["direction"] in ("row", "column") and 0 < node["splitPercentage"] < 100
-    return panels(node["first"]) + panels(node["second"])
-
-
-def test_foxglove_imports_it() -> None:
-    """It is what Lichtblick 1.28 checks; each panel has a place."""
-    layout = json.loads(FOXGLOVE.read_text(encoding="utf-8"))
-    assert layout.keys() == {
-        "configById", "globalVariables", "userNodes", "playbackConfig", "layout"
-    }
-    assert layout["playbackConfig"] == {"speed": 1}
-    assert sorted(panels(layout["layout"])) == sorted(layout["configById"])
-    for name, panel in layout["configById"].items():
-        assert name.partition("!")[0] in ("Plot", "DiagnosticSummary")
-        for line in panel.get("paths", ()):
-            # Lichtblick's grammar: a topic, a point and a field; or a number.
-            assert re.fullmatch(r"(/[A-Za-z0-9_-]+)+\.value|[\d.]+", line["value"])
-
-
 def test_plotjuggler() -> None:
     """Each curve shows a function's output, and each function scales a topic."""
     root = ElementTree.parse(PLOTJUGGLER).getroot()

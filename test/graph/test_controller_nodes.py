@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from checked_nodes import changed, in_namespace, start_node, wrong_verdict
+from commands import Forked
 from graphs import Process, environment
 from places import CHECKOUT
 
@@ -85,7 +86,7 @@ GOOD = ("example", "lookahead")
 def start(domain: int, directory: Path, name: str) -> subprocess.Popen[bytes]:
     """Start a node in a namespace of its own."""
     if name == "lookahead":
-        return subprocess.Popen(
+        return Forked(
             [sys.executable, "-m", "greenroof_ros.nodes.controller", "--controller", name,
              *in_namespace(name)],
             cwd=directory, env=environment(domain),
