@@ -47,35 +47,25 @@ class Forked(subprocess.Popen[Any]):
     before it imports: a ``preexec_fn``, a library to load first, or a ``sitecustomize.py``.
     """
 
-    def _execute_child(
-        self, args: Any, executable: Any, preexec_fn: Any, close_fds: Any, pass_fds: Any, cwd: Any,
-        env: Any, startupinfo: Any, creationflags: Any, shell: Any, p2cread: int, p2cwrite: int,
-        c2pread: int, c2pwrite: int, errread: int, errwrite: int, *others: Any,
-    ) -> None:
+    def _execute_child(self, *given: Any) -> None:
+        args, _, preexec_fn, _, _, cwd, env = given[:7]
         environment = dict(os.environ if env is None else env)
         if preexec_fn is not None or "LD_PRELOAD" in environment or any(
             Path(place, "sitecustomize.py").exists() for place in _python_path(environment)
         ):
-            super()._execute_child(  # type: ignore[misc]
-                args, executable, preexec_fn, close_fds, pass_fds, cwd, env, startupinfo,
-                creationflags, shell, p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite,
-                *others,
-            )
+            super()._execute_child(*given)  # type: ignore[misc]
             return
-        _, _, module, *arguments = args
-        session = others[5]
-        request = [module, arguments, str(cwd or Path.cwd()), environment, session]
+        pipes, session = given[10:16], given[21]
         streams = [
-            number if given == -1 else given
-            for number, given in enumerate((p2cread, c2pwrite, errwrite))
+            number if pipe == -1 else pipe
+            for number, pipe in enumerate((pipes[0], pipes[3], pipes[5]))
         ]
+        request = args[2], args[3:], str(cwd or Path.cwd()), environment, session
         channel = _server()
         socket.send_fds(channel, [json.dumps(request).encode()], streams)
         self.pid = int(channel.recv(100))
         self._child_created = True
-        self._close_pipe_fds(  # type: ignore[attr-defined]
-            p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite
-        )
+        self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
 
 
 def _python_path(environment: dict[str, str]) -> list[str]:
