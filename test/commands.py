@@ -21,6 +21,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import traceback
@@ -152,12 +153,14 @@ def _become(
     os.environ.clear()
     os.environ.update(env)
     time.tzset()
+    tempfile.tempdir = None  # which TMPDIR decides
     sys.path[:0] = [cwd, *_python_path(env)]
     sys.argv = [module, *arguments]
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, importlib.import_module("greenroof_ros").end_interrupted)
     code = 0
-    sys.modules.pop(module, None)  # imported above as a part of its package
+    for name in (module, f"{module}.__main__"):  # imported above as a part of its package
+        sys.modules.pop(name, None)
     try:
         runpy.run_module(module, run_name="__main__", alter_sys=True)
     except SystemExit as end:
