@@ -6,6 +6,7 @@ import functools
 import re
 import time
 from datetime import datetime, timedelta, timezone, tzinfo
+from pathlib import Path
 
 from greenroof_ros.common.errors import ConfigurationError
 
@@ -186,6 +187,15 @@ def boot_time() -> float:
     suspend would still be new after it.
     """
     return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+@functools.cache
+def boot_id() -> str:
+    """Return what identifies the machine's present start; empty if the system does not tell."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return ""
 
 
 def suspended_time() -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
+from greenroof_ros.controllers.decide import is_finite_number
 from greenroof_ros.controllers.failure import locate_error
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
@@ -107,13 +108,11 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
 
 def _check_command(controller: Controller, *inputs: Any) -> float:
     command = controller.command(*inputs)
-    if isinstance(command, bool) or not isinstance(command, (int, float)):
-        raise _ProblemError(f"command() returns {command!r}; it must return a float")
-    if not (math.isfinite(command) and command >= 0):
+    if not (is_finite_number(command) and command >= 0):
         cistern, roof = inputs[:2]
         raise _ProblemError(
             f"command() returns {command!r} at levels {cistern:g} m and {roof:g} m; it must be "
-            "finite and not negative"
+            "a finite number, not negative"
         )
     return float(command)
 

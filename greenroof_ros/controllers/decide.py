@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -57,14 +58,22 @@ def decide(
         raise
     except (Exception, SystemExit) as error:
         raise locate_error(type(controller), error) from error
-    if isinstance(command, (float, int)) and 0 <= command < math.inf:
-        return 0.0 if quiet else command
+    if is_finite_number(command) and command >= 0:
+        return 0.0 if quiet else float(command)
     file, line = find_place(type(controller), "command")
     raise ControllerError(
         "must be a finite number, not negative (greenroof check-controller finds this before a "
         "run)", file=file, line=line,
         key=f"the command of {type(controller).__name__} = {command!r}",
     )
+
+
+def is_finite_number(value: Any) -> bool:
+    """Return whether a value is a real number, Python's or numpy's, and finite as a float."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def read_statistics(controller: Controller) -> dict[str, float] | None:

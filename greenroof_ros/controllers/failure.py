@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import greenroof_ros
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, HangError
 
 # Where no code of a user is: this package, and what Python imports with.
 _NO_USERS = str(Path(greenroof_ros.__file__).parent), importlib.__file__, "<frozen importlib"
@@ -18,26 +18,35 @@ class ControllerError(ConfigurationError):
     """A controller is broken: its code raised an error, or its command is invalid."""
 
 
-def locate_error(kind: Any, error: BaseException) -> ControllerError:
+def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangError:
     """Return an error that a controller's code raised, with file and line.
 
+    An error of this package that names what is wrong stays, unless a user's code raised it.
     They are the last place in the file where a user's code was entered. If it was not entered, as
     with a wrong number of arguments, they are those of the method that the message names.
     """
     name = getattr(kind, "__name__", str(kind))
     file, line = None, None
     last = _last_frame(error)
+    if isinstance(error, (ControllerError, HangError)) or (
+        last is None and isinstance(error, ConfigurationError)
+    ):
+        return error
+    try:
+        text = str(error)
+    except Exception:  # its class is a user's, too
+        text = "its text cannot be read"
     if last is None and kind.__module__.startswith("greenroof_ros."):
         last = traceback.extract_tb(error.__traceback__)[-1]
     if last is not None:
         file, line, name = last.filename, last.lineno, f"{name}.{last.name}"
     else:
         for method in ("__init__", "command", "skip", "statistics"):
-            if f"{method}()" in str(error):
+            if f"{method}()" in text:
                 file, line = find_place(kind, method)
                 name = f"{name}.{method}"
     return ControllerError(
-        f"raises {type(error).__name__}: {error}", file=file, line=line, key=name
+        f"raises {type(error).__name__}: {text}", file=file, line=line, key=name
     )
 
 

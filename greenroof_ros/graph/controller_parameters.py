@@ -76,7 +76,7 @@ class ControllerParameters:
             try:
                 if self.controller is not None:
                     setattr(self.controller, name, value)
-            except Exception as error:  # anything that a user's class raises
+            except (Exception, SystemExit) as error:  # anything that a user's class raises
                 reason = str(locate_error(self._choice.kind, error))
                 return SetParametersResult(successful=False, reason=reason)
             before, self._values[name] = self._values[name], value

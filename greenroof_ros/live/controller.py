@@ -19,13 +19,18 @@ from typing import Any, cast
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import NumberFile
-from greenroof_ros.common.errors import ConfigurationError, HangError
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import time_limit
 from greenroof_ros.common.states import ENDED
 from greenroof_ros.common.times import from_epoch_ns, to_people
-from greenroof_ros.controllers.decide import decide, may_decide, shape_rain
+from greenroof_ros.controllers.decide import (
+    decide,
+    is_finite_number,
+    may_decide,
+    shape_rain,
+)
 from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import ControllerClass, set_optional
@@ -183,9 +188,7 @@ class LiveControllerNode(LiveNode):
             with time_limit(limit):
                 yield
             return
-        except (ConfigurationError, HangError) as error:
-            self._failure = str(error)
-        except (Exception, SystemExit) as error:
+        except BaseException as error:  # signals are no exceptions in this process
             self._failure = str(locate_error(self._choice.kind, error))
         self._failed_at, self._settings.controller = time.monotonic(), None
 
@@ -205,7 +208,7 @@ class LiveControllerNode(LiveNode):
         except ControllerError:
             raise
         except ConfigurationError as error:
-            self._rain.refuse(str(error))
+            self._rain.refuse(str(error))  # then an error is the controller's
             decides = allowed and not self._forecast_problem()
             command = self._decide(decides)
         self._learned = self._read_learned()
@@ -217,9 +220,7 @@ class LiveControllerNode(LiveNode):
         learned = getattr(controller, "learned", None)
         if learned is None:
             return None
-        if isinstance(learned, dict) and all(
-            isinstance(value, (float, int)) and math.isfinite(value) for value in learned.values()
-        ):
+        if isinstance(learned, dict) and all(map(is_finite_number, learned.values())):
             return {name: float(value) for name, value in learned.items()}
         kind = type(controller)
         file, line = find_place(kind, "learned")

@@ -12,7 +12,8 @@ from pathlib import Path
 from greenroof_ros.common.command_line import Parser, add_site, make_number_type, refuse
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.states import PUMP, RECORDER
-from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE
+from greenroof_ros.controllers.failure import find_place
+from greenroof_ros.controllers.registry import EXTERNAL, FOR_A_SITE, ControllerChoice
 from greenroof_ros.experiment.options import (
     add_controller_arguments,
     read_controller,
@@ -154,7 +155,7 @@ class LiveSite:
                 # One controller cannot use what another has learned.
                 "state_file": str(state / f"{self.controller.name}.json"),
             },
-            instead=partial(_give_up, self.controller.name),
+            instead=partial(_give_up, self.controller),
         )
         if self.drive is not None:
             drive = replace(self.drive, file=copies["drive"])
@@ -232,12 +233,17 @@ def make_parser() -> Parser:
     return parser
 
 
-def _give_up(node: str, why: str) -> tuple[str, ...]:
-    """Return the arguments of a controller's node that does not run its controller any more."""
+def _give_up(controller: ControllerChoice, why: str) -> tuple[str, ...]:
+    """Return the arguments of a controller's node that does not run its controller any more.
+
+    Why is not enough if the process ended without a word, so the controller's place is added.
+    """
+    file, line = find_place(controller.kind, "command")
+    why = f"{why} ({controller.reference} is in {file}, line {line})"
     text = json.dumps(why.encode(errors="replace").decode(), ensure_ascii=False)  # as YAML
     return (
         "--controller", "onoff",
-        "--ros-args", "-r", f"__node:={node}", "-p", f"given_up:={text}", "--",
+        "--ros-args", "-r", f"__node:={controller.name}", "-p", f"given_up:={text}", "--",
     )
 
 

@@ -39,7 +39,7 @@ OUTPUTS = "each of its outputs is a topic of the interface and has its value aft
 NO_PLAN = "no numpy array of floats, of shape (n, 4), in the attribute plan"
 BROKEN = [
     # The error, the rule that it breaks, and the message.
-    (returning("return -command if command else 0.0"), FINITE, "must be finite and not negative"),
+    (returning("return -command if command else 0.0"), FINITE, "must be a finite number, not neg"),
     (
         returning("return command if self.gain else -1.0"),
         "its commands are also valid with each parameter at either end of its range",
@@ -123,7 +123,7 @@ def test_the_command(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text(TEXT.replace(*returning("return None")))
     for reference, directory, code, message in (
         (EXAMPLE, CHECKOUT, 0, "12 of 12 checks passed"),
-        ("broken:Proportional", tmp_path, 1, "command() returns None; it must return a float"),
+        ("broken:Proportional", tmp_path, 1, "must be a finite number"),
         ("nothing:Here", tmp_path, 2, ""),
     ):
         result = run_command(

@@ -38,16 +38,17 @@ class Answering:
         return None
 
 
-@pytest.mark.parametrize("answer", [0.0, 7, np.float64(0.5)])
+@pytest.mark.parametrize("answer", [0.0, 7, np.float64(0.5), np.float32(0.5), np.int64(1)])
 def test_a_command_is_passed_on_unless_the_tick_is_skipped(answer: Any) -> None:
     controller = Answering(answer)
-    assert decide(controller, True, 2.0, 0.03, [0.0], [0.0]) == answer
+    command = decide(controller, True, 2.0, 0.03, [0.0], [0.0])
+    assert (command, type(command)) == (answer, float)
     assert controller.skipped == 0
     assert decide(controller, False, 2.0, 0.03, [0.0], [0.0]) == 0.0
     assert controller.skipped == 1
 
 
-@pytest.mark.parametrize("answer", [-0.5, math.nan, math.inf, "0.5", None])
+@pytest.mark.parametrize("answer", [-0.5, math.nan, math.inf, 10**400, True, "0.5", None])
 def test_what_is_no_command_ends_the_run(answer: Any) -> None:
     """It could pump water out of the roof, or fail in the middle of the plant."""
     with pytest.raises(ConfigurationError, match=r"the command of Answering.*must be a finite num"):

@@ -283,8 +283,12 @@ def test_classes_of_a_users_own(site: Site) -> None:
 BROKEN = """
 import math, time
 from pathlib import Path
+from greenroof_ros.common.errors import ConfigurationError
 
 asked = 0
+
+class Wordless(Exception):
+    def __str__(self): return None
 
 def fault():
     file = Path("fault")
@@ -292,6 +296,7 @@ def fault():
 
 class Broken:
     parameters = ()
+    needs_forecast = False
     outputs = {"/controller/fill_to": "fill_to"}
     def __init__(self, site):
         if fault() == "made": raise ValueError("no")
@@ -303,6 +308,10 @@ class Broken:
         if what == "every other time" and asked % 2: raise ArithmeticError
         if what == "in a library": time.sleep("1")
         if what == "exits": raise SystemExit(3)
+        if what == "is interrupted": raise KeyboardInterrupt
+        if what == "ends a generator": raise GeneratorExit
+        if what == "refuses": raise ConfigurationError("I cannot")
+        if what == "has no words": raise Wordless
         while what == "never returns": pass
         return math.nan if what == "NaN" else 0.3
     def skip(self): pass
@@ -352,7 +361,10 @@ def test_a_class_with_which_the_node_cannot_run(observer: Observer) -> None:
 FAULTS = {
     "made": ("ValueError: no", "raise ValueError"), "raises": ("ZeroDivisionError", "1 / 0"),
     "every other time": ("ArithmeticError", "raise Arith"), "in a library": ("TypeError", "sleep"),
-    "exits": ("SystemExit: 3", "SystemExit"), "never returns": ("did not return", "while what"),
+    "exits": ("SystemExit: 3", "SystemExit"), "is interrupted": ("Keyboard", "raise Keyb"),
+    "ends a generator": ("GeneratorExit", "raise Gen"), "refuses": ("I cannot", "raise Conf"),
+    "has no words": ("Wordless", "raise Wordless"),
+    "never returns": ("did not return", "while what"),
     "NaN": ("must be a finite number", "def command"), "output": ("ValueError", "math.sqrt"),
     "learns words": ("learned = {'x': 'much'}: must be finite numbers", "of learned"),
 }

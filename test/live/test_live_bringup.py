@@ -503,23 +503,24 @@ def test_a_site_without_a_forecast(domain: int, tmp_path: Path, site: Site) -> N
     assert "forecast:" not in process.stderr()
 
 
-def test_a_controller_that_is_broken_while_the_site_runs(
-    domain: int, tmp_path: Path, site: Site
-) -> None:
-    """When its node must start again, on/off waters in its place; an alarm names file and line."""
+def test_a_controller_that_ends_its_process(domain: int, tmp_path: Path, site: Site) -> None:
+    """On/off waters in its place after its restarts; an alarm names file and line of the class."""
     commands, file = site.listen("/pump/command"), tmp_path / "mine.py"
     file.write_text(
-        "from greenroof_ros.controllers.onoff import OnOff\n\nclass Mine(OnOff):\n"
+        "import os\nfrom greenroof_ros.controllers.onoff import OnOff\n\nclass Mine(OnOff):\n"
         "    parameters = ()\n    def __init__(self, site): super().__init__(site, 0.3)\n"
+        "    def command(self, *inputs):\n        if os.path.exists('fault'): os._exit(1)\n"
+        "        return super().command(*inputs)\n"
     )
     (tmp_path / "nodes.yaml").write_text(QUICK)
-    options = (*EXTERNAL, "--controller", "mine:Mine", "--node-parameters", "nodes.yaml")
-    with live(domain, tmp_path, *options) as process:
+    options = (
+        *EXTERNAL, "--controller", "mine:Mine", "--node-parameters", "nodes.yaml",
+        "--restarts", "1",
+    )
+    with live(domain, tmp_path, *options):
         site.values = {**LEVELS, "/weather/frost": 0.0}
         site.until(lambda: newest(commands) == 0.3, 60, "its commands")
-        with file.open("a") as stream:
-            stream.write("    def command(self, *inputs: return 0.3\n")
-        os.kill(process.nodes()["controller"], signal.SIGKILL)
+        (tmp_path / "fault").touch()
         site.until(lambda: newest(commands) == 1.0, 60, "on/off")
         site.during(2.0)
         assert {value for _, value in commands} == {0.0, 0.3, 1.0}
@@ -528,7 +529,7 @@ def test_a_controller_that_is_broken_while_the_site_runs(
         if alarm["code"] == "controller_failed"
     )
     assert (alarm["node"], alarm["part"]) == ("/mine", "command")
-    assert f"{file}, line 6: controller = 'mine:Mine': cannot be imported: " in alarm["sentence"]
+    assert f"ended (exit code 1) (mine:Mine is in {file}, line 7)" in alarm["sentence"]
 
 
 def test_a_site_that_is_stopped_while_it_starts_ends_with_0(domain: int, tmp_path: Path) -> None:

@@ -23,8 +23,9 @@ The disk thread writes, so a slow disk does not delay the control of the pump. A
 next to it lets only one ledger write: the record of a second one would erase a hold or a fault.
 
 Use is counted in slots of half an hour, over the last 24 h of the ledger's clock, which starts at
-its first step and counts the steady clock. Downtime is added by the system clock, unless that was
-set back. The oldest slot counts whole until all of it is more than 24 h old.
+its first step and counts the time of the machine's steady clock, with or without the node. Time
+before the machine's start is not added, since no one knows whether the system clock was right then.
+The oldest slot counts whole until all of it is more than 24 h old.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import DISK, PATIENCE_S, LatestWriter
 from greenroof_ros.common.processes import LockedError, acquire_file_lock
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.common.times import to_people
+from greenroof_ros.common.times import boot_id, boot_time, to_people
 
 DAY_S = 86_400.0
 # Length of a slot (s), and how many the last 24 h touch.
@@ -87,7 +88,8 @@ class PumpRecord:
             ``elapsed``; the present slot is the last.
         starts: times of its last starts (s, as ``elapsed``); the file keeps the last hundred.
         on: whether it was on when this was written.
-        written_at: time of writing by the system clock (s since 1970).
+        boot: the machine's start in which this was written; empty if unknown.
+        boot_s: time of writing since then (s).
     """
 
     hold_owner: str = ""
@@ -100,7 +102,8 @@ class PumpRecord:
     use: tuple[tuple[float, float], ...] = ()
     starts: tuple[float, ...] = ()
     on: bool = False
-    written_at: float = 0.0
+    boot: str = ""
+    boot_s: float = 0.0
 
     @property
     def hold(self) -> tuple[str, str, float | None]:
@@ -188,11 +191,11 @@ class Ledger:
         """Load the content of the file, and add the time since it was written."""
         self.record, self._lines.sequence, intact = _read(file)
         self._at_start = self.record
-        down = self._clock() - self.record.written_at
-        known = self.record.written_at > 0 and down > 0
+        same_boot = "" != self.record.boot == boot_id()
+        down = boot_time() - self.record.boot_s
         if self.record.on:
-            self._unseen = down if known else math.inf
-        if known:
+            self._unseen = down if same_boot else math.inf
+        if same_boot:
             self._advance(down)
         if not intact:
             self._save()
@@ -309,7 +312,7 @@ class Ledger:
         """Queue the record for writing, after any write in progress."""
         self._unsaved = 0.0
         if self._file_lock is not None:
-            self._writer.write(replace(self.record, written_at=self._clock()))
+            self._writer.write(replace(self.record, boot=boot_id(), boot_s=boot_time()))
 
 
 class _Lines:
@@ -511,7 +514,8 @@ _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "sequence": ("a whole number above 0", lambda value: type(value) is int and value > 0),
     "hold_until": ("a number or null", lambda value: value is None or value in _NUMBER),
     **dict.fromkeys(("hold_owner", "hold_reason", "unknown", "fault", "fault_code"), _TEXT_KIND),
-    **dict.fromkeys(("elapsed", "written_at"), (str(_NUMBER), _NUMBER.__contains__)),
+    "boot": _TEXT_KIND,
+    **dict.fromkeys(("elapsed", "boot_s"), (str(_NUMBER), _NUMBER.__contains__)),
     "use": (
         f"at most {_SLOTS} pairs of numbers", lambda value: isinstance(value, list)
         and len(value) <= _SLOTS and all(_is_pair(each) for each in value),

@@ -27,12 +27,13 @@ from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.files import state_directory
 from greenroof_ros.common.times import to_people
+from greenroof_ros.live.pumping import ledger as ledger_module
 from greenroof_ros.live.pumping.ledger import Ledger, PumpRecord
 from greenroof_ros.live.pumping.pump_control import PumpControl
 
 
 class Clock:
-    """A system clock that is set by hand."""
+    """Both clocks of a machine, set by hand."""
 
     now = 1_800_000_000.0
 
@@ -41,8 +42,10 @@ class Clock:
 
 
 @pytest.fixture
-def clock() -> Clock:
-    return Clock()
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(ledger_module, "boot_time", clock)
+    return clock
 
 
 def written(file: Path) -> dict[str, Any]:
@@ -109,10 +112,11 @@ def test_a_second_ledger_erases_nothing(tmp_path: Path, clock: Clock) -> None:
     assert third.close() == ""
 
 
-def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:
+def test_use_of_the_day(tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is written every 10 s of use; time without the node counts, and the last 24 h slide.
 
-    A clock that was set back, as without a battery, frees nothing.
+    A system clock that is set, as by NTP without a battery, frees nothing, nor does a new start of
+    the machine.
     """
     file = tmp_path / "pump.json"
     ledger = Ledger(file, clock)
@@ -124,9 +128,12 @@ def test_use_of_the_day(tmp_path: Path, clock: Clock) -> None:
     for _ in range(81):
         ledger.count(1.0, 0.5, 0.01)
     ledger.flush()
-    began, clock.now = clock.now, 0.0
-    assert (read(file, clock).elapsed, read(file, clock).day_run) == pytest.approx((100, 50))
+    began, clock.now = clock.now, 1e6
+    with monkeypatch.context() as rebooted:
+        rebooted.setattr(ledger_module, "boot_id", lambda: "another")
+        assert (read(file, clock).elapsed, read(file, clock).day_run) == pytest.approx((100, 50))
     clock.now = began + 3600
+    assert read(file, lambda: 1000.0).elapsed == read(file, lambda: 9e9).elapsed
     again = read(file, clock)
     assert again.day_volume == pytest.approx(1.0)
     assert again.day_run == pytest.approx(50)
@@ -159,7 +166,8 @@ def test_no_24_h_have_more_use_than_the_limits(
     """By more than a tick's, in any window, also over restarts; and it is never off for a day."""
     tick, flow = 100.0, 1.5e-3
     clock = Clock()
-    with TemporaryDirectory() as directory:
+    with TemporaryDirectory() as directory, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ledger_module, "boot_time", clock)
         file = Path(directory) / "pump.json"
         ledger = Ledger(file, clock)
         pumped: list[float] = []  # when each tick of pumping ended
@@ -210,10 +218,11 @@ def test_any_record_fits_in_its_line(tmp_path: Path, clock: Clock) -> None:
 
 
 @pytest.mark.parametrize(
-    ("down", "run"), [(4.0, 4.0), (-3600.0, 25.0)],
+    ("boot", "elapsed", "run"), [("this", 4.0, 4.0), ("another", 0.0, 25.0), ("", 0.0, 25.0)],
 )
 def test_what_no_one_saw_counts_at_worst(
-    down: float, run: float, tmp_path: Path, clock: Clock
+    boot: str, elapsed: float, run: float, tmp_path: Path, clock: Clock,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Killed with the pump on: full flow since then, until the drive must have stopped (15 + 10 s).
 
@@ -221,16 +230,18 @@ def test_what_no_one_saw_counts_at_worst(
     """
     file = tmp_path / "pump.json"
     ledger = Ledger(file, clock)
+    monkeypatch.setattr(ledger_module, "boot_id", lambda: boot and "this")
     ledger.switch(True)
     ledger.close()
-    clock.now += down
+    monkeypatch.setattr(ledger_module, "boot_id", lambda: boot)
+    clock.now += 4.0
     site = PAPER_SITE
     flow = site.b * math.sqrt(site.z_o + site.c_hat - site.d)
     for attempt in range(2):  # counted once only
         ledger = Ledger(file, clock)
         PumpControl(site, settings_for(site), ledger, drive_stops_after=15.0)
         ledger.close()
-        assert ledger.record.elapsed == max(0.0, down), attempt
+        assert ledger.record.elapsed == elapsed, attempt
         assert ledger.record.day_run == pytest.approx(run), attempt
         assert ledger.record.day_volume == pytest.approx(run * flow, rel=1e-3), attempt
 
@@ -266,7 +277,7 @@ def lines_of(**changes: Any) -> bytes:
     whole = {
         "hold_owner": "", "hold_reason": "", "hold_until": None, "unknown": "", "fault": "",
         "fault_code": "", "elapsed": 60.0, "use": [[30.0, 0.2]], "starts": [10.0], "on": False,
-        "written_at": 1_800_000_000.0, "version": 1,
+        "boot": "an earlier one", "boot_s": 50.0, "version": 1,
     } | changes
     lines = b""
     for sequence in (1, 2):
@@ -283,7 +294,8 @@ def lines_of(**changes: Any) -> bytes:
     ({"starts": [1.0, "2"]}, "starts must be a list of numbers"),
     ({"starts": {"1": 1}}, "starts must be a list of numbers"),
     ({"elapsed": math.nan}, "elapsed must be a number from 0 to 1e+11"),
-    ({"written_at": math.inf}, "written_at must be a number from 0 to 1e+11"),
+    ({"boot_s": math.inf}, "boot_s must be a number from 0 to 1e+11"),
+    ({"boot": None}, "boot must be text"),
     ({"use": [[0.0, -1e9]]}, "use must be at most 49 pairs of numbers"),
     ({"use": [[10**400, 0.0]]}, "use must be at most 49 pairs of numbers"),
     ({"use": [[1.0]]}, "use must be at most 49 pairs of numbers"),
@@ -314,7 +326,7 @@ def test_an_upgrade_needs_no_reset(tmp_path: Path, clock: Clock) -> None:
     file = tmp_path / "pump.json"
     file.write_bytes(lines_of(future={"a": [1]}, hold_owner="the page", hold_reason="painting"))
     assert read(file, clock).hold == ("the page", "painting", None)
-    missing = ("hold_reason", "hold_until", "fault_code", "use", "starts", "written_at", "version")
+    missing = ("hold_reason", "hold_until", "fault_code", "use", "starts", "boot", "version")
     file.write_bytes(lines_of(**dict.fromkeys(missing, ...), fault="burst pipe"))
     record = read(file, clock)
     assert (record.unknown, record.fault, record.hold, record.starts) == (
@@ -521,7 +533,7 @@ def test_killed_at_each_step_of_its_first_start(tmp_path: Path, clock: Clock) ->
         record = read(file, clock)
         if not killed:
             break
-        assert (record == PumpRecord()) or record.unknown or record.written_at
+        assert (record == PumpRecord()) or record.unknown or record.boot
     assert number > 3 and record.hold_owner == "the page"
 
 
