@@ -4,9 +4,10 @@ This module alone decides what is an alarm, by the table of conditions. It is gi
 returns alarms. The supervisor of a live site gives it the reports on its sockets; page, status and
 bridge give it those on /diagnostics. A node sends the same report by both ways, with the code of
 what is wrong, when that began and how long it has lasted. So each place has the same alarms: the
-same node, part and code since the same time. The supervisor prints and records them
-(:mod:`greenroof_ros.common.alarm_log`), beside the bag, and the bag has the reports themselves:
-nothing needs to publish alarms, and a dead supervisor hides none.
+same node, part and code since the same time. A node that died is lost since its last report on
+/diagnostics, also if it is back before its silence alone would be noticed. The supervisor prints
+and records the alarms (:mod:`greenroof_ros.common.alarm_log`), beside the bag, and the bag has the
+reports themselves: nothing needs to publish alarms, and a dead supervisor hides none.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ LEVELS = "ok", "warn", "error", "stale"
 # After this silence (s) a node does not respond: it reports at least once a second, so it may miss
 # two reports.
 SILENT_S = 3.5
+# If it has been silent for this time (s) when another process reports under its name, it has died.
+_DIED_S = 1.5
 # An alarm that comes back within this time (s) is the same one.
 _AGAIN_S = 10.0
 # While all nodes have run for less than this (s), the site starts: what is late may still come.
@@ -227,6 +230,7 @@ class NodeReport:
         refused_at: when its count of refused values last grew (steady clock, s).
         refused: the topics of those values.
         ended: how its process ended, in words, if that is known from elsewhere.
+        lost: of the process before it, if that died: when it was last heard, and received.
     """
 
     name: str
@@ -242,6 +246,7 @@ class NodeReport:
     refused_at: float = -math.inf
     refused: tuple[str, ...] = ()
     ended: str = ""
+    lost: tuple[float, float] | None = None
 
     @property
     def has_ended(self) -> bool:
@@ -261,6 +266,13 @@ class NodeReport:
             self.refused_at, self.refused = wall, tuple(grown[:_MAX_ABOUT])
         self.state, self.values, self.received_at, self.heard = state, values, wall, now
         self.ended = ""
+
+    def replace_process(self, before: NodeReport | None) -> None:
+        """Replace the process that reported under its name; if that died, it is lost until now."""
+        if before is not None and not before.has_ended and (
+            self.began - before.received_at > _DIED_S
+        ):
+            self.lost = before.heard, before.received_at
 
     def receive_part(
         self, part: str, wall: float, level: int, sentence: str, values: Mapping[str, str]
@@ -286,6 +298,9 @@ class NodeReport:
         waiting = self.values.get("waiting")
         if not online:
             yield self.name, lost
+        elif self.lost is not None and self.received_at == self.began:
+            since, received_at = self.lost
+            yield self.name, replace(lost, since=since, age_s=wall - received_at)
         elif self.state == STARTING and isinstance(waiting, list):
             peers = tuple(map(str, waiting[:_MAX_ABOUT]))
             waits = make_diagnosis(WARN, self.role, "waits", peers=", ".join(peers))

@@ -71,6 +71,21 @@ def unique_name(file: Path, existing: Container[str]) -> str:
     return name
 
 
+COPIES = "GREENROOF_ROS_COPIES"
+"""environment variable of a live site's nodes: the directory with copies of the files that the site
+was started with, each under its full path"""
+
+
+def as_started(file: Path) -> Path:
+    """Return where a file is read: a live site's nodes read its copy, if there is one.
+
+    So a restarted node is not given what was edited since; messages name the file itself.
+    """
+    copies = os.environ.get(COPIES)
+    copy = Path(f"{copies}{file.absolute()}") if copies else file
+    return copy if copy.exists() else file
+
+
 def file_digest(path: Path) -> str:
     """Return a hash of a file's content; empty if there is no such file."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
@@ -93,11 +108,12 @@ def read_lines(path: Path) -> Iterator[str]:
         ConfigurationError: the file cannot be read, is too large or empty, or a line is not UTF-8
             text.
     """
-    if path.exists() and not path.is_file():
+    source = as_started(path)
+    if source.exists() and not source.is_file():
         raise ConfigurationError("must be a regular file", file=path)
     blank = True
     try:
-        with path.open("rb") as stream:
+        with source.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
             if size > MAX_BYTES:
                 raise ConfigurationError(
@@ -229,7 +245,7 @@ def check_private(file: Path) -> None:
         ConfigurationError: other users may, too.
     """
     with suppress(OSError):  # reading it reports the error
-        if file.stat().st_mode & 0o077:
+        if as_started(file).stat().st_mode & 0o077:
             raise ConfigurationError(
                 "other users may read or change it: protect it with chmod 600, and replace the "
                 "secret in it if someone may have read it", file=file,

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.common.errors import ConfigurationError, require_extra
-from greenroof_ros.common.files import check_private, read_yaml
+from greenroof_ros.common.files import as_started, check_private, read_yaml
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -139,7 +139,7 @@ def make_client(
         client.username_pw_set(*_read_login(broker.login))
     if broker.tls:
         try:
-            client.tls_set(ca_certs=None if broker.authority is None else str(broker.authority))
+            client.tls_set(broker.authority and str(as_started(broker.authority)))
         except OSError as error:  # or ssl.SSLError
             raise ConfigurationError(
                 f"cannot be used as certificates: {error.strerror or error}", file=broker.authority

@@ -17,6 +17,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import as_started
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.states import ENDED, STARTING
 from greenroof_ros.graph.diagnostics import NodeDiagnostics
@@ -97,14 +98,14 @@ class GraphNode(Node):
     def declare_site(self) -> Site:
         """Declare the parameter ``site_file``, and read the site.
 
-        From then on each report has the absolute path of the file, as ``site``, so that observers
-        can read the same site.
+        From then on each report has the absolute path of what was read, as ``site``, so that
+        observers can read the same site.
 
         Raises:
             ConfigurationError: the file, or a value in it, is wrong.
         """
         file = Path(declare(self, [site_file()])["site_file"])
-        self._site_file = {"site": str(file.resolve())}
+        self._site_file = {"site": str(as_started(file).resolve())}
         return read_site(file)
 
     def open_outputs(self, *names: str) -> None:

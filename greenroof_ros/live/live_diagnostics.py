@@ -159,6 +159,7 @@ class LiveDiagnostics(NodeDiagnostics):
         }
         supervisor_socket().report({
             "node": self._node.get_name(), "state": self.state, **values, "diagnoses": diagnoses,
+            "published_at": self._published_at,
         })
 
     def flush(self, seconds: float) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -106,12 +105,20 @@ class LiveSite:
         self.bag_limit: float | None = None if arguments.no_record else arguments.bag_limit
 
     def files(self) -> dict[str, Path]:
-        """Return the files to copy at the start, by name; without the forecast: it changes."""
+        """Return the files that its nodes read, by name; without the forecast: it changes."""
         files = {
             "site": self.site_file, "sensors": self.sensors,
             "drive": self.drive.file if self.drive is not None else None,
         }
         return {name: file for name, file in files.items() if file is not None}
+
+    def broker_files(self) -> list[Path]:
+        """Return the files of logins and certificates that its nodes read."""
+        devices = [self.drive, *(self.sensed.by_section.values() if self.sensed else ())]
+        return [
+            Path(file) for device in devices for key in ("login", "authority")
+            if (file := getattr(device, key, ""))
+        ]
 
     def forecast_parameters(self, state: Path) -> dict[str, str]:
         """Return the weather node's forecast parameters; ``state`` is the site's directory."""
@@ -122,19 +129,12 @@ class LiveSite:
             "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
         }
 
-    def nodes(self, state: Path, directory: Path) -> Iterator[NodeStart]:
-        """Yield the nodes that bringup starts.
-
-        Args:
-            state: the directory of the site.
-            directory: has the copies of :meth:`files` when the nodes start, each in a subdirectory
-                of its name.
-        """
-        copies = {name: directory / name / file.name for name, file in self.files().items()}
-        common = {"site_file": str(copies["site"])}
+    def nodes(self, state: Path) -> Iterator[NodeStart]:
+        """Yield the nodes that bringup starts; ``state`` is the site's directory."""
+        common = {"site_file": str(self.site_file)}
         if self.sensed is not None:
             yield NodeStart(
-                "sensors", "greenroof_ros.live.sensors", ("--sensors", str(copies["sensors"])),
+                "sensors", "greenroof_ros.live.sensors", ("--sensors", str(self.sensors)),
                 several=tuple(QUANTITIES[section].node for section in self.sensed.by_section),
             )
         if self.weather:
@@ -158,10 +158,9 @@ class LiveSite:
             instead=partial(_give_up, self.controller),
         )
         if self.drive is not None:
-            drive = replace(self.drive, file=copies["drive"])
             yield NodeStart(
                 PUMP, "greenroof_ros.live.pump", (),
-                {**common, **drive.parameters(state / "pump.json")},
+                {**common, **self.drive.parameters(state / "pump.json")},
             )
         if self.bag_limit is not None:
             yield NodeStart(

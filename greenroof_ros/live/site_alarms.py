@@ -22,7 +22,7 @@ class SiteAlarms:
     """Judges the reports of a site's nodes, and prints and records the alarms.
 
     A node whose process has ended is lost at once here, and to an observer of /diagnostics when it
-    has been silent for a while: both have the same alarm, since its last report.
+    has been silent for a while, or is back: both have the same alarm, since its last report there.
 
     Attributes:
         log: what is printed and recorded.
@@ -88,6 +88,7 @@ class SiteAlarms:
                 report, wall, wall, wall,
             )
         node.receive(wall, now, report["state"], report)
+        node.heard -= wall - report.get("published_at", wall)
         for part, status in report.get("diagnoses", {}).items():
             node.receive_part(part, wall, status["level"], status["message"], status["values"])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import shutil
 import time
 import traceback
@@ -19,7 +20,7 @@ from greenroof_ros.common.alarms import WARN, Judge, advise
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.disk import DISK, LatestWriter
 from greenroof_ros.common.errors import OccupiedError
-from greenroof_ros.common.files import add_path_to_errors
+from greenroof_ros.common.files import COPIES, add_path_to_errors
 from greenroof_ros.common.processes import (
     IN_MEMORY,
     InterruptedRun,
@@ -69,28 +70,30 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     """
     state: Path = arguments.state
     modules = {
-        name: node.module for node in site.nodes(state, state) for name in node.nodes
+        name: node.module for node in site.nodes(state) for name in node.nodes
     }
     with importing_ros():
         user_files = node_parameter_files(arguments, modules, site.controller)
     with (
         lock_namespace(arguments.namespace),
         _state_directory(state) as state,
-        scratch_directory(IN_MEMORY) as configuration,
+        scratch_directory(IN_MEMORY) as memory,
     ):
         _fit_bag(site, state / "bag")
-        nodes = list(site.nodes(state, configuration))
-        parameters = _write_configuration(site, user_files, nodes, configuration)
+        nodes = list(site.nodes(state))
+        configuration = _Configuration(memory, site, user_files, nodes)
+        configuration.write()
         record = _SiteRecord(site, state, arguments.namespace, nodes)
         start = _StartReport()
         start.update(record.alarms.judge, {}, "the nodes are starting")
         names = modules.keys() | {"plant", *controller_names()}
         refuse_other_nodes(arguments.namespace, names, signals.check)
-        DISK.do(partial(_keep_configuration, configuration, state / "configuration"))
+        DISK.do(partial(configuration.keep, state / "configuration"))
         supervisor = LiveSupervisor(
-            state / "log", parameters, arguments.namespace,
+            state / "log", configuration.parameters, arguments.namespace,
             site.drive.stopper() if site.drive is not None else None,
             record.alarms.fail, silence_s=arguments.peer_limit, restarts=arguments.restarts,
+            prepare=configuration.write,
         )
         try:
             record.write(summary.RUNNING)
@@ -368,55 +371,87 @@ def _fit_bag(site: LiveSite, bag: Path) -> None:
         site.bag_limit = reduced
 
 
-def _write_configuration(
-    site: LiveSite, user_files: Sequence[Path], nodes: Sequence[NodeStart], directory: Path
-) -> list[Path]:
-    """Copy the files that the site is started with, and write the parameters of its nodes.
+class _Configuration:
+    """The files that the site is started with, which its nodes read, also after a restart.
 
-    Nodes read nothing else, also after a restart: neither originals, which may have been edited,
-    nor the copies of an earlier start. Only the forecast is read from its own path, since it is
-    replaced there.
+    Nodes read neither originals, which may have been edited, nor the copies of an earlier start.
+    Only the forecast is read from its own path, since it is replaced there, and the controller's
+    code. The copies are in memory, since after a power cut no one is there to make room on a full
+    disk. A cleaner may remove them, or systemd when their user logs out: before each start of a
+    node what is missing is written again.
 
-    Args:
-        site: the site as the command line describes it.
-        user_files: the user's parameter files.
-        nodes: the nodes, which read from this directory.
-        directory: in memory, since after a power cut no one is there to make room on a full disk.
-
-    Returns:
-        The ROS 2 parameter files that all nodes read, bringup's and the user's.
-
-    Raises:
-        OSError: it cannot be written.
+    Attributes:
+        parameters: the ROS 2 parameter files that all nodes read, bringup's and the user's.
     """
-    directory.chmod(0o755)  # the page may run as another user
-    with add_path_to_errors(directory):
+
+    def __init__(
+        self, directory: Path, site: LiveSite, user_files: Sequence[Path],
+        nodes: Sequence[NodeStart],
+    ) -> None:
+        """Read the files.
+
+        Args:
+            directory: of the copies.
+            site: the site as the command line describes it.
+            user_files: the user's parameter files.
+            nodes: the nodes.
+
+        Raises:
+            OSError: a file cannot be read or written.
+        """
+        self._directory = directory
+        self._files: dict[Path, tuple[bytes, int]] = {}  # content and mode of each copy
+        self._kept: dict[Path, bytes] = {}  # what people may read later; no passwords
+        with add_path_to_errors(directory):
+            of_nodes = {node.name: node.parameters for node in nodes if node.parameters}
+            own = write_parameters(directory, of_nodes)
+        self._files[own], self._kept[Path(own.name)] = (own.read_bytes(), 0o644), own.read_bytes()
+        self.parameters = [own, *map(self._add, user_files)]
         for name, file in [*site.files().items(), *(("nodes", file) for file in user_files)]:
-            copy = directory / name / file.name
-            copy.parent.mkdir()
-            if name == "site":
-                copy.write_text(edited(file, {}), encoding="utf-8")
-            else:
-                shutil.copyfile(file, copy)
-        parameters = {node.name: node.parameters for node in nodes if node.parameters}
-        return [
-            write_parameters(directory, parameters),
-            *(directory / "nodes" / file.name for file in user_files),
-        ]
+            text = edited(file, {}).encode() if name == "site" else None
+            copy = self._add(file, text)
+            self._kept[Path(name, file.name)] = self._files[copy][0]
+        for file in site.broker_files():
+            self._add(file)
 
+    def _add(self, file: Path, content: bytes | None = None) -> Path:
+        """Return the copy of a file; by default with its content."""
+        copy = Path(f"{self._directory}{file.absolute()}")
+        mode = file.stat().st_mode & 0o777
+        self._files[copy] = file.read_bytes() if content is None else content, mode
+        return copy
 
-def _keep_configuration(configuration: Path, kept: Path) -> None:
-    """Keep a copy for people, in place of the one of the last start; warn if that fails."""
-    part = kept.with_suffix(".part")
-    shutil.rmtree(part, ignore_errors=True)
-    try:
-        for file in filter(Path.is_file, configuration.rglob("*")):
-            copy = part / file.relative_to(configuration)
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(file, copy)
-        shutil.rmtree(kept, ignore_errors=True)
-        part.rename(kept)
-    except OSError as error:
+    def write(self) -> dict[str, str]:
+        """Write the copies that are missing or damaged; return the nodes' environment for them.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        for copy, (content, mode) in self._files.items():
+            with suppress(OSError):
+                if copy.read_bytes() == content:
+                    continue
+            with add_path_to_errors(self._directory):
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.unlink(missing_ok=True)
+                opener = partial(os.open, mode=mode)
+                with open(copy, "wb", opener=opener) as stream:
+                    stream.write(content)
+        self._directory.chmod(0o755)  # the page may run as another user
+        return {COPIES: str(self._directory)}
+
+    def keep(self, kept: Path) -> None:
+        """Keep copies for people, in place of those of the last start; warn if that fails."""
+        part = kept.with_suffix(".part")
         shutil.rmtree(part, ignore_errors=True)
-        why = f"{error.strerror}; the configuration of this start is not kept"
-        print_line(f"warning: {kept}: {why}")
+        try:
+            for name, content in self._kept.items():
+                copy = part / name
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.write_bytes(content)
+            shutil.rmtree(kept, ignore_errors=True)
+            part.rename(kept)
+        except OSError as error:
+            shutil.rmtree(part, ignore_errors=True)
+            why = f"{error.strerror}; the configuration of this start is not kept"
+            print_line(f"warning: {kept}: {why}")

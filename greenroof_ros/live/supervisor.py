@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -202,7 +202,7 @@ class LiveSupervisor:
     def __init__(
         self, logs: Path, parameters: Sequence[Path], namespace: str,
         stop_drive: StopDrive | None, on_failure: Callable[[str, str], None], *,
-        silence_s: float, restarts: int,
+        silence_s: float, restarts: int, prepare: Callable[[], Mapping[str, str]],
     ) -> None:
         """Start nothing yet.
 
@@ -215,6 +215,8 @@ class LiveSupervisor:
                 run, or the drive had to be stopped in its place.
             silence_s: how long a node may be silent before it is killed (s).
             restarts: most restarts of one node within ten minutes; one more stops the site.
+            prepare: called before each start of a node; returns additions to its environment, or
+                raises an :class:`OSError`.
         """
         self.nodes: dict[str, NodeProcess] = {}
         self.may_run = ""
@@ -225,6 +227,7 @@ class LiveSupervisor:
         self._records: dict[str, _NodeRecord] = {}
         self._silence_s = silence_s
         self._restarts = restarts
+        self._prepare = prepare
         self._stopper = ThreadPoolExecutor(1)
         self._stopper.submit(int)  # start its thread now: later the system may be out of threads
         self._stopping: Future[tuple[bool, str]] | None = None
@@ -272,9 +275,10 @@ class LiveSupervisor:
         """Start one node, in its own session: the terminal's Ctrl-C reaches only this process.
 
         Raises:
-            OSError: the system is out of processes or file descriptors; nothing is left open.
+            OSError: the system is out of processes or files, or the node's files cannot
+                be written; nothing is left open.
         """
-        name = node.name
+        name, additions = node.name, self._prepare()
         if name not in self._logs:
             self._logs[name] = _log_file(self._directory / f"{name}.log")
         with contextlib.ExitStack() as ends:
@@ -287,7 +291,8 @@ class LiveSupervisor:
                 stdout=printing.fileno(),
                 stderr=subprocess.STDOUT,
                 env={
-                    **child_environment(), LEASE: _LIVE_LEASE_S, SOCKET: str(theirs.fileno()),
+                    **child_environment(), **additions, LEASE: _LIVE_LEASE_S,
+                    SOCKET: str(theirs.fileno()),
                     "PYTHONFAULTHANDLER": "1",  # a crash in compiled code shows its place
                 },
                 pass_fds=[theirs.fileno()],

@@ -405,15 +405,24 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
 
     After a power cut no one is there to make room. A missing recording is an alarm, and does not
     end the recorder. In each file the site of before had another value: twice the evaporation, and
-    other ports of the sensors.
+    other ports of the sensors. The nodes' copies may be removed meanwhile, and the broker's login
+    be one that others may read.
     """
     disk, sensors, site_file = (tmp_path / name for name in ("run", "sensors.yaml", "site.yaml"))
     evapotranspiration = site.listen("/weather/evapotranspiration")
     here, before = free_ports(2), free_ports(2)
+    login = tmp_path / "login.yaml"
+    login.write_text("username: u\npassword: p\n")
+    login.chmod(0o600)
+    thermometer = (
+        f"thermometer:\n  address: mqtt://127.0.0.1:1/t\n  login: {login}\n  scale: 1.0\n"
+        "  low: -40.0\n  high: 60.0\n  median: 1\n  max_age: 60.0\n"
+    )
 
     def write(sensors: Path, site_file: Path, ports: list[int], factor: float) -> None:
         text = (CONFIG / "sensors.yaml").read_text()
-        sensors.write_text(text.replace("5030", str(ports[0])).replace("5031", str(ports[1])))
+        text = text.replace("5030", str(ports[0])).replace("5031", str(ports[1]))
+        sensors.write_text(text + thermometer)
         values = read_yaml(CONFIG / "site.yaml")["monthly_evapotranspiration"]
         site_file.write_text(
             f"extends: {CONFIG / 'site.yaml'}\n"
@@ -434,7 +443,7 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
         write(sensors, site_file, here, 1.0)
         options = (
             "--controller", "onoff", "--sensors", "sensors.yaml", "--pump", "external", "--site",
-            "site.yaml", "--thermometer", "external",
+            "site.yaml",
         )
         with live(domain, tmp_path, *options) as process:
             process.until_printed("has room for 0 MB of it, less than --bag-limit 10000", 60)
@@ -447,11 +456,15 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
                 if not restart:
                     break
                 write(sensors, site_file, before, 2.0)
+                login.chmod(0o644)
+                environ = Path(f"/proc/{process.nodes()['sensors']}/environ").read_text()
+                shutil.rmtree(environ.partition("GREENROOF_ROS_COPIES=")[2].partition("\0")[0])
                 for name in ("sensors", "weather"):
                     os.kill(process.nodes()[name], signal.SIGKILL)
                 site.until(lambda: {"sensors", "weather"} <= process.nodes().keys(), 60, "restarts")
                 site.diagnoses.clear()
                 evapotranspiration.clear()
+            assert not process.stderr().count("exit code")
         assert str(before[1]) in (old / "sensors" / "sensors.yaml").read_text()
 
 

@@ -47,7 +47,7 @@ class Site:
 
         self.supervisor = LiveSupervisor(
             directory, [], "", stop_drive, lambda *failure: self.failures.append(failure),
-            silence_s=silence_s, restarts=restarts,
+            silence_s=silence_s, restarts=restarts, prepare=dict,
         )
         self._ending = ExitStack()
         self._ending.enter_context(self.supervisor)

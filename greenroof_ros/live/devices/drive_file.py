@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError, suggest_names
-from greenroof_ros.common.files import YamlMapping, shared_directory
+from greenroof_ros.common.files import YamlMapping, as_started, shared_directory
 from greenroof_ros.common.parameter import Word, entry, find, read_record
 from greenroof_ros.live.devices.modbus_line import (
     WIDTHS,
@@ -296,7 +296,7 @@ def find_drive_file(name: str) -> Path:
     names = sorted(path.stem for path in shipped.glob("*.yaml"))
     if name in names:
         return shipped / f"{name}.yaml"
-    if Path(name).is_file():
+    if as_started(Path(name)).is_file():
         return Path(name)
     raise ConfigurationError(
         f"is neither a file nor a name in config/drives/; {suggest_names(name, names)}",
