@@ -139,7 +139,8 @@ def make_client(
         client.username_pw_set(*_read_login(broker.login))
     if broker.tls:
         try:
-            client.tls_set(broker.authority and str(as_started(broker.authority)))
+            authority = None if broker.authority is None else str(as_started(broker.authority))
+            client.tls_set(authority)
         except OSError as error:  # or ssl.SSLError
             raise ConfigurationError(
                 f"cannot be used as certificates: {error.strerror or error}", file=broker.authority

@@ -212,15 +212,25 @@ class GraphClient:
     def _request(
         self, service: str, timeout_s: float, *, to_all: bool = False, **request: Any
     ) -> str:
-        """Send a request to the pump node; if there are several, to all or to none."""
+        """Send a request to the pump node; if there are several, to all or to none.
+
+        The answer of one of two nodes of one name says nothing about the other one: it is asked
+        again when only one is left.
+        """
         until, reported = time.monotonic() + timeout_s, tuple(self._pumps)
         settled = min(until, self._joined_at + _DISCOVERY_S)
         sent: dict[str, Any] = {}
-        waiting = True
+        twice, waiting = set[str](), True
         while waiting:
             self.find_pumps(reported)
-            if len(self._pumps) > 1 and not to_all:
-                names = " and ".join(sorted(self._pumps))
+            before, twice = twice, {
+                name for name in self._pumps
+                if self._node.count_services(f"{name}/{service}") > 1
+            }
+            for name in before - twice:
+                sent.pop(name, None)
+            if (len(self._pumps) > 1 or twice) and not to_all:
+                names = " and ".join(sorted([*self._pumps, *twice]))
                 raise PumpRequestError(
                     f"Nothing was done: it is not clear which node controls the pump, {names}. "
                     "End those that should not run."
@@ -231,7 +241,7 @@ class GraphClient:
                     sent[name] = clients[service].call_async(message)
             self._executor.spin_once(timeout_sec=_SPIN_S)
             now = time.monotonic()
-            waiting = now < until and (now < settled or not (
+            waiting = now < until and (now < settled or bool(twice) or not (
                 self._pumps.keys() <= sent.keys() and all(map(_is_done, sent.values()))
             ))
         if not self._pumps:
@@ -239,6 +249,11 @@ class GraphClient:
         answers = {
             name: _answer(name, service, sent.get(name), timeout_s) for name in sorted(self._pumps)
         }
+        for name in twice & answers.keys():
+            answers[name] = False, (
+                f"two nodes are named {name}, and one of them may not have done that "
+                f"({answers[name][1]}): end the one that should not run, and try again"
+            )
         for name, future in sent.items():
             if not future.done() and name in self._pumps:
                 self._pumps[name][service].remove_pending_request(future)
