@@ -18,7 +18,13 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, NamedTuple
 
-from greenroof_ros.common.conditions import Condition, Diagnosis, Value, read_conditions
+from greenroof_ros.common.conditions import (
+    Condition,
+    Diagnosis,
+    Value,
+    identity_of,
+    read_conditions,
+)
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.states import ENDED, FINISHED, PUMP, STARTING
 
@@ -204,10 +210,11 @@ class PartReport:
         """Return its diagnosis; the topics in it lose the namespace."""
         text = self.values.get
         about = text("topics") or text("topic", "")
+        code, fault = identity_of(self.values)
         return StatusDiagnosis(
-            self.level, self.sentence, text("code", ""), role,
+            self.level, self.sentence, code, role,
             tuple(topic.removeprefix(namespace) for topic in about.split()[:_MAX_ABOUT]),
-            text("fault") or text("warning", ""), _time(text("since", "")),
+            fault, _time(text("since", "")),
             _number(text("age_s", "")), self.was_good,
         )
 

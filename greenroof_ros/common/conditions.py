@@ -169,6 +169,14 @@ class Diagnosis:
 Value = float | str | Diagnosis
 
 
+def identity_of(values: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the code in a report's values, and the device's own fault or warning.
+
+    With another one it is another alarm under the same name; numbers in words may change.
+    """
+    return values.get("code", ""), values.get("fault") or values.get("warning") or ""
+
+
 def join_diagnoses(
     problems: Sequence[Diagnosis], worst: Diagnosis | None = None
 ) -> Diagnosis | None:

@@ -10,7 +10,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from greenroof_ros.common.conditions import Diagnosis, Value
+from greenroof_ros.common.conditions import Diagnosis, Value, identity_of
 from greenroof_ros.common.times import iso
 from greenroof_ros.graph.diagnostics import NodeDiagnostics
 from greenroof_ros.live.supervisor_socket import supervisor_socket
@@ -104,8 +104,8 @@ class LiveDiagnostics(NodeDiagnostics):
         if problem is None:
             problem, level = Diagnosis("", well), OK
         since, began = time.time(), time.monotonic()
-        if before is not None and (before.code, _fault(before.values)) == (
-            problem.code, _fault(problem.values)
+        if before is not None and identity_of({**before.values, "code": before.code}) == (
+            identity_of({**problem.values, "code": problem.code})
         ):
             since, began = before.since, before.began
         diagnosis = self.diagnoses[part] = PartStatus(
@@ -126,7 +126,7 @@ class LiveDiagnostics(NodeDiagnostics):
         """Report the state of the node with these values, and of its parts.
 
         The supervisor gets each report: it must find out soon that a node hangs. /diagnostics gets
-        a state, level or code that has changed, and otherwise one report a second.
+        a state or level, or another diagnosis, and otherwise one report a second.
         """
         self.urgent = False
         status, values = self.status(values)
@@ -136,7 +136,8 @@ class LiveDiagnostics(NodeDiagnostics):
         }
         now = time.monotonic()
         published = self.state, status.level, values.get("code"), *(
-            (part, diagnosis.level, diagnosis.code) for part, diagnosis in self.diagnoses.items()
+            (part, diagnosis.level, identity_of(programs[part]))
+            for part, diagnosis in self.diagnoses.items()
         )
         if published != self._published or now - self._published_at >= _PUBLISH_S:
             self._published, self._published_at = published, now
@@ -166,8 +167,3 @@ class LiveDiagnostics(NodeDiagnostics):
         """Wait for at most this long (s) until all readers, and then the supervisor, have all."""
         super().flush(seconds)
         supervisor_socket().flush(_FLUSH_S)
-
-
-def _fault(values: Mapping[str, Value]) -> Value | None:
-    """Return a device's own fault or warning: with another one, the same code begins anew."""
-    return values.get("fault", values.get("warning"))

@@ -5,8 +5,8 @@ and are on the disk after 10 s. The oldest files are removed when the bag reache
 disk stops the recording and raises an alarm; the node keeps running, and tries again every minute.
 If the disk hangs, messages wait in memory, up to 32 MB, until it responds; that is an alarm, too.
 
-Of /diagnostics, changes of a state, level or code are recorded, and one report of each node in ten
-seconds.
+Of /diagnostics, changes of a state, a level or what is wrong are recorded, and one report of each
+node in ten seconds.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message
 
-from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.common.conditions import Diagnosis, identity_of
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.graph.executable import node_help
@@ -70,7 +70,7 @@ class ReportFilter:
             values = {entry.key: entry.value for entry in status.values}
             # A node's own message is its state; any other is a sentence, which may have numbers.
             state = status.message if "role" in values else ""
-            shown.append((status.name, status.level, values.get("code", ""), state))
+            shown.append((status.name, status.level, identity_of(values), state))
         sender = statuses[0].name if statuses else ""
         before, recorded_at = self._recorded.get(sender, (None, 0.0))
         if shown == before and now - recorded_at < _UNCHANGED_S:

@@ -14,7 +14,7 @@ from greenroof_ros.live.recorder import ReportFilter
 
 def report(
     *, node: str = "/pump", state: str = "ready", level: bytes = OK, code: str = "",
-    sentence: str = "0.30 m3/h",
+    fault: str = "12", sentence: str = "0.30 m3/h",
 ) -> bytes:
     """Return the report of a node with one part."""
     own = DiagnosticStatus(
@@ -22,7 +22,7 @@ def report(
     )
     part = DiagnosticStatus(
         name=f"{node}: drive", level=level, message=sentence,
-        values=[KeyValue(key="code", value=code)] if code else [],
+        values=[KeyValue(key="code", value=code), KeyValue(key="fault", value=fault)],
     )
     message: bytes = serialize_message(DiagnosticArray(status=[own, part]))
     return message
@@ -43,9 +43,10 @@ def test_reports_without_a_change_are_kept_every_ten_seconds_for_each_node() -> 
     "changed",
     [
         report(state="ended"), report(level=WARN), report(code="drive_local"),
+        report(fault="14"),
         serialize_message(DiagnosticArray(status=[DiagnosticStatus(name="/pump", level=ERROR)])),
     ],
-    ids=["state", "level", "code", "a part that is no longer there"],
+    ids=["state", "level", "code", "fault", "a part that is no longer there"],
 )
 def test_each_change_is_kept(changed: bytes) -> None:
     """And so is its end."""
