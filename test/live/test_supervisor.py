@@ -343,7 +343,7 @@ def few_files_left(number: int) -> Iterator[None]:
 def test_a_start_for_which_there_are_too_few_files(site: Site, files: int) -> None:
     """Wherever they run out, it is an error that can be handled, and nothing is left open."""
     nodes = LiveSupervisor(
-        site.directory, [], "", None, print, silence_s=5.0, restarts=1
+        site.directory, [], "", None, print, silence_s=5.0, restarts=1, prepare=dict
     )
     gc.collect()  # close now what earlier tests left open
     before = _open_files()

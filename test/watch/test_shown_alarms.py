@@ -106,7 +106,8 @@ _NAMES = "two processes report under this name: host 0 and host 1"
       (60.0, [])], {}, []),
     ([(0.0, pump(BAD)), (0.5, pump(BAD, state="ended")), (60.0, [])], {}, ["/pump ended"]),
     # A restart is an event; alarms of the previous process are over.
-    ([(0.0, pump(BAD)), (5.0, pump(process="host 2", state="starting"))], {},
+    ([(0.0, pump(BAD)), (5.0, pump(process="host 2", state="starting")),
+      (6.0, pump(process="host 2"))], {},
      ["/pump was started again"]),
     # Two processes with one name: not a restart each time, but an alarm while both report.
     (each_quarter(5, *TWICE), {"/pump": ("error", _NAMES)}, ["/pump was started again"]),
