@@ -47,7 +47,8 @@ class RunInputs:
         controller: decides how much to pump.
         parameters: of the controller; those left out have their defaults, also by site.
         site: its file, or a site.
-        weather: its files, or records, or a data frame.
+        weather: its files, or records, which are used as they are if they are complete, or a data
+            frame.
         forecast: what the controller knows of the coming weather.
         sensor_and_pump: how level sensor and pumps differ from the paper's.
     """
@@ -116,7 +117,12 @@ class RunInputs:
         if is_frame(self.weather):
             records = read_frame(self.weather, site)
         what = site.of_weather(), self.evapotranspiration, self.gaps
-        weather = read(self.weather, *what) if records is None else complete_records(records, *what)
+        if isinstance(records, Weather):
+            weather = records
+        else:
+            weather = read(self.weather, *what) if records is None else complete_records(
+                records, *what
+            )
         start = read_start(self.start, weather.first.tzinfo)
         steps = count_ticks(site, self.hours, "hours")
         series = WeatherSeries(weather, site, start, steps)
