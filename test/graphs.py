@@ -188,7 +188,7 @@ class Process:
                 continue
             for word in words:
                 if word.startswith(("greenroof_ros.nodes.", "greenroof_ros.live.")):
-                    processes[word.rpartition(".")[2].removeprefix("loop_")] = int(pid)
+                    processes[word.rpartition(".")[2]] = int(pid)
         return processes
 
     def wait_for_ticks(self, size: int = 30_000) -> None:

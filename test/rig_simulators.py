@@ -603,13 +603,13 @@ class SiteBench(Bench):
 
     def __init__(
         self, site: Site, rain, evapotranspiration, volumes, sensors, workbench: Address,
-        drive: Address | None = None, factor: float = 1.0, output=None,
+        drive: Address | None = None, output=None,
     ) -> None:
         super().__init__(workbench)
         pump = drive and DistantPump(drive, lambda: self.site.plant.levels()[0], self.log)
         self.site = FaultySite(
             site, rain, evapotranspiration, volumes, sensors,
-            lambda: pump.speed if pump else 0.0, factor,
+            lambda: pump.speed if pump else 0.0,
         )
         self.site.fault, self.site.output = self.fault, output
         self.site.began()
@@ -681,7 +681,6 @@ def site_simulator(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workbench", type=int, default=0)
     parser.add_argument("--rain", type=float, help="mm/h")
     parser.add_argument("--constant-evapotranspiration", type=float, help="mm/day")
-    parser.add_argument("--factor", type=float, default=1.0)
     parser.add_argument("--output", type=Path)
     parser.add_argument("--fault", type=fault_of, default=(NONE, DEFAULT))
     add_site_arguments(parser.add_argument_group("site"))
@@ -696,7 +695,7 @@ def site_simulator(parser: argparse.ArgumentParser) -> None:
     with given.output.open("w") if given.output else contextlib.nullcontext() as output:
         bench = SiteBench(
             run.site, rain, loss, (run.x1, run.x2), sensors,
-            local(given.workbench), given.drive_at, given.factor, output,
+            local(given.workbench), given.drive_at, output,
         )
         asyncio.run(bench.serve(*given.fault))
 

@@ -111,9 +111,9 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
 
 
 def _past_file(namespace: str) -> Path:
-    """Return the file that keeps the past of this domain and namespace."""
+    """Return the file that keeps the past of this domain and namespace; no name has a dot."""
     place = [os.environ.get("ROS_DOMAIN_ID") or "0", *filter(None, namespace.split("/"))]
-    return state_directory() / f"watch_{'_'.join(place)}.npz"
+    return state_directory() / f"watch_{'.'.join(place)}.npz"
 
 
 def _print_address(url: str, host: str, port: int | None, *, release: bool) -> None:

@@ -310,7 +310,9 @@ class NodeReport:
             yield self.name, replace(lost, since=since, age_s=wall - received_at)
         elif self.state == STARTING and isinstance(waiting, list):
             peers = tuple(map(str, waiting[:_MAX_ABOUT]))
-            waits = make_diagnosis(WARN, self.role, "waits", peers=", ".join(peers))
+            waits = make_diagnosis(
+                WARN, self.role, "peers_awaited", peers=", ".join(peers)
+            )
             yield self.name, replace(waits, about=peers, age_s=wall - self.since)
         if wall - self.refused_at <= SILENT_S:
             topics = ", ".join(self.refused)

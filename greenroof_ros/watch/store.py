@@ -101,8 +101,8 @@ class GraphStore:
         site: the site by which levels are judged: the paper's, until another one is known.
         wall: when the store was last updated (steady clock, s).
         notes: notes to the operator about the site file, and about the graph that is watched.
-        mode: ``none`` if nothing was received yet, ``simulated``, ``loop`` for a simulation with
-            the drive of a real pump, ``live``, or ``ended`` for a run that is over.
+        mode: ``none`` if nothing was received yet, ``simulated``, ``live``, or ``ended`` for a run
+            that is over.
         factor: simulated time per wall time; None if there is none.
         allow_release: whether the pump may be released from here.
         can_stop: whether a node offers to hold the pump, whatever is reported.

@@ -197,7 +197,7 @@ def _commanded(share: float | None) -> str:
 
 
 def _state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
-    """Return the pump's state and the reason; in a plain simulation, by its flow and command."""
+    """Return the pump's state and the reason; in a simulation, by its flow and command."""
     if report is not None:
         return report.state, report.why
     if store.mode == "live":

@@ -207,12 +207,12 @@ TWO = wrong("input_publishers")
     # A node that waits follows from the one it waits for; no error follows from a warning.
     ({
         "/weather": wrong("not_heard", "weather", STALE),
-        "/mpc": wrong("waits", "controller", WARN, about=("weather",)),
+        "/mpc": wrong("peers_awaited", "controller", WARN, about=("weather",)),
         "/mpc: inputs": wrong("input_waiting", "controller", WARN, about=("/roof/level",)),
         "/pump: command": wrong("input_silent", level=STALE, about=("/pump/command",)),
     }, "/weather"),
     ({
-        "/mpc": wrong("waits", "controller", WARN, about=("plant",)),
+        "/mpc": wrong("peers_awaited", "controller", WARN, about=("plant",)),
         "/mpc: inputs": wrong("input_refused", "controller", about=("/roof/level",)),
     }, {}),
     # A pump that needs a person at it follows from nothing.
@@ -275,7 +275,7 @@ def test_a_node_that_does_not_respond() -> None:
 def test_what_is_wrong_with_a_node() -> None:
     report = node("starting", waiting=["roof_sensor"])
     (waits,) = dict(report.diagnoses(2.0)).values()
-    assert (waits.code, waits.about, waits.age_s) == ("waits", ("roof_sensor",), 2.0)
+    assert (waits.code, waits.about, waits.age_s) == ("peers_awaited", ("roof_sensor",), 2.0)
     report.receive(3.0, NOON, "ready", {"refused": {"/a": 7}})
     assert codes(report, 3.0) == {"/weather: refused": "values_refused"}
     report.receive(3.5, NOON, "ready", {"refused": {"/a": 7}})

@@ -29,6 +29,7 @@ from graphs import (
 from page_server import Stream, request
 from simulators import Simulator
 
+from greenroof_ros.commands.watch import _past_file
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.watch.listening import listen, read_token
 
@@ -112,6 +113,12 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
         ):
             stream.head()
             end(process, number)
+
+
+def test_each_graph_has_a_past_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    names = [_past_file(name).name for name in ("", "/a/b", "/a_b")]
+    assert names == ["watch_7.npz", "watch_7.a.b.npz", "watch_7.a_b.npz"]
 
 
 def test_wrong_input_is_one_message(unused_domain: int, tmp_path: Path) -> None:

@@ -194,8 +194,7 @@ class PumpControl:
             dt: time since the last step (s), 0 at the first.
             observed: what is known.
             drive_dt: how long the drive was watched since the last step (s); None if that equals
-                ``dt``. It differs at a simulated site, and after a suspend, during which the drive
-                is not watched.
+                ``dt``. It differs after a suspend, during which the drive is not watched.
         """
         drive_dt = dt if drive_dt is None else drive_dt
         speed_known, backwards, reported = (
@@ -225,9 +224,8 @@ class PumpControl:
         levels_known = observed.cistern_level is not None and observed.roof_level is not None
         self._blind_for = 0.0 if levels_known and self._delivery.has_mean else self._blind_for + dt
         command, missing = observed.command, list[Diagnosis]()
-        if command is None or not 0 <= command < math.inf:
+        if command is None:
             missing.append(Diagnosis.of("command_unknown"))
-            command = None
         elif command > 1:
             warnings.append(Diagnosis.of("limited", "above", command=command))
             command = 1.0

@@ -1,4 +1,4 @@
-"""The two tanks behind sensors on Modbus and MQTT, in real time or faster."""
+"""The two tanks behind sensors on Modbus and MQTT, in real time."""
 
 from __future__ import annotations
 
@@ -46,7 +46,6 @@ class SimulatedSite:
         volumes: tuple[float, float],
         sensors: Sensors,
         speed: Callable[[], float],
-        factor: float = 1.0,
     ) -> None:
         """Prepare the sensors without opening anything.
 
@@ -57,7 +56,6 @@ class SimulatedSite:
             volumes: in cistern and roof at the beginning (m3).
             sensors: their addresses and protocols; a thermometer reads 15 degC.
             speed: returns the true speed of the pump now (share of rated).
-            factor: simulated time per real time.
 
         Raises:
             ConfigurationError: two sensors have the same register, the MQTT library is missing, or
@@ -69,7 +67,6 @@ class SimulatedSite:
         self.plant = self._virtual_site.plant
         self.pumped, self._rained, self._flowing = 0.0, 0.0, 0.0
         self._sensors = sensors.by_section
-        self._tick_s = site.tau / factor
         self.servers: list[Server] = []
         lines: dict[str, dict[int, dict[str, ModbusSensor]]] = {}
         self._publishers = []
@@ -148,7 +145,7 @@ class SimulatedSite:
         started_at = time.monotonic()
         speed = self._speed()
         while not ended.is_set():
-            due = started_at + (self.tick + 1) * self._tick_s
+            due = started_at + (self.tick + 1) * self._site.tau
             flow, speed = await self._mean_flow(speed, due)
             self.step(speed, flow)
         await asyncio.gather(*publishing)
@@ -160,7 +157,7 @@ class SimulatedSite:
             speed: at the beginning of the tick (share of rated).
             due: end of the tick (s, `time.monotonic`).
         """
-        pause = max(self._tick_s / _POLLS, _MIN_PAUSE_S)
+        pause = max(self._site.tau / _POLLS, _MIN_PAUSE_S)
         pumped = passed = 0.0
         flow = self.flow(speed)
         at = time.monotonic()
