@@ -1,9 +1,9 @@
 """A simulated forecast service: Open-Meteo's two interfaces, with records moved to the present.
 
 It forecasts the records themselves, which start again when they end. That is perfect for a site
-simulator with the same records. The other members of an ensemble are made up: their rain is scaled,
-and up to an hour earlier or later. If the records lack radiation, it is made up too: 0.6 of the
-solar constant times the sine of the sun's height.
+simulator with the same records. The other members of an ensemble are made up: their rain is scaled.
+If the records lack radiation, it is made up too: 0.6 of the solar constant times the sine of the
+sun's height.
 """
 
 from __future__ import annotations
@@ -35,36 +35,19 @@ from greenroof_ros.weather.reading import default_weather, read_weather
 from greenroof_ros.weather.series import FILL
 
 NONE = "none"
-FAULTS = {
-    NONE: "no fault",
-    "refused": "connections are accepted and closed",
-    "silent": "requests are never answered",
-    "slow": "answers come a few bytes per second",
-    "truncated": "answers break off in the middle",
-    "broken": "answers are not JSON",
-    "limit": "429 Too Many Requests, with Retry-After: 120",
-    "error": "503 Service Unavailable",
-    "unit": "precipitation is in a unit that the service does not have",
-    "length": "the series of temperature is an hour short",
-    "missing": "every value is null",
-    "old": "answers are from last month",
-    "clock": "the service's clock is a day behind",
-}
 _MEMBERS = 11
 _SUN_W_PER_M2 = 0.6 * 1367
-_SILENT_S = 3600.0
-# A made-up factor for the rain of each member in turn.
-_SHARES = (0.4, 0.6, 1.3, 0.8, 1.6)
 
 
 class ForecastService:
     """Answers as the real service does, on a port of this machine, in a thread.
 
     Attributes:
-        fault: the present one of :data:`FAULTS`; can be changed at any time, also by
-            ``POST /fault/NAME``.
-        requests: number of requests for a forecast.
-        unchanged: how many of them were answered 304 Not Modified.
+        fault: what is wrong now, and can be changed at any time: connections are "refused";
+            answers are "slow" (a few bytes per second), "truncated", "broken" (no JSON), a "limit"
+            (429 Too Many Requests) or an "error" (503); a series has the wrong "length"; every
+            value is "missing"; the "clock" is a day behind. Without a fault it is "none".
+        unchanged: number of requests that were answered 304 Not Modified.
     """
 
     def __init__(self, site: Site, records: Records, start: datetime, port: int) -> None:
@@ -80,7 +63,7 @@ class ForecastService:
             OSError: the port cannot be opened.
         """
         self.fault = NONE
-        self.requests = self.unchanged = 0
+        self.unchanged = 0
         self._site, self._records = site, records
         self._offset = start - datetime.now(timezone.utc)
         outer = self
@@ -105,8 +88,6 @@ class ForecastService:
         """Return the answer to a query, as JSON."""
         days = int(query.get("forecast_days", ["7"])[0])
         first = datetime.now(timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)
-        if self.fault == "old":
-            first -= timedelta(days=30)
         begins = [first + hour * HOUR for hour in range(24 * days)]
         hourly: dict[str, Any] = {"time": [f"{time:%Y-%m-%dT%H:%M}" for time in begins]}
         units = {"time": "iso8601"}
@@ -118,17 +99,14 @@ class ForecastService:
             before = int(quantity in (PRECIPITATION, RADIATION))
             for member in range(members if quantity == PRECIPITATION else 1):
                 name = variable + (f"_member{member:02}" if member else "")
-                late = member % 3 - 1 if member else 0
-                series = self._series(quantity, first - (before + late) * HOUR, len(begins))
+                series = self._series(quantity, first - before * HOUR, len(begins))
                 if member:
-                    series = series * _SHARES[member % len(_SHARES)]
+                    series = series * (member + 0.5) / 5
                 hourly[name] = [
                     None if math.isnan(value) or self.fault == "missing" else round(value, 2)
                     for value in series.tolist()
                 ]
                 units[name] = UNITS[quantity][0].name
-        if self.fault == "unit":
-            units[PRECIPITATION] = "cubit"
         if self.fault == "length":
             hourly[VARIABLES["temperature"]].pop()
         site = self._site
@@ -176,13 +154,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(404, b'{"error":true,"reason":"Not Found"}')
             return
         service = self.service
-        service.requests += 1
         fault = service.fault
         if fault == "refused":
             self.close_connection = True
             return
-        if fault == "silent":
-            time.sleep(_SILENT_S)
         if fault == "limit":
             reason = b'{"error":true,"reason":"Minutely API request limit exceeded."}'
             self._send(429, reason, {"Retry-After": "120"})
@@ -201,18 +176,9 @@ class _Handler(BaseHTTPRequestHandler):
             return
         self._send(200, answer, {"ETag": tag})
 
-    def do_POST(self) -> None:
-        """Set the present fault."""
-        _, _, name = self.path.partition("/fault/")
-        if name not in FAULTS:
-            self._send(404, f"faults are {', '.join(FAULTS)}".encode())
-            return
-        self.service.fault = name
-        self._send(200, FAULTS[name].encode())
-
     def _send(self, code: int, body: bytes, headers: dict[str, str] | None = None) -> None:
         """Send an answer, compressed if requested, and spoiled by the present fault."""
-        fault = self.service.fault if code == 200 and self.command == "GET" else NONE
+        fault = self.service.fault if code == 200 else NONE
         self.send_response_only(code)
         late = timedelta(days=1 if fault == "clock" else 0)
         self.send_header("Date", format_datetime(datetime.now(timezone.utc) - late, usegmt=True))

@@ -15,10 +15,8 @@ from collections.abc import Callable
 # What answers a request: frames, each after a wait (s); None closes the connection.
 Answer = list[tuple[float, bytes]] | None
 
-
-def frame(text: str) -> bytes:
-    """Return the bytes of a frame written as hexadecimal digits and spaces."""
-    return bytes.fromhex(text)
+# Returns the bytes of a frame that is written as hexadecimal digits and spaces.
+frame = bytes.fromhex
 
 
 class Wire:

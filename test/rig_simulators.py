@@ -229,7 +229,7 @@ class Bench:
     def log(self, text: str) -> None:
         print(f"{time.monotonic() - self._started_at:9.2f} s  {text}", flush=True)
 
-    async def serve(self, name: str, parameter: int) -> None:
+    async def serve(self) -> None:
         ended = asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             asyncio.get_running_loop().add_signal_handler(number, ended.set)
@@ -237,8 +237,6 @@ class Bench:
             await server.open()
         print(f"ready: {self.addresses}; workbench {self._workbench.address}, device {DEVICE_ID}",
               flush=True)
-        if name != NONE:
-            self.inject(name, parameter)
         await self.run(ended)
         for server in (*self.servers, self._workbench):
             server.close()
@@ -635,12 +633,6 @@ class SiteBench(Bench):
 # --- programs -------------------------------------------------------------------------------------
 
 
-def fault_of(text: str) -> tuple[str, int]:
-    """Return name and parameter of a fault such as ``slow=300``."""
-    name, _, parameter = text.partition("=")
-    return name, int(parameter or DEFAULT)
-
-
 def local(port: int) -> Address:
     return Address(host="127.0.0.1", port=port)
 
@@ -655,7 +647,6 @@ def drive_simulator(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--boot", type=float, default=3.0)
     parser.add_argument("--timeout", type=float, default=5.0)
     parser.add_argument("--speed", type=float, default=1.0)
-    parser.add_argument("--fault", type=fault_of, default=(NONE, DEFAULT))
     add_site(parser)
     given = parser.parse_args()
     path, workbench = find_drive_file(given.drive), local(given.workbench)
@@ -672,7 +663,7 @@ def drive_simulator(parser: argparse.ArgumentParser) -> None:
         )
         drive_bench.drive.boot_s = given.boot
         bench = drive_bench
-    asyncio.run(bench.serve(*given.fault))
+    asyncio.run(bench.serve())
 
 
 def site_simulator(parser: argparse.ArgumentParser) -> None:
@@ -682,7 +673,6 @@ def site_simulator(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rain", type=float, help="mm/h")
     parser.add_argument("--constant-evapotranspiration", type=float, help="mm/day")
     parser.add_argument("--output", type=Path)
-    parser.add_argument("--fault", type=fault_of, default=(NONE, DEFAULT))
     add_site_arguments(parser.add_argument_group("site"))
     given = parser.parse_args()
     run = build_run(given)
@@ -697,7 +687,7 @@ def site_simulator(parser: argparse.ArgumentParser) -> None:
             run.site, rain, loss, (run.x1, run.x2), sensors,
             local(given.workbench), given.drive_at, output,
         )
-        asyncio.run(bench.serve(*given.fault))
+        asyncio.run(bench.serve())
 
 
 @command

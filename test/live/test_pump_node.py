@@ -101,7 +101,7 @@ def test_without_the_drives_own_timeout_it_does_not_run(rig: PumpRig) -> None:
 
     Then, without a supervisor, only the node's own watchdog stops the pump.
     """
-    rig.simulate("--fault", "timeout_off")
+    rig.simulate().inject("timeout_off")
     node = rig.start()
     rig.join()
     rig.until_reported("drive timeout", ERROR, "is not effective", "58.")

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from refusals import refusal
 
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.parameter import Word
 from greenroof_ros.live.devices.drive import DriveEndpoint
@@ -65,8 +65,6 @@ SECONDS = "    type: uint16\n    unit: s"
          "sequences.stop.2.value = 'speed': can be written in sequences.run only"),
         (BIT_2, BIT_2.replace("value: 0x0004", "value: 0x0005"),
          "status.running.value = '0x0005': has bits outside the mask 0x0004: it could never"),
-        (BIT_2, BIT_2.replace("mask: 0x0004", "mask: 0"),
-         "status.running.mask = 0: must be a whole number from 1 to 4"),
         ("stop_bits: 1", "stop_bits: 3", "serial.stop_bits = 3: must be a whole number from 1"),
         (BIT_2, BIT_2.replace("}", ", register: speed}"),
          "status.running.register = 'speed': must be a register of the type uint16 or uint32"),
@@ -92,8 +90,7 @@ def test_wrong_files_are_refused_by_line_key_and_value(
     assert ABB.count(old) == 1, f"{old!r} is not once in the file"
     path = tmp_path / "drive.yaml"
     path.write_text(ABB.replace(old, new), encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=rf"^{path}, line \d+: {re.escape(message)}"):
-        read_drive_file(path)
+    refusal(read_drive_file, path, match=rf"^{path}, line \d+: {re.escape(message)}")
 
 
 @pytest.mark.parametrize(("name", "remedy"), [
@@ -102,8 +99,7 @@ def test_wrong_files_are_refused_by_line_key_and_value(
 ])
 def test_a_drive_that_is_unknown(name: str, remedy: str) -> None:
     message = f"drive = '{name}': is neither a file nor a name in config/drives/; {remedy}"
-    with pytest.raises(ConfigurationError, match=re.escape(message)):
-        find_drive_file(name)
+    assert message in refusal(find_drive_file, name)
 
 
 @pytest.mark.parametrize(
@@ -141,8 +137,7 @@ def test_addresses(text: str, address: Address, interface: str, device_id: int) 
     ],
 )
 def test_no_addresses(text: str, message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        parse_drive_address(text, "at")
+    refusal(parse_drive_address, text, "at", match=message)
 
 
 @pytest.mark.parametrize(
@@ -189,6 +184,6 @@ def test_the_bits_of_a_word_in_words() -> None:
 def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "pymodbus.client", raising=False)
     monkeypatch.setitem(sys.modules, "pymodbus", None)  # type: ignore[arg-type]
-    with pytest.raises(ConfigurationError) as caught:
-        DriveExchange(DriveEndpoint(read_drive_file(SHIPPED[0]), parse_address("tcp://127.0.0.1")))
-    assert str(caught.value) == "needs pymodbus: install greenroof_ros with its extra [pump]"
+    endpoint = DriveEndpoint(read_drive_file(SHIPPED[0]), parse_address("tcp://127.0.0.1"))
+    needs = "needs pymodbus: install greenroof_ros with its extra [pump]"
+    assert refusal(DriveExchange, endpoint) == needs

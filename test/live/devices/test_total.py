@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import pytest
 
@@ -15,7 +15,7 @@ from greenroof_ros.live.devices.total import Total
 LOOK_S = 0.05
 LOOK_MM = 1.01 * LOOK_S * 1e-4 / 0.001
 # When (s), and the total (mm); None for a lost connection.
-Messages = Iterable[tuple[float, float | None]]
+Messages = Sequence[tuple[float, float | None]]
 
 
 class Clock:
@@ -60,33 +60,21 @@ def published(
     return sum_m / 0.001, highest, refused
 
 
-def thrice(*messages: tuple[float, float]) -> list[tuple[float, float]]:
-    return [(at + late, raw) for at, raw in messages for late in (0.0, 0.05, 0.1)]
-
-
 @pytest.mark.parametrize(
     ("messages", "risen"),
     [
-        # Each message three times, as from a radio gauge.
-        (thrice((0, 17.4), (30, 18.4), (60, 19.6)), 2.2),
-        # Two tips within 0.3 s, and five.
-        ([(0, 17.0), (20, 17.2), (20.1, 17.6), (50, 18.0)], 1.0),
-        ([(0, 0.0), *((1 + 0.05 * tip, 0.2 * tip) for tip in range(6))], 1.0),
-        # A copy overtakes, once and often; a message comes late that was never seen.
-        ([(0, 17.0), (9, 17.2), (9.3, 17.4), (9.4, 17.2), (9.5, 17.4), (30, 17.6)], 0.6),
+        # Copies overtake, and a message comes late that was never seen.
         ([(0, 17.0), *((9 + 0.1 * i, raw) for i, raw in
                        enumerate((17.2, 17.6, 17.4, 17.2, 17.6, 17.4, 17.6)))], 0.6),
         # The gauge starts again: what fell before and after it counts, the fall does not.
-        ([(0, 17.4), (10, 17.8), (20, 0.0), (30, 0.2), (40, 0.6)], 1.0),
         ([(0, 0.4), (10, 0.6), (20, 0.0), (30, 0.2), (40, 0.4), (50, 0.6), (60, 0.8)], 1.0),
-        # A single zero, and a single wrong total, once and thrice.
+        # A single zero, and a wrong total that comes three times, as each message of a radio gauge.
         ([(0, 2.0), (10, 2.2), (20, 0.0), (30, 2.2), (40, 2.4)], 0.4),
-        ([(0, 17.0), (10, 17.2), (20, 900.0), (30, 17.4)], 0.4),
-        ([(0, 17.0), *thrice((10, 17.2), (20, 900.0), (30, 17.4))], 0.4),
+        ([(0, 17.0), *((at + late, raw) for at, raw in ((10, 17.2), (20, 900.0), (30, 17.4))
+                       for late in (0.0, 0.05, 0.1))], 0.4),
         # A new gauge, whose total is far higher: nothing of the jump counts.
         ([(0, 17.0), (10, 17.2), (20, 900.0), (30, 900.0), (40, 900.4)], 0.6),
-        # Connections lost in a shower, and for an hour of rain.
-        ([(0, 17.0), (10, 18.0), (11, None), (40, 19.0), (50, 19.0)], 2.0),
+        # The connection is lost for an hour of rain.
         ([(0, 17.0), (30, 17.2), (31, None), (3630, 57.2), (3660, 57.4)], 40.4),
         # A storm goes faster than the sensor's maximum rate for a while.
         ([(0, 17.0), (10, 23.0), (20, 24.0)], 7.0),
@@ -95,7 +83,7 @@ def thrice(*messages: tuple[float, float]) -> list[tuple[float, float]]:
 def test_as_much_is_published_as_the_total_rises(
     monkeypatch: pytest.MonkeyPatch, messages: Messages, risen: float
 ) -> None:
-    sum_mm, highest, _ = published(monkeypatch, messages, 8000.0)
+    sum_mm, highest, _ = published(monkeypatch, messages, 2 * messages[-1][0] + 100.0)
     assert sum_mm == pytest.approx(risen, abs=LOOK_MM)
     assert highest <= 1e-4
 
@@ -133,13 +121,6 @@ def test_a_counter_of_tips_passes_its_end(
     assert (sum_mm, refused) == (pytest.approx(0.2 * tips, abs=LOOK_MM), [])
 
 
-def test_a_refused_total_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, _, refused = published(monkeypatch, [(0, 17.0), (10, 900.0)], 20.0)
-    assert refused == [
-        "reports 900, a total that rose by 0.883 m in 10.0 s, which is faster than 0.0001 m/s"
-    ]
-
-
 def test_a_water_meter_shows_no_flow_of_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
     """After an outage of an hour: a flow while the pump is stopped looks like a welded contact."""
     options = {"scale": 0.001, "high": 0.01, "spread_s": 5.0}
@@ -150,7 +131,7 @@ def test_a_water_meter_shows_no_flow_of_long_ago(monkeypatch: pytest.MonkeyPatch
     assert highest == pytest.approx(0.003)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(10))
 def test_no_water_vanishes_or_appears_however_the_messages_come(
     monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:

@@ -29,13 +29,9 @@ from simulators import until
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.live.devices.drive import Drive, DriveStatus
 from greenroof_ros.live.devices.drive_file import find_drive_file, read_drive_file
-from greenroof_ros.live.devices.modbus_line import (
-    DriveError,
-    parse_drive_address,
-)
+from greenroof_ros.live.devices.modbus_line import DriveError, parse_drive_address
 
 Task = Callable[[Drive], Any]
-DRIVES = ("abb_acs880", "danfoss_fc202", "grundfos_cim500", "schneider_atv630")
 
 
 def talk(name: str, wire: str, task: Task, timeout_s: float = 0.3) -> Any:
@@ -428,33 +424,24 @@ def test_a_write_is_not_taken_for_done(answer: Answer, kind: str, message: str) 
 ECHO = "the line returns what was sent: switch off the adapter's local echo"
 
 
-@pytest.mark.parametrize("name", DRIVES)
-def test_an_echo_confirms_no_stop(name: str) -> None:
-    """An RS-485 adapter with local echo and no drive behind it: the write's answer is the echo."""
-    with closing(SerialWire(lambda request: request)) as wire:
-        file = read_drive_file(find_drive_file(name))
-        drive = Drive(file, parse_drive_address(wire.line, "at"), 0.3)
-        drive.line.connect()
-        with closing(drive.line), pytest.raises(DriveError, match=ECHO):
-            drive.stop()
-        assert drive.stopped is False
-        assert len(wire.requests) > 1  # the stop was written all the same
-
-
-@pytest.mark.parametrize("pieces", [
+@pytest.mark.parametrize("echo", [
+    lambda request: request,
     lambda request: [request[:5], request[5:]],
     lambda request: [bytes([byte]) for byte in request],
     lambda request: [request, request],
     lambda request: [request[:3], request[3:] + request],
     lambda request: request + rtu_server(acs880())(request),
-], ids=["halves", "bytes", "twice", "twice, in pieces", "before the drive's answer"])
-def test_an_echo_is_recognised_in_pieces_and_twice(
-    pieces: Callable[[bytes], bytes | list[bytes]]
-) -> None:
-    with (
-        closing(SerialWire(pieces)) as wire, pytest.raises(DriveError, match=ECHO)
-    ):
-        talk("abb_acs880", wire.line, Drive.stop)
+], ids=["whole", "halves", "bytes", "twice", "twice, in pieces", "before the drive's answer"])
+def test_an_echo_confirms_no_stop(echo: Callable[[bytes], bytes | list[bytes]]) -> None:
+    """An RS-485 adapter with local echo, in most cases without a drive behind it."""
+    with closing(SerialWire(echo)) as wire:
+        file = read_drive_file(find_drive_file("abb_acs880"))
+        drive = Drive(file, parse_drive_address(wire.line, "at"), 0.3)
+        drive.line.connect()
+        with closing(drive.line), pytest.raises(DriveError, match=ECHO):
+            drive.stop()
+        assert drive.stopped is False
+        until(lambda: len(wire.requests) > 1, 5)  # the stop was written all the same
 
 
 def test_a_server_that_returns_what_is_sent_is_no_drive() -> None:

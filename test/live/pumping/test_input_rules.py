@@ -179,25 +179,21 @@ NEUBRANDENBURG = read_site(CHECKOUT / "config" / "site_neubrandenburg.yaml")
 PULSE = 0.24e-3 * PAPER_SITE.a2 / 10.0
 # What is well though a level does not change: how long (h), flow, rain, and further arguments.
 WELL: dict[str, tuple[float, Rate, Rate, dict[str, Any]]] = {
-    "drizzle that evaporates from an empty roof": (240, nothing, lambda _: 0.2, {"roof": 0.0}),
-    "rain that wets the catchment": (48, nothing, every(9e9, HOUR_S, 0.93), {"site": COLLECTING}),
-    "4 mm of a shower on a dry catchment with a first-flush diverter": (
-        48, nothing, every(9e9, HOUR_S, 4.0), {"site": COLLECTING},
-    ),
+    # On a dry catchment with a first-flush diverter.
     "a shower of 4 mm every second day": (
-        240, nothing, every(2 * DAY_S, HOUR_S, 4.0), {"site": COLLECTING},
+        120, nothing, every(2 * DAY_S, HOUR_S, 4.0), {"site": COLLECTING},
     ),
     "the pump replaces evapotranspiration in pulses": (
-        240, every(4147.0, 10.0, PULSE), nothing,
+        120, every(4147.0, 10.0, PULSE), nothing,
         {"site": replace(PAPER_SITE, mains_level=2.5, mains_flow=1e-3)},
     ),
     "the mains refill what the pump takes": (
-        240, lambda _: 5e-4, nothing,
+        48, lambda _: 5e-4, nothing,
         {"site": replace(PAPER_SITE, mains_level=2.5, mains_flow=1e-3), "roof": 0.5},
     ),
     # A sensor that shows whole steps of 5 mm, rounded down.
     "the mains keep a level that is read 3 mm too high": (
-        240, lambda _: 5e-4, nothing,
+        48, lambda _: 5e-4, nothing,
         {"site": replace(PAPER_SITE, mains_level=2.0, mains_flow=1e-3), "cistern": 2.003,
          "roof": 0.5},
     ),

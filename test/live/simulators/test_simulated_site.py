@@ -12,24 +12,17 @@ from brokers import mosquitto, needs_mosquitto
 from graphs import Process, free_ports
 from paper import PAPER_SITE
 from places import CONFIG
-from rig_simulators import DEFAULT, SiteBench
 from simulators import Simulator, until
 
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import read_endpoint
 from greenroof_ros.live.devices.exchange import DriveExchange
-from greenroof_ros.live.devices.modbus_line import Address
 from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.live.devices.mqtt_sensor import MqttReader
-from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors, read_sensors
+from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, read_sensors
 from greenroof_ros.live.simulators.simulated_site import SimulatedSite
 
 SENSORS = read_sensors(CONFIG / "sensors.yaml")
-
-
-def site_of(sensors: Sensors) -> SiteBench:
-    """Return a site with 2 m in the cistern and 5 cm on the roof."""
-    return SiteBench(PAPER_SITE, [0.0], [0.0], (50.0, 3.44), sensors, Address("127.0.0.1", 0))
 
 
 def test_levels_move_by_the_volume_that_the_drives_speed_stands_for() -> None:
@@ -63,20 +56,12 @@ def read_once(sensor: ModbusSensor) -> float:
         return reader.snapshot.value
 
 
-def test_both_sensors_may_be_on_one_line() -> None:
-    """Devices 1 and 2 behind one port, as on a serial line with a gateway; one can be silent."""
-    on_it = replace(SENSORS.roof, address=SENSORS.cistern.address, device_id=2)
-    bench = site_of(replace(SENSORS, roof=on_it))
-    (server,) = bench.servers
-    assert [server.devices[number].read()[0] for number in (1, 2)] == [20000, 500]
-    bench.inject("cistern_silent", DEFAULT)
-    assert [server.devices[number].on_request(0) for number in (1, 2)] == [False, True]
-
-
 def test_a_moisture_probe_reads_the_water_of_the_roof_per_volume_of_its_substrate() -> None:
     """5 cm in a substrate of 0.5 m are 0.1 m3/m3: 100 counts of 0.1 %."""
     probe = replace(SENSORS.roof, scale=0.001, substrate_depth=0.5, high=0.5)
-    _, roof = site_of(replace(SENSORS, roof=probe)).servers
+    _, roof = SimulatedSite(
+        PAPER_SITE, [0.0], [0.0], (50.0, 3.44), replace(SENSORS, roof=probe), lambda: 0.0
+    ).servers
     assert roof.devices[1].read()[0] == 100
 
 
