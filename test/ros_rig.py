@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import socket
@@ -288,13 +287,6 @@ class Site:
 def newest(values: list[tuple[float, Any]]) -> Any:
     """Return the newest value; None if there is none yet."""
     return values[-1][1] if values else None
-
-
-def policies(process: int) -> set[int]:
-    """Return the scheduling policies of a process's threads."""
-    threads = [int(thread.name) for thread in Path(f"/proc/{process}/task").iterdir()]
-    assert len(threads) > 1
-    return {os.sched_getscheduler(thread) for thread in threads}
 
 
 FORECAST_HEADER = "issued,time,precipitation [mm/h],evapotranspiration [mm/day],temperature [degC]"

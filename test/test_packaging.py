@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tarfile
 from pathlib import Path
 
 import pytest
@@ -128,16 +127,12 @@ def package_index(tmp_path_factory):
 # -------------------------------------------------------------------------------------- pip
 
 
-def pip_of(environment):
-    """Return the start of a pip command for a virtual environment, which needs no own pip."""
-    return [sys.executable, "-m", "pip", "--python", environment / "bin" / "python"]
-
-
 def with_wheel(environment, released, extras=""):
     """Install the wheel with its extras into a virtual environment, and return the environment."""
     (wheel,) = released.glob("*.whl")
-    run(*pip_of(environment), "install", "--no-compile", f"{wheel}{extras}",
-        cwd=environment.parent,
+    # The environment needs no pip of its own.
+    run(sys.executable, "-m", "pip", "--python", environment / "bin" / "python",
+        "install", "--no-compile", f"{wheel}{extras}", cwd=environment.parent,
         env=bare_environment(Path(os.environ.get("HOME", environment.parent))))
     return environment
 
@@ -177,24 +172,6 @@ def test_a_package_index_would_take_the_release(released):
     run(sys.executable, "-m", "check_wheel_contents", files[0], cwd=released, env=environment)
 
 
-def test_the_source_distribution_has_what_a_user_copies(released):
-    """Configuration and examples, as in the checkout; and no tests."""
-    (archive,) = released.glob("*.tar.gz")
-    with tarfile.open(archive) as source:
-        files = {Path(*Path(name).parts[1:]) for name in source.getnames()}
-    for name in ("config", "examples", "msg_defs"):
-        there = {path for path in (CHECKOUT / name).rglob("*") if path.suffix != ".pyc"}
-        assert {
-            path.relative_to(CHECKOUT) for path in there if path.name != "__pycache__"
-        } <= files
-    assert Path("CHANGELOG.rst") in files and Path("test") not in files
-
-
-@pytest.fixture
-def pip_environment(pip_installed, tmp_path):
-    return bare_environment(tmp_path, pip_installed / "bin")
-
-
 def test_messages_name_no_file_that_the_wheel_lacks():
     """Help and messages name a page of the documentation by its title, not by its file."""
     for path in (CHECKOUT / "greenroof_ros").rglob("*.py"):
@@ -205,14 +182,15 @@ def test_messages_name_no_file_that_the_wheel_lacks():
                 assert not re.search(r"\b(doc|tools|test)/|\bexamples[/.]\w", str(node.value))
 
 
-def test_pip_install_lays_everything_but_ros(pip_installed, pip_environment, tmp_path):
+def test_pip_install_lays_everything_but_ros(pip_installed, tmp_path):
     """No node gets a generic name on the PATH, such as weather."""
+    environment = bare_environment(tmp_path, pip_installed / "bin")
     (packages,) = pip_installed.glob("lib/python*/site-packages")
     names = [path.name for path in packages.iterdir()]
     assert not [name for name in names if name.startswith(("ros", "rcl", "rmw", "std_msgs"))]
     printed = run(
         pip_installed / "bin" / "python", "-c", PRINT_SHARED_DIRECTORY,
-        cwd=tmp_path, env=pip_environment,
+        cwd=tmp_path, env=environment,
     )
     module, shared = map(Path, printed.split())
     assert_installed(module, pip_installed.resolve())
@@ -220,7 +198,7 @@ def test_pip_install_lays_everything_but_ros(pip_installed, pip_environment, tmp
     commands = pip_installed / "bin"
     assert [name for name in SCRIPTS if os.access(commands / name, os.X_OK)] == [GREENROOF]
     simulate = (commands / GREENROOF, "simulate", "--hours", "0.01")
-    assert run(*simulate, cwd=tmp_path, env=pip_environment).strip()
+    assert run(*simulate, cwd=tmp_path, env=environment).strip()
 
 
 # Two runs of half an hour.
@@ -236,16 +214,10 @@ controllers: {mpc: {}, onoff: {}}
 """
 
 
-@pytest.fixture(scope="module")
-def with_extras(pip_installed, released):
-    """Return the same environment with the extra for studies added."""
-    return with_wheel(pip_installed, released, "[study]")
-
-
-def test_pip_install_with_extras_studies_and_reports(with_extras, tmp_path):
+def test_pip_install_with_extras_studies_and_reports(pip_installed, released, tmp_path):
     """It works in any directory, without ROS: a user's grid, and the page of its results."""
-    greenroof = with_extras / "bin" / GREENROOF
-    environment = bare_environment(tmp_path, with_extras / "bin")
+    greenroof = with_wheel(pip_installed, released, "[study]") / "bin" / GREENROOF
+    environment = bare_environment(tmp_path, pip_installed / "bin")
     (tmp_path / "small.yaml").write_text(SMALL_GRID)
     run(greenroof, "study", "small.yaml", "--output", "study", cwd=tmp_path, env=environment)
     run(greenroof, "report", "study", cwd=tmp_path, env=environment)
@@ -372,17 +344,9 @@ def test_version_is_the_same_everywhere(manifest, setup_options):
     heading = r"^(\S+) \((?:forthcoming|\d{4}-\d\d-\d\d)\)\n-{5,}$"
     newest = re.search(heading, changelog, re.MULTILINE)
     assert newest
-    versions = {manifest.version, setup_options["version"], newest[1]}
-    assert versions == {greenroof_ros.__version__}
-
-
-def test_citation_is_what_package_xml_reports(manifest):
     citation = yaml.safe_load((CHECKOUT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert (citation["title"], citation["version"]) == (manifest.name, manifest.version)
-    assert [citation["license"]] == [str(text) for text in manifest.licenses]
-    assert [author["name"] for author in citation["authors"]] == [
-        person.name for person in manifest.maintainers
-    ]
+    versions = {manifest.version, setup_options["version"], newest[1], citation["version"]}
+    assert versions == {greenroof_ros.__version__}
 
 
 def test_package_xml_names_every_requirement(manifest, setup_options):

@@ -7,7 +7,6 @@ from paper import PAPER_SITE, paper_run
 
 import greenroof_ros as gr
 from examples.rain_wait import RainWait
-from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.model.site import Site
 
@@ -46,11 +45,6 @@ def test_over_the_papers_window() -> None:
     assert waits.metrics["pumped_m3"] < on_off.metrics["pumped_m3"]
     dry = {"start": "2021-07-07T10:00", "hours": 3}  # no rain until 20 h later
     assert gr.simulate(RainWait, **dry).trajectory.equals(gr.simulate("onoff", **dry).trajectory)
-
-
-def test_it_keeps_every_rule() -> None:
-    findings = check_controller(find_controller(EXAMPLE), PAPER_SITE)
-    assert [finding for finding in findings if finding.problem] == []
 
 
 def test_ends_are_set_for_a_class_that_takes_them() -> None:

@@ -7,8 +7,6 @@ import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from commands import run_command
@@ -19,10 +17,8 @@ from places import CHECKOUT
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.processes import acquire_file_lock
-from greenroof_ros.common.standard_error import LINES
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.graph.parameter_file import node_parameter_files
-from greenroof_ros.live import site_run
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.lock import acquire_drive_lock
 from greenroof_ros.live.drive_choice import DriveChoice
@@ -57,8 +53,6 @@ def test_a_controller_keeps_what_it_learned_in_its_own_file(
     nodes = LiveSite(live_site_parser().parse_args()).nodes(tmp_path)
     (path,) = (node.parameters["state_file"] for node in nodes if node.name == "lookahead")
     assert path == str(tmp_path / "lookahead.json")
-
-
 
 
 # A live site with a weather node, and the rest external; and a drive.
@@ -200,28 +194,7 @@ def test_a_directory_in_use(tmp_path: Path) -> None:
     )
 
 
-def test_a_mistake_is_reported_with_its_traceback(capfd: pytest.CaptureFixture[str]) -> None:
-    """By the thread, as all output: the interpreter would block on a stderr that no one reads."""
-    written: list[tuple[str, ...]] = []
-    record: Any = SimpleNamespace(write=lambda *line: written.append(line), wait=lambda: None)
-    supervisor: Any = SimpleNamespace(may_run="")
-    with pytest.raises(ValueError, match="a mistake") as caught:
-        raise ValueError("a mistake")
-    assert site_run._report_end(record, supervisor, caught.value) == 1
-    assert LINES.wait(60)
-    assert written == [("failed", "ValueError: a mistake")]
-    first, second, *_, last = capfd.readouterr().err.splitlines()
-    assert (first, last) == ("error: ValueError: a mistake", "ValueError: a mistake")
-    assert second.startswith("Traceback")
-
-
 def test_a_live_site_has_a_controller_that_fits_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The paper's is the default of simulations only, as the help states, with its parameters."""
+    """The paper's is the default of simulations only."""
     monkeypatch.setattr(sys, "argv", ["live", *EXTERNAL])
-    parser = live_site_parser()
-    assert LiveSite(parser.parse_args()).controller.name == "lookahead"
-    text = " ".join(parser.format_help().split())
-    assert "(default: lookahead)" in text and "parameters of lookahead:" in text
-    monkeypatch.setattr(sys, "argv", ["run"])
-    text = " ".join(make_parser().format_help().split())
-    assert "(default: mpc)" in text and "real time (default: max)" in text
+    assert LiveSite(live_site_parser().parse_args()).controller.name == "lookahead"

@@ -71,7 +71,7 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize("name", [*BUILT_IN, EXAMPLE])
+@pytest.mark.parametrize("name", [*BUILT_IN, EXAMPLE, "examples.rain_wait:RainWait"])
 def test_controllers_that_keep_to_it(name: str) -> None:
     """All checks pass."""
     results = check_controller(find_controller(name), PAPER_SITE)
@@ -131,30 +131,3 @@ def test_the_command(tmp_path: Path) -> None:
         )
         assert result.returncode == code, result.stderr
         assert message in result.stdout and "Traceback" not in result.stderr
-
-
-@pytest.mark.parametrize(("change", "where"), [
-    # A wrong number of arguments: the method that the message names.
-    (("def skip(self)", "def skip(self, more)"), "skip"),
-    (returning("return float(self.missing)"), "command"),
-])
-def test_an_error_has_its_file_and_line_and_is_not_repeated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: tuple[str, str], where: str
-) -> None:
-    text = TEXT.replace(*change)
-    assert text != TEXT
-    file = tmp_path / "raising.py"
-    file.write_text(text)
-    line = text.splitlines().index(next(
-        line for line in text.splitlines() if change[1].splitlines()[-1].strip() in line
-    )) + 1
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "raising", raising=False)
-    problems = [
-        result.problem for result in check_controller(
-            find_controller("raising:Proportional"), PAPER_SITE
-        ) if result.problem
-    ]
-    assert problems[0].startswith(f"{file}, line {line}: Proportional.{where}: rai"), problems[0]
-    assert sum(str(file) in problem for problem in problems) == 1
-    assert all(problem.endswith(" as above") for problem in problems[1:])

@@ -69,21 +69,3 @@ def test_what_fails_is_seen(domain: int, tmp_path: Path) -> None:
         assert outcome is not None
         failure = FAILURES[block.commands][1]
         assert any(each.startswith(failure) for each in outcome.failures), outcome
-
-
-def test_ctrl_c_ends_what_never_ends(domain: int, tmp_path: Path) -> None:
-    """One command after the other, and background commands at the page's end."""
-    (tmp_path / "program.py").write_text(
-        "import sys, time\ntry: print(sys.argv[1], flush=True); time.sleep(600)\n"
-        "except KeyboardInterrupt: print('interrupted')\n"
-    )
-    program = f"python {tmp_path / 'program.py'}"
-    commands = (
-        f"{program} never > never.txt &\nuntil grep -q never never.txt; do sleep 0.1; done\n"
-        f"{program} first\n{program} second\n"
-    )
-    block = Block("page.md", 1, commands, Note("", ready=["first", "second"]))
-    ((_, outcome),) = run_page([block], tmp_path, domain)
-    assert outcome is not None
-    assert outcome.failures == []
-    assert outcome.output.count("interrupted") == 2

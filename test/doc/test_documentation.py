@@ -124,18 +124,10 @@ def test_picture_shows_the_topics() -> None:
     assert narrow == readme_pictures.stacked(picture)
 
 
-def test_from_nothing_has_the_sensors_of_its_parts(tmp_path: Path) -> None:
-    """All but the optional ones; the file is one that a site reads."""
+def test_from_nothing_has_a_file_of_sensors_that_a_site_reads(tmp_path: Path) -> None:
     page = DOC / "tutorials" / "a-live-site.md"
     (text,) = (body for *_, body in fences(name(page)) if body.startswith("# my_sensors.yaml"))
     (tmp_path / "my_sensors.yaml").write_text(text)
     assert read_sensors(tmp_path / "my_sensors.yaml").by_section.keys() == {
         "cistern", "roof", "thermometer"
     }
-    parts = page.read_text().partition("## Site and sensors")[0]
-    for row, optional in (
-        ("level of cistern and roof", False), ("thermometer", False),
-        ("rain gauge, flow meter", True),
-    ):
-        (line,) = re.findall(rf"^\| {row} \|.*$", parts, re.MULTILINE)
-        assert ("optional" in line) == optional

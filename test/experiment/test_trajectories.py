@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-import numpy as np
 from commands import run_command
 from graphs import environment
 from paper import paper_run
@@ -16,21 +15,6 @@ from greenroof_ros.analysis.study.case_run import run_case, write_inputs
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.recording.trajectory import read_trajectory
-
-COLUMNS = ("time", "cistern", "roof", "precipitation", "command", "pump_flow", "frost")
-
-
-def test_every_so_many_ticks_and_the_last() -> None:
-    """Of 1,000 ticks each 300th is kept, and the last."""
-    run = paper_run("--controller", "onoff", "--hours", "0.2777777777777778")
-    assert run.steps == 1000
-    every_tick = record(run, Simulation(run).ticks())
-    thinned = record(run, Simulation(run).ticks(), 300)
-    assert every_tick.time.tolist() == list(range(1001))
-    assert thinned.time.tolist() == [0, 300, 600, 900, 1000]
-    for name in COLUMNS:
-        expected = getattr(every_tick, name)[[0, 300, 600, 900, 1000]]
-        assert getattr(thinned, name).tobytes() == np.ascontiguousarray(expected).tobytes()
 
 
 def test_csv(tmp_path: Path) -> None:

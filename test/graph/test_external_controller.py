@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-import sys
 import sysconfig
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -146,24 +145,3 @@ def test_a_node_that_breaks_a_rule_ends_the_run(domain: int, tmp_path: Path, cas
     assert re.search(reason, summary["reason"]), summary["reason"]
     assert summary["reason"] in process.stderr() and "Traceback" not in process.stderr()
     assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
-
-
-def test_a_node_that_never_comes_is_named(domain: int, tmp_path: Path) -> None:
-    (tmp_path / "limits.yaml").write_text(
-        "/**/plant:\n  ros__parameters:\n    start_limit: 3.0\n"
-    )
-    process = Process(
-        domain, "bringup", "--controller", "external", "--output", "run",
-        "--node-parameters", "limits.yaml", cwd=tmp_path,
-    )
-    assert process.wait(120) == 1
-    assert "no start within 3 s: /pump/command from the controller" in process.stderr()
-
-
-def test_only_a_graph_can_use_it(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "greenroof_ros", "simulate", "--controller", "external"],
-        cwd=tmp_path, env=environment(0), capture_output=True, text=True, check=False,
-    )
-    assert done.returncode == 2
-    assert "controller = 'external': is a node that you run yourself" in done.stderr

@@ -5,20 +5,12 @@ from __future__ import annotations
 import csv
 import json
 import struct
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from bag_topics import MPC_TOPICS, bag_topics
 from commands import run_command
-from graphs import (
-    Process,
-    bring_up,
-    environment,
-    messages_of,
-    summary_of,
-)
+from graphs import Process, bring_up, environment, messages_of, summary_of
 from paper import paper_run, site_file
 
 from greenroof_ros.common.files import shared_directory
@@ -30,15 +22,6 @@ pytest.importorskip("rclpy", reason="the graph needs ROS 2")
 
 from greenroof_ros.graph.messages import encoder
 
-# Runs its arguments as a command, and prints which modules of this package are imported.
-IMPORTED = """
-import sys
-from greenroof_ros.__main__ import main
-try:
-    main()
-finally:
-    print(*(name for name in sys.modules if name.startswith("greenroof_ros.")), file=sys.stderr)
-"""
 COLUMNS = {
     "/cistern/level": "cistern_level_m",
     "/roof/level": "roof_level_m",
@@ -131,22 +114,8 @@ def with_frost(directory: Path, hour: str) -> str:
     return str(file)
 
 
-def test_same_bits_of_sensor_and_pumps_that_are_not_perfect(domain: int, tmp_path: Path) -> None:
-    """A sensor with noise and offset, pumps with minimum times, and frost that stops them."""
-    options = (
-        "--controller", "onoff", "--fraction", "0.1",
-        "--weather", with_frost(tmp_path, "2021-07-07T03:00"), "--start", "2021-07-07T02:59",
-        "--hours", "0.05", "--roof-noise", "0.0005", "--roof-offset=-1e-3", "--noise-seed", "8",
-        "--pump-min-on", "50", "--pump-min-off", "20",
-    )
-    bring_up(domain, tmp_path, *options)
-    simulate(domain, tmp_path, *options)
-    flows = [float(row["pump_flow_m3_per_s"]) for row in assert_same(tmp_path)]
-    assert flows[59] > 0 and max(flows[60:]) == 0  # it freezes from 03:00 on
-
-
 def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path) -> None:
-    """One minute of three is quiet, to the second, by Toronto's clock in summer.
+    """One minute of three is quiet, to the second, by Toronto's clock in summer; a wrong sensor.
 
     A plan begins before it and is shorter from its first tick on, and so at its end.
     """
@@ -157,6 +126,7 @@ def test_same_bits_in_quiet_hours(domain: int, tmp_path: Path) -> None:
     # Quiet hours end a minimum time on, as with a real pump.
     options = (
         "--controller", "lookahead", "--days-after", "0", "--pump-min-on", "50",
+        "--pump-min-off", "20", "--roof-offset=-1e-3",
         "--site", str(file), "--start", "2021-07-07T02:00-05:00", "--hours", "0.05",
     )
     bring_up(domain, tmp_path, *options)
@@ -179,7 +149,7 @@ def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None
         "--controller", "lookahead", "--horizon", "12", "--forecast", "ensemble",
         "--forecast-seed", "3", "--forecast-members", "30",
         "--weather", with_frost(tmp_path, "2021-07-07T18:00"), "--start", "2021-07-07T18:58",
-        "--hours", "0.05", "--roof-noise", "0.002",
+        "--hours", "0.05", "--roof-noise", "0.002", "--noise-seed", "8",
     )
     bring_up(domain, tmp_path, *options)
     simulate(domain, tmp_path, *options)
@@ -229,16 +199,3 @@ def test_two_at_once(domain: int, tmp_path: Path) -> None:
     assert summary_of(tmp_path / "site1")["parameters"]["weight"] == 0.02
     # The file took effect in the node: on/off commands its fraction, and nothing else.
     assert summary_of(tmp_path / "site2")["max_command"] == 0.4
-
-
-def test_a_simulation_imports_nothing_of_a_live_site(domain: int, tmp_path: Path) -> None:
-    """Nor the page: who came for the simulation meets neither."""
-    done = subprocess.run(
-        [sys.executable, "-c", IMPORTED, "run", "--hours", "0.01"],
-        cwd=tmp_path, env=environment(domain), capture_output=True, text=True, check=True,
-        timeout=120,
-    )
-    imported = done.stderr.splitlines()[-1].split()
-    folders = {name.split(".")[1] for name in imported}
-    assert {"bringup", "graph", "nodes"} < folders
-    assert not folders & {"live", "watch", "analysis", "commands"}

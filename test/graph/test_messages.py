@@ -30,7 +30,6 @@ from greenroof_ros.graph.messages import (  # noqa: E402
     encoder,
     find_lacking,
 )
-from greenroof_ros.graph.publishers import display_name  # noqa: E402
 
 NUMBER, NUMBERS, CLOCK = (
     "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock"
@@ -144,14 +143,7 @@ def test_big_endian(kind: str, message: bytes, value: Any) -> None:
     assert list(decoded) == value if kind == NUMBERS else decoded == value
 
 
-# --- what a node accepts as input, and what it calls the publishers -------------------------------
-
-
-def test_a_node_whose_name_never_came_is_called_so_in_words() -> None:
-    """rmw_dds_common has this name for a participant without a known node."""
-    assert display_name("_NODE_NAME_UNKNOWN_") == (
-        "a node of unknown name, perhaps because it was killed"
-    )
+# --- what a node accepts as input -----------------------------------------------------------------
 
 
 RELIABLE, BEST, LATCHED, VOLATILE = (
