@@ -14,7 +14,8 @@ import greenroof_ros
 for name in ("rclpy", "rcl_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs", "diagnostic_msgs",
              "builtin_interfaces", "ament_index_python", "launch", "rosbag2_py"):
     sys.modules[name] = None  # its import fails
-graph = r"(nodes|graph|bringup\.composition|commands\.checks)\b|live\.(?!devices|pumping|simulators)"
+graph = r"(nodes|graph|bringup\.composition|commands\.checks)\b"
+graph += r"|live\.(?!devices|pumping|simulators)"
 if importlib.util.find_spec("gymnasium") is None:
     graph += r"|analysis\.api\.gym\b"
 for module in pkgutil.walk_packages(greenroof_ros.__path__, "greenroof_ros."):

@@ -11,11 +11,8 @@ from commands import run_command
 from paper import PAPER_SITE
 from places import CHECKOUT
 
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.check import check_controller
-from greenroof_ros.controllers.registry import BUILT_IN, choice_of, find_controller
-from greenroof_ros.model.site import Site
+from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 
 EXAMPLE = "examples.proportional:Proportional"
 TEXT = (CHECKOUT / "examples" / "proportional.py").read_text()
@@ -76,31 +73,6 @@ def test_controllers_that_keep_to_it(name: str) -> None:
     """All checks pass."""
     results = check_controller(find_controller(name), PAPER_SITE)
     assert len(results) >= 10
-    assert [result for result in results if result.problem] == []
-
-
-class LooksAhead:
-    """By default as far as a run's forecasts reach with a horizon of 0: over the next M ticks."""
-
-    parameters = (Parameter("horizon", 0.0, "h", 0.0, 240.0, "how far it looks ahead"),)
-
-    def __init__(self, site: Site, horizon: float) -> None:
-        self._ticks = site.M
-
-    def command(self, cistern: float, roof: float, rain: list[float], dry: list[float]) -> float:
-        if not len(rain) == len(dry) == self._ticks:
-            raise ConfigurationError("has another length", key="the forecast")
-        return 0.0
-
-    def skip(self) -> None:
-        """Remember nothing."""
-
-    def statistics(self) -> None:
-        """It has no solver."""
-
-
-def test_its_forecasts_are_as_long_as_in_a_run() -> None:
-    results = check_controller(choice_of(LooksAhead), PAPER_SITE)
     assert [result for result in results if result.problem] == []
 
 

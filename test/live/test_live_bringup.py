@@ -13,19 +13,16 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import timedelta
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
-from brokers import mosquitto, needs_mosquitto
 from commands import run_command
 from disks import disk_that_hangs, fill, full_pipe, small_disk
 from graphs import Process, alive, environment, free_ports, summary_of, wait_for
 from live_rig import QUICK, Hardware, live
-from page_server import Stream
 from places import CONFIG
 from ros_rig import FORECASTS, USUAL_EVAPOTRANSPIRATION, Site, newest, write_forecast
 from rosbags.highlevel import AnyReader
@@ -279,72 +276,6 @@ def test_its_status_is_an_alarm_while_a_dead_pump_node_is_not_replaced(
         wait_for(lambda: status()[0] < 2, 60, "the site as before")
     commands = values_in(tmp_path / "run" / "bag", "/pump/command")
     assert {value for _, value in commands} == {0.0, 0.95}
-
-
-def documents(port: int) -> tuple[list[dict[str, Any]], Stream]:
-    """Return a list that collects the page's documents from now on, and their stream."""
-    found: list[dict[str, Any]] = []
-    stream = Stream(port)
-    stream.socket.settimeout(None)
-
-    def listen() -> None:
-        with suppress(OSError, ValueError):  # the page has ended
-            found.extend(content for name, content in stream.events() if name == "state")
-
-    threading.Thread(target=listen, daemon=True).start()
-    return found, stream
-
-
-@needs_mosquitto
-def test_a_start_with_slow_gauges_is_no_alarm(
-    domain: int, tmp_path: Path, hardware: Hardware
-) -> None:
-    """What has not come yet is listed until it comes; no alarm or event is left of it.
-
-    Rain gauge and thermometer publish every 12 s, a fifth of their ``max_age``; nothing is
-    shortened. The page is open from before the start until each gauge has published again. A drive
-    simulator that a busy machine lets answer too late (``drive_lost``) is not what is tested here.
-    For what does not come within the first minute see common/test_alarms.py.
-    """
-    (port,) = free_ports(1)
-    page = Process(domain, "watch", "--port", str(port), cwd=tmp_path)
-    wait_for(page.stdout, 60, "the page")
-    shown, stream = documents(port)
-    with mosquitto(tmp_path) as broker:
-        text = (CONFIG / "sensors_mqtt.yaml").read_text()
-        (tmp_path / "sensors.yaml").write_text(text.replace(":1883/", f":{broker.port}/"))
-        tanks = Process(
-            domain, "site_simulator", "--sensors", "sensors.yaml", "--drive-at",
-            hardware.workbench, "--workbench", "0", "--rain", "0", "--initial", "high-low",
-            cwd=tmp_path,
-        )
-        wait_for(tanks.stdout, 60, "sensors that are ready")
-        options = (
-            "--controller", "onoff", "--sensors", "sensors.yaml", "--drive", hardware.file,
-            "--drive-at", hardware.address, "--forecast", "forecast.csv",
-        )
-        write_forecast(tmp_path / "forecast.csv", timedelta(minutes=5), 0.0, 12.0, hours=48)
-        with live(domain, tmp_path, *options) as process:
-            process.until_printed("running: cistern ", 120)
-            hardware.until_it_pumps()
-            time.sleep(15)
-            while_up = list(shown)
-        tanks.process.terminate()
-    page.process.terminate()
-    stream.close()
-    assert "thermometer" in "".join(str(document["notes"]) for document in while_up)
-    # The test's drive file differs from the shipped one, which lasts.
-    expected = ("drive_file_unverified", "drive_lost")
-    alarms = {
-        (row["id"], row["what"]) for document in while_up for row in document["alarms"]
-        if row["code"] not in expected
-    }
-    assert not alarms
-    if not any("drive_lost" in str(document["alarms"]) for document in while_up):
-        assert while_up[-1]["events"] == []
-        codes = [alarm["code"] for alarm in summary_of(tmp_path / "run")["alarms"]]
-        assert codes == ["drive_file_unverified"]
-        assert process.stderr().endswith("are stopped\ndone\n")
 
 
 # Longer than a recorder waits for a flush (s), and for one that lasts.

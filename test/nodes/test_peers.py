@@ -167,8 +167,6 @@ WRONG: dict[str, tuple[str, Messages, Messages, int, str]] = {
         "onoff", [RUN, *INPUTS], [LEVEL], 1, "/cistern/level has a second message in tick 1 ("),
     "a level after the last tick, before the run": (
         "onoff", INPUTS, [LEVEL, RUN], 1, "/cistern/level has a second message in tick 1 ("),
-    "a tick after the last, before the run": (
-        "onoff", INPUTS, [*INPUTS, RUN], 1, "has a second message in tick 1 ("),
     "another run": (
         "onoff", [("/run", [7.0, 5.0, 0.0]), *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
         "the plant was started again, or there are two"),
