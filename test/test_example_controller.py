@@ -1,41 +1,15 @@
-"""The example of a user-defined controller, in simulate and bringup, and in a study's identity."""
+"""The code of a user-defined controller in a study's identity."""
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 import pytest
-from commands import run_command
-from graphs import bring_up, environment
 from places import CHECKOUT
 from studies import GRID
 
 from greenroof_ros.analysis.study.grid import read_grid
-
-EXAMPLE = "examples.proportional:Proportional"
-FILE = str(CHECKOUT / "examples" / "proportional.yaml")
-TICKS = 361
-
-
-def test_simulate_and_graph_agree(domain: int, tmp_path: Path) -> None:
-    """Both use its parameter file, and their results are equal in every bit."""
-    pytest.importorskip("rclpy", reason="the graph needs ROS 2")
-    options = ("--controller", EXAMPLE, "--parameters", FILE, "--gain", "35", "--hours", "0.1")
-    done = run_command("simulate", "--json", *options, cwd=tmp_path, env=environment(domain))
-    assert done.returncode == 0, done.stderr
-    alone = json.loads(done.stdout)
-    graph = bring_up(domain, tmp_path, *options)
-    assert graph["controller"] == alone["controller"] == "proportional"
-    assert graph["controller_reference"] == EXAMPLE
-    assert graph["parameters"] == alone["parameters"] == {"gain": 35.0}
-    differing = {key for key in alone if alone[key] != graph[key]}
-    assert differing <= {"wall_s", "times_real_time", "messages", "weather", "site"}
-    assert set(graph["messages"].values()) == {TICKS}
-    # It uses no solver, so there is no solver topic.
-    assert not any(topic.startswith("/controller/") for topic in graph["messages"])
-
 
 # What changes, and whether it is code of the controller: its module, and what it imports.
 CHANGED = {

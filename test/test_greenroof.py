@@ -100,18 +100,6 @@ def test_an_unknown_option_is_refused_with_what_it_means(
     assert f"unrecognized arguments: --{option}; did you mean {meant}?" in done.stderr
 
 
-def test_run_simulates_and_live_is_a_site(tmp_path: Path) -> None:
-    """Neither has the other's options."""
-    live = greenroof(tmp_path, "live")
-    assert (live.returncode, live.stderr.partition(" is missing")[0]) == (
-        2, "error: --sensors FILE:"
-    )
-    for name, option in (("run", "--sensors"), ("live", "--hours")):
-        done = greenroof(tmp_path, name, option, "1")
-        assert done.returncode == 2
-        assert f"greenroof {name}: error: unrecognized arguments: {option} 1" in done.stderr
-
-
 def test_a_command_imports_what_it_needs(tmp_path: Path) -> None:
     helped, _ = imported_by(tmp_path, "--help")
     assert not helped & {"numpy", "rich", "yaml", "rclpy"}

@@ -1,6 +1,5 @@
 """What pip and colcon make of the checkout: the real tools, in separate directories."""
 
-import ast
 import filecmp
 import importlib.util
 import json
@@ -170,16 +169,6 @@ def test_a_package_index_would_take_the_release(released):
     environment = dict(os.environ)
     run(sys.executable, "-m", "twine", "check", "--strict", *files, cwd=released, env=environment)
     run(sys.executable, "-m", "check_wheel_contents", files[0], cwd=released, env=environment)
-
-
-def test_messages_name_no_file_that_the_wheel_lacks():
-    """Help and messages name a page of the documentation by its title, not by its file."""
-    for path in (CHECKOUT / "greenroof_ros").rglob("*.py"):
-        nodes = [*ast.walk(ast.parse(path.read_text()))]
-        docstrings = {node.value for node in nodes if isinstance(node, ast.Expr)}
-        for node in nodes:
-            if isinstance(node, ast.Constant) and node not in docstrings:
-                assert not re.search(r"\b(doc|tools|test)/|\bexamples[/.]\w", str(node.value))
 
 
 def test_pip_install_lays_everything_but_ros(pip_installed, tmp_path):

@@ -145,8 +145,6 @@ NO_EFFECT = {
         "is max_volume_per_day;",
     "# mine\n/**/pum:\n  ros__parameters:\n    min_off: 1.0\n":
         "line 2: /**/pum: bringup starts no such node; the closest is /**/pump;",
-    "/site2/pump:\n  ros__parameters:\n    min_off: 1.0\n":
-        "line 1: /site2/pump: bringup starts no such node; the closest is /**/pump;",
     "pump:\n  max_volume_per_day: 0.5\n":
         "line 2: pump: max_volume_per_day = 0.5: has no effect here: write /**/NODE: {ros__",
 }

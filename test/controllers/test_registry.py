@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from paper import PAPER_SITE
+from paper import PAPER_SITE, paper_run
 from places import CHECKOUT, CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
@@ -24,12 +24,15 @@ def test_without_its_solver(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_file_for_all_nodes(tmp_path: Path) -> None:
-    """The most common form: section ``/**``, and whole numbers are permitted."""
+    """The most common form: section ``/**``, whole numbers are permitted; an option wins."""
     (tmp_path / "mine.yaml").write_text(
         "/**:\n  ros__parameters:\n    use_sim_time: true\n    weight: 5\n"
     )
     values = find_controller("mpc").read_parameters(tmp_path / "mine.yaml")
     assert values["weight"] == 5.0
+    given = "--parameters", str(tmp_path / "mine.yaml")
+    assert paper_run(*given).parameters["weight"] == 5.0
+    assert paper_run(*given, "--weight", "0.5").parameters["weight"] == 0.5
 
 
 @pytest.mark.parametrize(

@@ -21,11 +21,9 @@ NOTES = read_notes()
 RUN = PAGES if os.environ.get("GREENROOF_ROS_TEST_DOCS") else ["doc/howto/operate-a-live-site.md"]
 FAILURES = {
     "python -c 'raise SystemExit(3)'\ntrue\n": (Note(""), "exit code 3: python"),
-    "python -c 'raise ValueError' || true\n": (Note(""), "a traceback"),
     "sh -c 'exit 4' &\nsleep 1\n": (Note(""), "Exit 4"),
     "echo ready\n": (Note("", ready=["ready"], then_s=20.0), "ended before its Ctrl-C"),
     "echo loss\n": (Note("", says_not=["loss"]), "printed 'loss'"),
-    "setsid -f sleep 15\n": (Note(""), "left running: "),
 }
 
 

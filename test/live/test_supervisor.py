@@ -23,7 +23,7 @@ from places import CHECKOUT
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.live import supervisor
 from greenroof_ros.live.site_alarms import SiteAlarms
-from greenroof_ros.live.site_run import _StartReport, levels_of
+from greenroof_ros.live.site_run import levels_of
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.live.supervisor_socket import SOCKET, SupervisorSocket, read_report
 
@@ -391,13 +391,11 @@ def test_what_a_node_of_another_version_reports(tmp_path: Path) -> None:
     """Readers continue, and show what can be read."""
     shown: list[str] = []
     alarms = SiteAlarms(tmp_path, "", [NodeStart("pump", "small_node")], shown.append)
-    start = _StartReport()
     for strange in _STRANGE:
         report = read_report(json.dumps(strange).encode())
         last = {} if report is None else {"pump": report}
         assert bool(last) == (isinstance(strange, dict) and strange.get("state") == "ready")
         alarms.update(last)
-        start.update(alarms.judge, last, "")
         levels_of(last)
     for line in (b"", b"{", b"\xff", b"[" * 100_000):
         assert read_report(line) is None

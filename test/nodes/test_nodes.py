@@ -21,9 +21,6 @@ from rclpy.parameter import Parameter
 from ros_rig import FORECASTS, Observer
 from std_msgs.msg import Float64, Float64MultiArray
 
-from greenroof_ros.live.devices.sensor_file import QUANTITIES
-from greenroof_ros.live.engine import LIMITS
-
 START = 1_625_641_200  # 2021-07-07T02:00-05:00 in seconds since 1970
 
 
@@ -192,13 +189,6 @@ def help_of(cwd: Path, command: str) -> str:
     assert done.stdout.startswith(f"usage: python -m greenroof_ros.{command.split()[0]} ")
     assert list(cwd.iterdir()) == []  # the recorder makes no bag
     return done.stdout
-
-
-def test_the_maximum_age_of_what_a_sensor_reports_is_its_readers() -> None:
-    """The sensor file's check and the readers of the topic use the same parameter."""
-    assert {quantity.topic_name: quantity.limit for quantity in QUANTITIES.values()} == {
-        quantity.topic_name: LIMITS[quantity.topic_name].name for quantity in QUANTITIES.values()
-    }
 
 
 def test_help_is_what_the_nodes_have(domain: int, tmp_path: Path, observer: Observer) -> None:

@@ -203,11 +203,3 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
         publish(then)
     assert nodes.code(node) in (code, -signal.SIGALRM)
     assert words in nodes.log(node)
-
-
-def test_a_second_publisher_before_the_run(nodes: Nodes, observer: Observer) -> None:
-    """For nodes started by hand; bringup checks this before it starts any."""
-    publishers = [observer.publisher(LEVEL[0]) for _ in range(2)]
-    nodes.node("onoff")
-    assert len(publishers) == 2 and nodes.code("onoff") == 3
-    assert "/cistern/level has 2 publishers (" in nodes.log("onoff")
