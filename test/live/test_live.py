@@ -517,6 +517,7 @@ def test_no_command_of_what_was_before_a_stop(site: Site) -> None:
 
 # By section of the sensor file: what it reads again and again, and what is published.
 AT_ZERO: dict[str, tuple[str, list[int], list[float]]] = {
+    "roof": ("scale: 0.001\n  low: -0.05\n  high: 0.5", [-1, 3, -50, 7], [0.0, 0.003, 0.0, 0.007]),
     "cistern": ("scale: 0.001\n  low: -0.1\n  high: 9.0", [-2, -90, 40], [0.0, 0.0, 0.04]),
     "rain_gauge": ("scale: 1.0e-8\n  low: -1.0e-6\n  high: 1.0e-4", [-30, 70], [0.0, 7e-7]),
     "thermometer": ("scale: 0.1\n  low: -40.0\n  high: 60.0", [-35, 20], [-3.5, 2.0]),
