@@ -1,10 +1,33 @@
-"""Made-up forecast archives in the format of a forecast service."""
+"""Made-up weather and forecast archives in the format of a forecast service."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
+
+_UNITS = {
+    "temperature_2m": "°C", "dew_point_2m": "°C", "relative_humidity_2m": "%",
+    "wind_speed_10m": "km/h", "surface_pressure": "hPa", "shortwave_radiation": "W/m²",
+}
+
+
+def answer(first: str, hours: int, **columns: Sequence[Any]) -> dict[str, Any]:
+    """Return an answer of Open-Meteo about Toronto, in GMT; without a value a unit is undefined."""
+    start = datetime.fromisoformat(first)
+    return {
+        "latitude": 43.62, "longitude": -79.42, "elevation": 77.0, "utc_offset_seconds": 0,
+        "hourly_units": {"time": "iso8601", **{
+            name: "undefined" if set(values) == {None} else _UNITS.get(name, "mm")
+            for name, values in columns.items()
+        }},
+        "hourly": {
+            "time": [f"{start + timedelta(hours=hour):%Y-%m-%dT%H:%M}" for hour in range(hours)],
+            **columns,
+        },
+    }
 
 
 def write_runs(directory: Path, first: str = "2021-07-06T18:00", count: int = 8) -> Path:
@@ -13,13 +36,8 @@ def write_runs(directory: Path, first: str = "2021-07-06T18:00", count: int = 8)
     start = datetime.fromisoformat(first)
     for number in range(count):
         run = start + number * timedelta(hours=6)
-        times = [(run + timedelta(hours=hour)).strftime("%Y-%m-%dT%H:%M") for hour in range(49)]
-        (directory / f"run_{run:%Y%m%d%H}.json").write_text(json.dumps({
-            "latitude": 43.63, "longitude": -79.4, "elevation": 77.0, "utc_offset_seconds": 0,
-            "hourly_units": {"time": "iso8601", "precipitation": "mm"},
-            "hourly": {
-                "time": times,
-                "precipitation": [None, *(number + hour / 100 for hour in range(48))],
-            },
-        }))
+        rain = [None, *(number + hour / 100 for hour in range(48))]
+        (directory / f"run_{run:%Y%m%d%H}.json").write_text(
+            json.dumps(answer(run.isoformat(), 49, precipitation=rain))
+        )
     return directory

@@ -353,12 +353,12 @@ def test_end_of_the_records() -> None:
 def test_choices(tmp_path: Path) -> None:
     """Names and their options; files by their suffix, directories if they exist or by a slash."""
     for text in ("a.csv", "a.JSON", "b/a.json", "later/", str(tmp_path)):
-        choice = choose(text, "--forecast")
+        choice = choose(text)
         assert (choice.model, choice.file, choice.options()) == ("file", Path(text), {})
         assert choice.option_names == ("delay",)
     assert replace(choice, delay=3.0).options() == {"delay": 3.0}
-    assert choose("ensemble", "--forecast").options() == {"skill": "real", "seed": 0, "members": 10}
-    assert str(choose("a/b.csv", "--forecast")) == "a/b.csv"
+    assert choose("ensemble").options() == {"skill": "real", "seed": 0, "members": 10}
+    assert str(choose("a/b.csv")) == "a/b.csv"
 
 # --- the graph ---------------------------------------------------------------------------------
 

@@ -24,19 +24,18 @@ TEMPERATURE, RAIN = "Temp (°C)", "Precip. Amount (mm)"
 
 
 def changed(
-    directory: Path, hours: int, *cells: tuple[int, str, str], short: tuple[int, ...] = (),
-    ends_at: str = TEMPERATURE,
+    directory: Path, hours: int, *cells: tuple[int, str, str], short: tuple[int, ...] = ()
 ) -> Path:
     """Write the first hours of July 2021 with other cells, each as its hour, column and text.
 
-    The rows of short hours end at a column.
+    The rows of short hours end at the temperature.
     """
     with JULY.open(encoding="utf-8-sig") as stream:
         header, *rows = list(csv.reader(stream))[: hours + 1]
     for hour, column, text in cells:
         rows[hour][header.index(column)] = text
     for hour in short:
-        del rows[hour][header.index(ends_at) :]
+        del rows[hour][header.index(TEMPERATURE) :]
     path = directory / "en_climate_hourly.csv"
     with path.open("w", encoding="utf-8-sig", newline="") as stream:
         csv.writer(stream).writerows([header, *rows])
@@ -108,12 +107,11 @@ def test_frost(tmp_path: Path) -> None:
 
 def test_refused(tmp_path: Path) -> None:
     """The error has the line, the service's column and the value, or what the site lacks."""
-    for cells, short, reason in (
-        ([(3, "Date/Time (LST)", "2021-07-01 3:00Z")], (), "line 5: Date/Time (LST) = '2021-07-01"),
-        ([], (5,), "line 7: must have 30 cells, like the header, not 10"),
-        ([(0, "Longitude (x)", "-123.1")], (), "line 2: Longitude (x) = '-123.1': is not near the"),
+    for cell, reason in (
+        ((3, "Date/Time (LST)", "2021-07-01 3:00Z"), "line 5: Date/Time (LST) = '2021-07-01"),
+        ((0, "Longitude (x)", "-123.1"), "line 2: Longitude (x) = '-123.1': is not near the"),
     ):
-        path = changed(tmp_path, 24, *cells, short=short, ends_at="Temp Flag")
+        path = changed(tmp_path, 24, cell)
         assert refusal(read_weather, [path], TORONTO).startswith(f"{path}, {reason}")
     nowhere = replace(TORONTO, utc_offset=None)
     refusal(read_weather, [JULY], nowhere, match="the site file must give its offset from UTC")

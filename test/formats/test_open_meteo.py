@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from paper import PAPER_SITE
+from archives import answer
 from places import CONFIG, DATA
 from refusals import refusal
 
@@ -25,7 +25,6 @@ from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import read_weather
 
 TORONTO = read_site(CONFIG / "site.yaml")
-BUDVA = replace(PAPER_SITE, latitude=42.28, longitude=18.84, elevation=5.0)
 GEM = DATA / "gem_global_previous_runs_2024-03.csv"
 KNMI = DATA / "knmi_seamless_previous_runs_2024-02.csv"
 HOUR = timedelta(hours=1)
@@ -80,20 +79,6 @@ def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
         "precipitation and solar radiation in the files are for the hour before their time, and "
         "were moved back an hour",
     )
-
-
-def test_order_of_columns_and_further_variables(tmp_path: Path) -> None:
-    """Columns are found by name; unneeded ones are not read; radiation may be absent."""
-    def cells(line: str) -> str:
-        parts = line.split(",")[:-1]
-        return ",".join([parts[0], *reversed(parts[1:]), "no number"])
-
-    header = cells(HEADER).replace("no number", "weather_code (wmo code)")
-    weather = read_weather([write(tmp_path, [cells(hour) for hour in HOURS], header)], TORONTO)
-    assert weather.precipitation.tolist() == [0.2, 0.3, 0.4, 0.5, 0.6]
-    assert weather.values["temperature"].tolist() == [20, 20.5, 21, 21.5, 22]
-    assert weather.shifted == ("precipitation",)
-    assert np.isnan(weather.evapotranspiration).all()  # needs whole days without radiation
 
 
 # 20 degF are 12 below the freezing point, and 1.8 degF are 1 degC; 1 inch is 25.4 mm; 1 m/s are
@@ -181,16 +166,6 @@ def saved(file: Path) -> dict[datetime, list[float]]:
     }
 
 
-def answer(times: list[str], **columns: list[float | None]) -> dict[str, Any]:
-    """Return a JSON answer of the service for hours."""
-    return {
-        "latitude": 42.25, "longitude": 18.875, "generationtime_ms": 0.1, "utc_offset_seconds": 0,
-        "timezone": "GMT", "timezone_abbreviation": "GMT", "elevation": 5.0,
-        "hourly_units": {"time": "iso8601", **dict.fromkeys(columns, "mm")},
-        "hourly": {"time": times, **columns},
-    }
-
-
 @pytest.mark.parametrize("file", [GEM, KNMI])
 def test_issues_of_previous_runs(file: Path) -> None:
     """At 00, 06, 12 and 18 UTC each later hour has the newest value that was old enough.
@@ -199,7 +174,7 @@ def test_issues_of_previous_runs(file: Path) -> None:
     older one was known, too; an issue ends where none was known.
     """
     rows = saved(file)
-    archive = read_archive(file, BUDVA)
+    archive = read_archive(file, TORONTO)
     assert (archive.kind, archive.delay) == ("Open-Meteo, previous runs", 6.0)
     by_time = {issue.issued: issue for issue in archive.issues}
     for start in rows:
@@ -233,16 +208,13 @@ def test_the_same_in_all_forms(tmp_path: Path) -> None:
     for name, low, high in (("b.csv", 0, 300), ("a.csv", 280, 552)):
         (tmp_path / "parts" / name).write_text("\n".join([header, *lines[low:high], ""]))
     whole, *others = (
-        [(issue.issued, issue.rain.tolist()) for issue in read_archive(source, BUDVA).issues]
+        [(issue.issued, issue.rain.tolist()) for issue in read_archive(source, TORONTO).issues]
         for source in (KNMI, tmp_path / "aware.csv", tmp_path / "parts")
     )
     assert others == [whole, whole]
 
 
 # --- runs and ensembles ------------------------------------------------------------------------
-
-
-TIMES = [f"2024-06-01T{hour:02}:00" for hour in range(12, 18)]
 
 
 def test_runs(tmp_path: Path) -> None:
@@ -253,11 +225,11 @@ def test_runs(tmp_path: Path) -> None:
     """
     for name, factor in (("gem_2024060112", 1.0), ("gem-2024-06-01T18", 2.0)):
         (tmp_path / f"{name}.json").write_text(json.dumps(answer(
-            [f"2024-06-01T{hour:02}:00" for hour in range(24)],
+            "2024-06-01T00:00", 24,
             precipitation_member02=[2 * factor] * 23 + [None],
             precipitation=[0.0] * 22 + [0.5, None], precipitation_member01=[factor] * 23 + [None],
         )))
-    archive = read_archive(tmp_path, BUDVA)
+    archive = read_archive(tmp_path, TORONTO)
     assert (archive.kind, archive.delay, archive.members) == ("Open-Meteo, runs", 6.0, 3)
     first, second = archive.issues
     assert first.issued.isoformat() == "2024-06-01T12:00:00+00:00"
@@ -266,8 +238,8 @@ def test_runs(tmp_path: Path) -> None:
     assert second.rain.tolist() == [[0.0] * 3 + [0.5], [2.0] * 4, [4.0] * 4]
     file = tmp_path / "without_control_2024060112.json"
     members = {f"precipitation_member0{number}": [number] * 6 for number in (2, 1)}
-    file.write_text(json.dumps(answer(TIMES, **members)))
-    assert read_archive(file, BUDVA).issues[0].rain[:, 0].tolist() == [1.0, 2.0]
+    file.write_text(json.dumps(answer("2024-06-01T12:00", 6, **members)))
+    assert read_archive(file, TORONTO).issues[0].rain[:, 0].tolist() == [1.0, 2.0]
 
 
 # --- what is refused ---------------------------------------------------------------------------
@@ -275,8 +247,8 @@ def test_runs(tmp_path: Path) -> None:
 
 def run_of(day: int = 1, **columns: list[Any]) -> str:
     """Return the JSON of a run on a day of June."""
-    times = [time.replace("06-01", f"06-{day:02}") for time in TIMES]
-    return json.dumps(answer(times, **{"precipitation": [0.0] * 6, **columns}))
+    rain = {"precipitation": [0.0] * 6, **columns}
+    return json.dumps(answer(f"2024-06-{day:02}T12:00", 6, **rain))
 
 
 HEAD = KNMI.read_text().splitlines()[0]
@@ -315,12 +287,12 @@ def test_wrong_files(tmp_path: Path, name: str) -> None:
     text, reason = WRONG[name]
     file = tmp_path / name
     file.write_text(text, encoding="utf-8")
-    assert refusal(read_archive, file, BUDVA).startswith(f"{file}{reason}")
+    assert refusal(read_archive, file, TORONTO).startswith(f"{file}{reason}")
 
 
 def test_wrong_directories(tmp_path: Path) -> None:
     """An archive has one format, one kind, and each issue once."""
-    refusal(read_archive, tmp_path, BUDVA, match="must contain files of forecasts")
+    refusal(read_archive, tmp_path, TORONTO, match="must contain files of forecasts")
     (tmp_path / "a_2024060112.json").write_text(run_of(1))
     for name, text, wrong in (
         ("README.md", "# Forecasts", r"README.md: must end in .csv or .json, like "),
@@ -335,7 +307,7 @@ def test_wrong_directories(tmp_path: Path) -> None:
         ),
     ):
         (tmp_path / name).write_text(text)
-        refusal(read_archive, tmp_path, BUDVA, match=wrong)
+        refusal(read_archive, tmp_path, TORONTO, match=wrong)
         (tmp_path / name).unlink()
     (tmp_path / "b_2024060212.json").write_text(run_of(2))
-    assert len(read_archive(tmp_path, BUDVA).issues) == 2
+    assert len(read_archive(tmp_path, TORONTO).issues) == 2

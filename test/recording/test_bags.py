@@ -234,7 +234,7 @@ def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path) -> None:
     """Wherever it is in a closed file: nothing wrong comes out, and a loss is reported."""
     written, random = write_bag(tmp_path / "whole", 361), Random(0)
     content, amounts = (tmp_path / "whole" / "whole_0.mcap").read_bytes(), set()
-    for number in range(30):
+    for number in range(12):
         bag = tmp_path / f"bag{number}"
         bag.mkdir()
         at = random.randrange(len(content))
@@ -250,8 +250,7 @@ def test_a_flipped_bit_costs_a_chunk_at_most(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("what", "where"),
-    [("BAD_SECTOR", 0.0), ("BAD_SECTOR", 0.5), ("BAD_SECTOR", 1.0), ("CUT_TO", 0.0),
-     ("CUT_TO", 0.6)],
+    [("BAD_SECTOR", 0.0), ("BAD_SECTOR", 0.5), ("BAD_SECTOR", 1.0), ("CUT_TO", 0.6)],
 )
 def test_a_disk_that_fails_while_it_is_read(tmp_path: Path, what: str, where: float) -> None:
     """A sector that gives an error, or a file that is cut meanwhile: what was lost is reported.
@@ -267,10 +266,6 @@ def test_a_disk_that_fails_while_it_is_read(tmp_path: Path, what: str, where: fl
         env={**environment(0), **bad_disk(tmp_path), what: str(at)}, capture_output=True,
         text=True, check=False,
     )
-    if at == 0 and what == "CUT_TO":
-        assert (done.returncode, done.stdout) == (2, "")
-        assert "bag: does not hold a single whole chunk" in done.stderr
-        return
     missing = lost_ticks(tmp_path / "new", written)
     assert done.stdout == f"{6 * (361 - len(missing))} messages recovered to new\n"
     assert done.returncode == bool(missing), done.stderr
@@ -388,18 +383,24 @@ def test_oldest_files_go_beyond_the_limit(tmp_path: Path) -> None:
     assert not (directory / "bag_0.mcap").exists()
 
 
+def split_bag(directory: Path, namespace: str = "") -> tuple[LiveBag, list[tuple[str, int, float]]]:
+    """Begin a live site's bag of some files; return it with its messages."""
+    sent = [
+        (namespace + TOPICS[tick % 3], LATE_NS + tick * 10**9, tick * 1.1) for tick in range(1500)
+    ]
+    bag = live_bag(directory, file_bytes=20_000, namespace=namespace)
+    for tick, (topic, stamp, value) in enumerate(sent):
+        bag.write(topic, stamp, number(value), float(tick))
+        bag.flush_if_due(float(tick))
+    return bag, sent
+
+
 def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
     """The closed files are readable at once; recover restores the last; a new start continues.
 
     A copy of the files that are being written is what a kill leaves.
     """
-    sent = [
-        ("/site1" + TOPICS[tick % 3], LATE_NS + tick * 10**9, tick * 1.1) for tick in range(1500)
-    ]
-    killed = live_bag(tmp_path / "growing" / "bag", file_bytes=20_000, namespace="/site1")
-    for tick, (topic, stamp, value) in enumerate(sent):
-        killed.write(topic, stamp, number(value), float(tick))
-        killed.flush_if_due(float(tick))
+    killed, sent = split_bag(tmp_path / "growing" / "bag", "/site1")
     shutil.copytree(tmp_path / "growing", tmp_path, dirs_exist_ok=True)
     killed.close()
     files = len(list((tmp_path / "bag").glob("*.mcap")))
@@ -421,18 +422,6 @@ def test_a_kill_costs_what_came_since_the_last_flush(tmp_path: Path) -> None:
     ]
 
 
-def split_bag(directory: Path) -> list[tuple[str, int, float]]:
-    """Write a live site's bag of some files; return its messages."""
-    sent = [(TOPICS[tick % 3], LATE_NS + tick * 10**9, tick * 1.1) for tick in range(1500)]
-    bag = live_bag(directory, file_bytes=20_000)
-    for tick, (topic, stamp, value) in enumerate(sent):
-        bag.write(topic, stamp, number(value), float(tick))
-        bag.flush_if_due(float(tick))
-    bag.close()
-    assert len(list(directory.glob("*.mcap"))) > 3
-    return sent
-
-
 def files_messages(file: Path) -> set[tuple[str, int]]:
     return {(topic, stamp) for topic, stamp, *_ in messages_of(file)}
 
@@ -442,7 +431,8 @@ def files_messages(file: Path) -> set[tuple[str, int]]:
 )
 def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, what: str) -> None:
     """An older one, too: ``metadata.yaml`` has its number of messages."""
-    sent = split_bag(tmp_path / "bag")
+    bag, sent = split_bag(tmp_path / "bag")
+    bag.close()
     file = tmp_path / "bag" / "bag_1.mcap"
     had = files_messages(file)
     if what == "a chunk":

@@ -87,15 +87,6 @@ def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
     assert refusal(read_weather, [path], PAPER_SITE).startswith(f"{path}, line 2: {reason}")
 
 
-def test_a_rain_gauge_alone(tmp_path: Path) -> None:
-    """Some need only rain, and an empty cell is a missing hour."""
-    header = "time,precipitation [mm/h]"
-    path = write(tmp_path / "a.csv", header, "2021-07-07T03:00Z,3.0", "2021-07-07T04:00Z,")
-    gauge = read_weather([path], PAPER_SITE, rain_only=True)
-    assert gauge.precipitation.tolist() == pytest.approx([3.0, np.nan], nan_ok=True)
-    assert np.isnan(gauge.evapotranspiration).all()
-
-
 # --- what people have -----------------------------------------------------------------------------
 
 

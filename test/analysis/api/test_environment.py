@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import polars
-import pytest
 from refusals import refusal
 
 import greenroof_ros as gr
@@ -38,19 +36,6 @@ def test_what_a_step_returns() -> None:
         assert roof.reset() == first
 
 
-def test_the_forecast_has_the_ends_of_its_steps() -> None:
-    """The means over the steps are the file's rain: 3.2 mm in the three hours from 02:00."""
-    roof = gr.Environment(hours=1, horizon=3)
-    forecast = roof.forecast
-    assert (forecast.ends[0], forecast.ends[-1]) == (0.0, 3 * 3600.0)
-    assert 1000 * forecast.rain @ np.diff(forecast.ends) == pytest.approx(3.2)
-    # 2.775, 3.448 and 1.227 mm/day, over 68.8 m2.
-    depth = (2.77537901 + 3.44779366 + 1.22675507) / 24
-    assert forecast.evapotranspiration @ np.diff(forecast.ends) == pytest.approx(
-        68.8 * depth / 1000
-    )
-
-
 def test_metrics_on_the_way() -> None:
     """They are a run's that ends there."""
     roof = gr.Environment(hours=1)
@@ -79,14 +64,3 @@ def test_what_is_wrong_is_named() -> None:
         roof.step(0.0)
     refusal(roof.step, 0.0, match="the run: has ended; reset")
     refusal(lambda: gr.Environment(horizon=0), match="horizon = 0: must be")
-
-
-def test_no_pumping_in_frost() -> None:
-    """At -1 degC the command acts as 0."""
-    frame = polars.DataFrame({
-        "time": ["2024-01-01T00:00Z", "2024-01-01T01:00Z"], "precipitation [mm/h]": [0.0, 0.0],
-        "my evapotranspiration [mm/day]": [0.1, 0.1], "temperature [degC]": [-1.0, 5.0],
-    })
-    roof = gr.Environment(weather=frame, start="2024-01-01T00:00Z", hours=2)
-    commands = [roof.step(1.0).command for _ in range(7200)]
-    assert (set(commands[:3600]), set(commands[3600:])) == ({0.0}, {1.0})

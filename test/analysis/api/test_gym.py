@@ -27,7 +27,7 @@ def test_gymnasiums_check_finds_nothing(forecast: str) -> None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(gymnasium.make(ID, hours=0.5, forecast=forecast).unwrapped)
+        check_env(gymnasium.make(ID, hours=0.5, horizon=0.5, forecast=forecast).unwrapped)
 
 
 def played(policy: Callable[[Any, Any], Any], **inputs: Any) -> tuple[float, dict[str, float]]:

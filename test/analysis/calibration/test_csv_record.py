@@ -155,8 +155,6 @@ def test_wrong_files_are_refused(name: str, file: Path) -> None:
     [
         (2 * 1440 * np.arange(120),
          "line 1: the rows are 2 days apart; they must be at most a day apart"),
-        (5 * np.concatenate((np.arange(60), np.arange(48, 120))),
-         "line 62: time = '2021-06-01T04:00': must be later than the time of the row before"),
         (np.cumsum(np.resize([5, 5, 7], 200)),
          "line 4: time = '2021-06-01T00:17': must be 300 s after the row before, or a whole number "
          "of such steps, not 420 s; 66 of 200 rows are like this"),

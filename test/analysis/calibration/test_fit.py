@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from functools import cache
 
@@ -50,10 +49,7 @@ def twin(hours: int, days: int, seed: int = 2) -> StepRecord:
 
 
 def test_a_twin_is_recovered() -> None:
-    """From six weeks; the fit reports its progress.
-
-    Stages come in order; the share grows with each, and ends at 1.
-    """
+    """From six weeks; the fit reports its progress, a share that grows to 1."""
     record = twin(0, 45)
     progress: list[tuple[str, float]] = []
     fitted = fit(ELSEWHERE, record, record.complete, lambda *step: progress.append(step))
@@ -67,12 +63,6 @@ def test_a_twin_is_recovered() -> None:
     shares = [share for _, share in progress]
     assert shares == sorted(shares)
     assert (shares[0], progress[-1]) == (0.0, ("done", 1.0))
-    stages = [re.match(r"(\d) of 5: (.*), \d+ simulations", text) for text, _ in progress[:-1]]
-    assert list(dict.fromkeys(stage[1] for stage in stages)) == ["1", "2", "3", "4", "5"]
-    # One for each parameter and one before; then the start and a grid of 3 x 4 x 2.
-    assert sum(stage[1] == "1" for stage in stages) == 7
-    assert sum(stage[1] == "2" for stage in stages) == 25
-    assert f"last search, {len(progress) - 1} simulations" in progress[-2][0]
 
 
 def test_runoff_alone_tells_only_what_the_soil_holds_between() -> None:

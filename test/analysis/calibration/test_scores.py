@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from greenroof_ros.analysis.calibration.scores import efficiency, kling_gupta, score
-from greenroof_ros.formats.step_record import name_time
 
 
 def test_nash_and_sutcliffe_kling_and_gupta() -> None:
@@ -50,8 +49,3 @@ def test_gaps_say_nothing_of_a_level() -> None:
     seconds = 86400 * days + 3600 * np.array([0, 1, 2, 3, 5, 0, 9])
     scores = score("level", "fit", np.full(7, 0.02), measured, seconds, 3600.0)
     assert scores.nse[86400] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_times_have_names() -> None:
-    seconds = (300, 3600, 86400, 172800, 90)
-    assert [*map(name_time, seconds)] == ["5 min", "1 h", "1 day", "2 days", "90 s"]

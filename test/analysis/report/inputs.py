@@ -171,19 +171,26 @@ def write_bag(
     storage: StoragePlugin = StoragePlugin.MCAP,
     msgtype: str = "std_msgs/msg/Float64",
 ) -> Path:
-    """Write a foreign bag: stamps (ns since the start) and values of each topic."""
-    Message = TYPES.types[msgtype]
+    """Write a foreign bag: stamps (ns since the start) and values of each topic.
+
+    A clock's values are its times (s since the start).
+    """
+    Time = TYPES.types["builtin_interfaces/msg/Time"]
     queue = []
     with Writer(directory, version=9, storage_plugin=storage) as writer:
         for topic, (stamps, values) in messages.items():
-            connection = writer.add_connection(topic, msgtype, typestore=TYPES)
+            clock = topic.endswith("/clock")
+            name = "rosgraph_msgs/msg/Clock" if clock else msgtype
+            connection = writer.add_connection(topic, name, typestore=TYPES)
             queue += [
-                (stamp, connection, value) for stamp, value in zip(stamps, values, strict=True)
+                (stamp, connection, Time(START_NS // 10**9 + int(value), 0) if clock else value)
+                for stamp, value in zip(stamps, values, strict=True)
             ]
         for stamp, connection, value in sorted(queue, key=lambda item: item[0]):
+            message = TYPES.types[connection.msgtype](value)
             writer.write(
                 connection, START_NS + int(stamp),
-                bytes(TYPES.serialize_cdr(Message(value), msgtype)),
+                bytes(TYPES.serialize_cdr(message, connection.msgtype)),
             )
     return directory
 

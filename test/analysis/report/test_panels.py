@@ -11,8 +11,7 @@ import pytest
 from inputs import NAMES, START, figures_of, simulate, study_of, trajectory_of
 from paper import PAPER_SITE
 
-import greenroof_ros as gr
-from greenroof_ros.analysis.report.drawing import Figure, Panel, value_scale
+from greenroof_ros.analysis.report.drawing import Figure, value_scale
 from greenroof_ros.analysis.report.groups import TOTAL
 from greenroof_ros.analysis.report.trajectories import (
     MAX_POINTS,
@@ -88,22 +87,6 @@ def test_thinning_keeps_extremes() -> None:
     index = select_samples(values)
     assert len(index) <= MAX_POINTS + 2
     assert {0, 12_345, 20_001, 43_199} <= set(index.tolist())
-
-
-def test_figures_fit_a_page(tmp_path: Path) -> None:
-    """Five controllers with long names in one panel for each quantity; at most 1400 px wide."""
-    names = ("onoff", "mpc", "lookahead", "anticipating_onoff", "examples.rain_wait:RainWait")
-    result = gr.simulate("onoff", hours=0.2)
-    run = select_curves(result.run.site, result.ticks)
-    runs = {f"{name} with a setting": run for name in names}
-    for figure in figures_over_time(runs, "1", ""):
-        assert size(tmp_path, figure)[0] <= 1400
-        for panel in figure.panels[1:]:
-            assert isinstance(panel, Panel)
-            rows = next(
-                rows for name, rows in figure.data.items() if name in str(panel.chart.to_dict())
-            )
-            assert {row["controller"] for row in rows} == set(runs)
 
 
 def test_what_was_forecast_and_what_fell(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -46,11 +45,6 @@ def replaced(old: str, new: str) -> Callable[[Path], Any]:
     return study(lambda text: text.replace(old, new))
 
 
-def cut_bag(at: Path) -> None:
-    """Write a bag with a truncated file."""
-    os.truncate(small_bag(at) / "in.mcap", 300)
-
-
 def unfinished_bag(at: Path) -> None:
     """Write a bag as it is while it is recorded."""
     (small_bag(at) / "metadata.yaml").unlink()
@@ -60,10 +54,8 @@ NEEDED = ("cistern_level", "roof_level", "pump_command", "pump_flow")
 # name: what makes the input "in", the message as a pattern
 WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "nothing-there": (lambda at: None, "in: does not exist"),
-    "a-file": (lambda at: at.write_text("x"), "in: must be a directory"),
     "an-empty-directory": (Path.mkdir, "results.csv.*metadata.yaml"),
     "unfinished": (unfinished_bag, "in: has no metadata.yaml: .*greenroof recover"),
-    "mcap-cut": (cut_bag, "cannot be read as a bag.*greenroof recover"),
     "foreign-topics": (topics("/scan"), "no .*/cistern/level.*/pump/flow.*its topics are: /scan"),
     "one-sample": (bag(**{name: [0.01] for name in NEEDED}), "two samples.*not 1"),
     "float32": (
@@ -109,14 +101,14 @@ def test_sites(tmp_path: Path) -> None:
 def test_command(tmp_path: Path) -> None:
     """Exit code 2, one line, no traceback, nothing written."""
     small_bag(tmp_path / "in")
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "x").touch()
+    (tmp_path / "mine" / "figures").mkdir(parents=True)
+    (tmp_path / "mine" / "figures" / "mine.svg").touch()
     before = sorted(tmp_path.rglob("*"))
-    done = command("in", "--output", "mine", cwd=tmp_path)
+    done = command("in", "--output", "mine", "--force", cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr and done.stdout == ""
     message = done.stderr.partition("error:")[2].strip()
-    assert "--output = 'mine': holds x, which does not belong to a report" in message
+    assert "--output = 'mine': holds figures/mine.svg, which does not belong to a report" in message
     assert "\n" not in message
     assert sorted(tmp_path.rglob("*")) == before
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +18,10 @@ from inputs import (
     study_of,
     write_study,
 )
-from refusals import refusal
 
-from greenroof_ros.analysis.report.figures import is_figure
 from greenroof_ros.analysis.report.groups import TOTAL
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
 from greenroof_ros.analysis.report.trajectories import MAX_POINTS
-from greenroof_ros.commands.report import _former_report
-from greenroof_ros.recording.trajectory import Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -110,15 +104,6 @@ def test_figures_of_a_study(tmp_path: Path, simulated: list[Simulated]) -> None:
             assert list(sums.values()) == pytest.approx(changes, abs=1e-5 * area)
 
 
-def each_minute(trajectory: Trajectory) -> Trajectory:
-    """Return a trajectory of every second with each 60th sample, and the last."""
-    last = len(trajectory.time) - 1
-    kept = [*range(0, last, 60), last]
-    return replace(trajectory, **{
-        name: series[kept] for name, series in vars(trajectory).items() if name != "start"
-    })
-
-
 def test_seeds_belong_together(tmp_path: Path) -> None:
     """A case of 25 seeds: their mean, mean of the worst two and a half, and worst, by hand.
 
@@ -152,10 +137,10 @@ def test_seeds_belong_together(tmp_path: Path) -> None:
 
 def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
     """With numbers and words, or without any; more lines than colours are drawn apart."""
-    example = simulate("mpc", "0.001", "low-low")
-    few = each_minute(example.trajectory)
+    example = simulate("mpc", "0.001", "low-low", "0.01")
     report = report_of(write_study(tmp_path / "study", [
-        ({**example.row, "parameter:weight": "", "controller": name, "case": case}, few)
+        ({**example.row, "parameter:weight": "", "controller": name, "case": case},
+         example.trajectory)
         for name, case in (("mine", "mine"), *(("mpc", f"mpc {number}") for number in range(7)))
     ]))
     assert [name for name in figures_of(report) if "water" in name] == [
@@ -167,31 +152,20 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
 # --- the command ---------------------------------------------------------------------------------
 
 
-def test_nothing_is_written_over(tmp_path: Path) -> None:
-    """Neither an old report, without --force, nor a file that is not a report's."""
-    (tmp_path / "figures").mkdir()
-    (tmp_path / "report.html").touch()
-    (tmp_path / "figures" / "water-1-mpc.svg").touch()
-    refusal(partial(_former_report, force=False), tmp_path, is_figure, match="with --force")
-    (tmp_path / "figures" / "water-2.svg").mkdir()
-    (tmp_path / "figures" / "mine.svg").touch()
-    (tmp_path / "notes.txt").touch()
-    reason = refusal(partial(_former_report, force=True), tmp_path, is_figure)
-    assert "holds figures/mine.svg, which does not belong to a report" in reason
-
-
 def test_study(tmp_path: Path) -> None:
     """A page, each figure twice, the failed runs with their errors, and where the page is.
 
-    With --force the previous report is removed.
+    A previous report is refused, or removed with --force.
     """
-    example = simulate("onoff", "2", "low-low")
+    example = simulate("onoff", "2", "low-low", "0.01")
     failed = {**example.row, "status": "failed", "error": "solver: <gave up>", TOTAL: ""}
     not_run = {**failed, "parameter:fraction": "3", "status": "not run", "error": ""}
-    runs = (example.row, each_minute(example.trajectory)), (failed, None), (not_run, None)
+    runs = (example.row, example.trajectory), (failed, None), (not_run, None)
     report = write_study(tmp_path / "study", runs) / "report"
     (report / "figures").mkdir(parents=True)
     (report / "figures" / "water-7.svg").touch()
+    refused = command("study", cwd=tmp_path)
+    assert refused.returncode == 2 and "with --force" in refused.stderr
     done = command("study", "--force", "--water-price", "5", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert str(report / "report.html") in done.stdout
@@ -205,8 +179,6 @@ def test_study(tmp_path: Path) -> None:
         assert (report / "figures" / f"{name}.svg").read_text().startswith("<svg")
         picture = (report / "figures" / f"{name}.png").read_bytes()
         width, height = struct.unpack(">II", picture[16:24])
-        assert width > 800 and height > 300
+        assert 800 < width <= 2800 and height > 300
     payload = json.loads(text.partition('id="payload">')[2].partition("</script>")[0])
     assert {panel["figure"] for panel in payload["panels"]} == names
-
-

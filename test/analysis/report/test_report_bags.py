@@ -7,7 +7,6 @@ import json
 import math
 import os
 import shutil
-import struct
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +21,6 @@ from inputs import (
     START,
     START_NS,
     TOPICS,
-    TYPES,
     ended_run,
     figures_of,
     messages_of,
@@ -34,10 +32,9 @@ from inputs import (
     write_bag,
     write_study,
 )
-from mcap.reader import make_reader
 from places import CONFIG
 from refusals import refusal
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin
 
 from greenroof_ros.analysis.report.bags import read_run
 from greenroof_ros.analysis.report.run import Row
@@ -45,9 +42,7 @@ from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
 from greenroof_ros.commands.recover import recover
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.interface import read_topics
 from greenroof_ros.model.site import edited
-from greenroof_ros.recording.bag_writer import BagWriter
 from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
 
 TOTAL = "total_deviation_m3"
@@ -164,52 +159,30 @@ def test_a_real_sites_bag(tmp_path: Path) -> None:
 
 
 def recorded_fast(
-    directory: Path, count: int, *, speed: int = 100, begin: int = 0, lost: int = 0,
-    ticks: Sequence[int] = (), namespace: str = "",
+    directory: Path, count: int, *, begin: int = 0, lost: int = 0, ticks: Sequence[int] = (),
+    namespace: str = "",
 ) -> Path:
-    """Write a bag of a simulation at a multiple of real time, with arrival as the log time.
+    """Write a bag of a simulation at a hundred times real time, with arrival as the log time.
 
-    The roof's level in tick k is k * 1e-5 m, and the pump's flow 0.004 m3/s.
+    The roof's level in tick k is k * 1e-5 m, and the pump's flow 0.004 m3/s. The clock is missing
+    before tick ``begin``, and so are the first ``lost`` levels.
 
     Args:
         directory: of the bag.
         count: number of ticks of 1 s.
-        speed: of the simulation.
-        begin: the clock is missing before this tick.
-        lost: number of levels that are missing at the start.
+        begin: first tick with a clock.
+        lost: first tick with a roof's level.
         ticks: simulated time of each clock message (s); by default the tick.
         namespace: of the graph.
     """
-    Time, Clock, Float64 = (
-        TYPES.types[name] for name in
-        ("builtin_interfaces/msg/Time", "rosgraph_msgs/msg/Clock", "std_msgs/msg/Float64")
-    )
-    with Writer(directory, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        clock = writer.add_connection(
-            f"{namespace}/clock", "rosgraph_msgs/msg/Clock", typestore=TYPES
-        )
-        values = {
-            "/roof/level": 1e-5, "/cistern/level": 0.0, "/pump/command": 0.0, "/pump/flow": 0.0,
-        }
-        topics = {
-            name: writer.add_connection(namespace + name, "std_msgs/msg/Float64", typestore=TYPES)
-            for name in values
-        }
-        for tick in range(count):
-            arrival = START_NS + 10**15 + tick * 10**9 // speed
-            if tick >= begin:
-                second = START_NS // 10**9 + (ticks[tick] if ticks else tick)
-                writer.write(clock, arrival, bytes(
-                    TYPES.serialize_cdr(Clock(Time(second, 0)), "rosgraph_msgs/msg/Clock")
-                ))
-            for number, (name, slope) in enumerate(values.items(), start=1):
-                if name == "/roof/level" and tick < lost:
-                    continue
-                value = {"/cistern/level": 2.0, "/pump/flow": 0.004}.get(name, slope * tick)
-                writer.write(topics[name], arrival + number * 1000, bytes(
-                    TYPES.serialize_cdr(Float64(value), "std_msgs/msg/Float64")
-                ))
-    return directory
+    arrival = [10**15 + tick * 10**7 for tick in range(count)]
+    return write_bag(directory, {
+        f"{namespace}/clock": (arrival[begin:], (ticks or range(count))[begin:]),
+        f"{namespace}/roof/level": (arrival[lost:], [1e-5 * k for k in range(lost, count)]),
+        f"{namespace}/cistern/level": (arrival, [2.0] * count),
+        f"{namespace}/pump/command": (arrival, [0.0] * count),
+        f"{namespace}/pump/flow": (arrival, [0.004] * count),
+    })
 
 
 @pytest.mark.parametrize("namespace", ["", "/site1"])
@@ -492,43 +465,24 @@ def test_a_live_site(tmp_path: Path) -> None:
 # --- damaged bags --------------------------------------------------------------------------------
 
 
-def damaged_run(directory: Path) -> Path:
-    """Write a run of 145 ticks with this package's writer, and damage its bag's data and table."""
-    messages = messages_of(simulate("onoff", "1", "low-low", "0.04").trajectory)
-    topics = read_topics()
-    writer = BagWriter(directory / "bag", [topics[name] for name in ("/clock", *messages)])
-    for tick, stamp in enumerate(messages["/roof/level"][0]):
-        time_ns = START_NS + int(stamp)
-        writer.write_tick(time_ns, [
-            struct.pack("<III", 256, time_ns // 10**9, 0),
-            *(struct.pack("<Id", 256, values[tick]) for _, values in messages.values()),
-        ])
-    writer.close()
-    with (directory / "bag" / "bag_0.mcap").open("r+b") as stream:
-        summary = make_reader(stream).get_summary()
-        assert summary is not None
-        part = summary.chunk_indexes[2]
-        stream.seek(part.chunk_start_offset + part.chunk_length // 2)
-        stream.write(bytes(100))
-    (directory / "bag" / "metadata.yaml").write_bytes(b"\xff{[")
-    return directory
-
-
-def test_what_recover_makes_of_a_damaged_bag_is_reported(tmp_path: Path) -> None:
+def test_what_recover_makes_of_a_damaged_bag_is_reported(tmp_path: Path, recorded: Path) -> None:
     """The report advises to recover it once, then reads the new bag, until the old one grows.
 
     A new bag that is damaged, too, is not repaired again.
     """
-    run = damaged_run(tmp_path / "run")
+    run = shutil.copytree(recorded, tmp_path / "run")
+    file = run / "bag" / "bag_0.mcap"
+    os.truncate(file, file.stat().st_size // 2)
+    (run / "bag" / "metadata.yaml").write_bytes(b"\xff{[")
     refusal(report_of, run, match=f"run/bag: cannot be read as a bag.*greenroof recover {run}")
     assert recover(run).losses
     trajectory, _ = loaded(run)
-    assert len(trajectory.time) == 145 - 16
+    assert 16 <= len(trajectory.time) < 361
     assert "bag-recovered is what greenroof recover found whole" in page_of(report_of(run))
     later = time.time() + 60
-    os.utime(run / "bag" / "bag_0.mcap", (later, later))
+    os.utime(file, (later, later))
     refusal(report_of, run, match="run/bag: cannot be read as a bag")
-    os.utime(run / "bag" / "bag_0.mcap", (1.0, 1.0))
+    os.utime(file, (1.0, 1.0))
     (run / "bag-recovered" / "bag-recovered_0.mcap").write_bytes(b"")
     reason = refusal(report_of, run, match="bag-recovered: cannot be read as a bag")
     assert "greenroof recover" not in str(reason)

@@ -7,40 +7,29 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from browsers import started_browser
-from inputs import ended_run, figures_of, report_of, simulate, trajectory_of, write_study
+from inputs import ended_run, figures_of, report_of, simulate, write_study
 
 from greenroof_ros.analysis.report.page import render
 
 WEIGHTS = ("0.00001", "0.0001", "0.001", "0.01", "0.1")
 FRACTIONS = ("0.2", "0.5", "1", "1.5", "2")
-INITIALS = ("low-low", "high-low")
 # What is wider than the window: canvases of figures, and the page itself (px).
 WIDEST = """Math.max(document.documentElement.scrollWidth, ...[...document.querySelectorAll(
     'details[open] canvas')].map((canvas) => canvas.getBoundingClientRect().right))"""
 
 
-def noisy_study(directory: Path) -> None:
-    """Write a study of 12 h of noise, which needs the most space."""
-    random, times = np.random.default_rng(1), np.arange(0.0, 43201.0, 40.0)
-    row = {**simulate("onoff", "0.5", "low-low", "0.01").row, "hours": "12", "bound_m3": 30_000.0}
-    controllers = ("mpc", "weight", WEIGHTS), ("onoff", "fraction", FRACTIONS)
-
-    def noise() -> np.ndarray[Any, Any]:
-        return random.random(len(times))
-
+def study_of_twenty(directory: Path) -> None:
+    """Write a study of five settings of two controllers from two initial states."""
+    examples = [
+        simulate(controller, option, initial)
+        for initial in ("low-low", "high-low")
+        for controller, options in (("mpc", WEIGHTS), ("onoff", FRACTIONS)) for option in options
+    ]
     write_study(directory, [
-        (
-            {**row, "initial": initial, "controller": controller, "parameter:fraction": "",
-             f"parameter:{key}": value, "total_deviation_m3": 30_000.0 * (1 + random.random())},
-            trajectory_of(
-                times, cistern=50 + noise(), roof=3 + noise(), command=noise(),
-                precipitation=1e-6 * noise(), evapotranspiration=1e-6 * noise(),
-            ),
-        )
-        for initial in INITIALS for controller, key, values in controllers for value in values
+        ({**example.row, "total_deviation_m3": 30_000.0, "bound_m3": 30_000.0}, example.trajectory)
+        for example in examples
     ])
 
 
@@ -94,7 +83,7 @@ def fits(page: Any, width: int) -> None:
 def page(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """The page on a study of twenty runs."""
     directory = tmp_path_factory.mktemp("page")
-    noisy_study(directory / "study")
+    study_of_twenty(directory / "study")
     file = reported(directory, directory / "study")
     assert file.stat().st_size < 5_000_000
     with opened(browser, file, 1280) as page:

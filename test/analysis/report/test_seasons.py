@@ -198,7 +198,7 @@ site: {file: site.yaml, tau: 600.0}
 weather:
   - {file: "{year}_*.csv", start: "{year}-05-01T00:00", year: {from: 2015, to: 2016}, hours: 192,
      evapotranspiration: fao56}
-bound_block: 3600
+bound_block: 0
 forecast: {model: errors, skill: real, seed: {from: 1, to: 2}}
 initial: low-low
 controllers:
@@ -219,7 +219,7 @@ def test_a_study_of_seasons(tmp_path: Path) -> None:
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
     for case in report.cases:
         weeks, totals = case.deviations.weeks, case.deviations.totals
-        assert case.row["ratio"] > 1 and [*weeks] == [*totals] == [2015, 2016]
+        assert [*weeks] == [*totals] == [2015, 2016]
         for year, of_year in weeks.items():
             assert of_year.shape == (len(totals[year]), 1)
             assert (of_year[:, 0] > 0).all() and (of_year[:, 0] < totals[year]).all()

@@ -28,9 +28,6 @@ HOURS = "    hours: 0.25\n"
 WRONG = {
     "unknown-key": (GRID + "workers: 4\n", "line 14: workers = 4: is not a key here"),
     "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty; it must be a list"),
-    "no-initial": (
-        re.sub("initial:.*\n", "", GRID), "initial: is missing or empty; it must be one of low-low"
-    ),
     "window-without-file": (edited("- file:", "- year: 2021 #"), "file: is missing or empty"),
     "window-kind": (
         edited(f"  - file: {WEATHER}\n", "  - 5\n  - file: x\n"), "line 3: weather: must be a list"
@@ -42,28 +39,11 @@ WRONG = {
         "3600 s (duration of a tick)",
     ),
     "no-file": (edited("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
-    "start": (edited("2021-07-07T02:00", "noon"), "line 5: start = 'noon': must be a time such as"),
-    "hours": (edited("0.25", "0.2501"), "line 6: hours = 0.2501: must be a whole number of ticks"),
-    "gaps": (
-        edited(HOURS, f"{HOURS}    gaps: drop\n"), "line 7: gaps = 'drop': must be one of refuse, "
-    ),
     "year": (edited(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be {from: 1, to: 50}"),
-    "initial": (edited("low-low", "low"), "line 8: initial = 'low': must be one of low-low, hig"),
-    "own-state": (edited("low-low", "site"), "line 8: initial = 'site': needs initial_cistern an"),
-    "volume": (edited("roof: 0.5", "roof: -0.5"), "line 8: roof = -0.5: must be a number from 0"),
     "one-volume": (edited(", roof: 0.5", ""), "line 8: roof: is missing: both volumes"),
     "state-twice": (edited("name: dry", "name: low-low"), "line 8: name = 'low-low': is given tw"),
-    "controller": (edited("onoff:", "pid:"), "line 13: controller = 'pid': must be one of mpc"),
     "parameter": (edited("weight", "weights"), "line 11: weights: is not a key here; did you mean"),
     "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than 0"),
-    "forecast": (GRID + "forecast: perfekt\n", "line 14: forecast = 'perfekt': is unknown; did"),
-    "option": (
-        GRID + "forecast: {model: errors, members: 3}\n",
-        "line 14: forecast_members = 3: is an option of ensemble; the forecast is errors",
-    ),
-    "sensor_and_pump": (
-        GRID + "sensor_and_pump: {pump_min_on: -1}\n", "line 14: pump_min_on = -1: must be a number"
-    ),
     "sensor_and_pump-twice": (
         GRID + "sensor_and_pump: [{}, {roof_noise: 0}]\n",
         "is the same run twice: mpc {'weight': 0.001, ",
@@ -84,7 +64,6 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
     ("options", "expected"),
     [
         (["grid.yaml", "--output", "out"], WRONG["value"][1]),
-        (["config/studies/ticks.yaml"], f"{CONFIG / 'studies' / 'ticks.yaml'}, line 8: file = "),
         (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs: cannot be used with"),
         (["--output", "/proc/study"], "--output = '/proc/study': cannot be read or written"),
     ],
