@@ -50,17 +50,13 @@ class ForecastService:
         unchanged: number of requests that were answered 304 Not Modified.
     """
 
-    def __init__(self, site: Site, records: Records, start: datetime, port: int) -> None:
-        """Open the port.
+    def __init__(self, site: Site, records: Records, start: datetime) -> None:
+        """Open the port, and answer requests until :meth:`close`.
 
         Args:
             site: its location.
             records: hourly, in the quantities of Open-Meteo's files.
             start: time in the records that is treated as now.
-            port: TCP port on 127.0.0.1; 0 takes a free one.
-
-        Raises:
-            OSError: the port cannot be opened.
         """
         self.fault = NONE
         self.unchanged = 0
@@ -71,12 +67,9 @@ class ForecastService:
         class Handler(_Handler):
             service = outer
 
-        self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self._server.daemon_threads = True
         self.address = f"http://127.0.0.1:{self._server.server_port}"
-
-    def start(self) -> None:
-        """Answer requests until :meth:`close`."""
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def close(self) -> None:
@@ -135,9 +128,8 @@ def started_service(fault: str = NONE) -> ForecastService:
     """Serve the paper's weather, with its first hour as the present one."""
     site = read_site(CONFIG / "site.yaml")
     records = read_weather([default_weather()], site, gaps=FILL)
-    service = ForecastService(site, records, records.first, 0)
+    service = ForecastService(site, records, records.first)
     service.fault = fault
-    service.start()
     return service
 
 
@@ -150,9 +142,6 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer a request for a forecast."""
         place = urlsplit(self.path)
-        if place.path not in ("/v1/forecast", "/v1/ensemble"):
-            self._send(404, b'{"error":true,"reason":"Not Found"}')
-            return
         service = self.service
         fault = service.fault
         if fault == "refused":

@@ -45,8 +45,7 @@ START = datetime.fromisoformat("2021-07-07T02:00-05:00")
 
 @pytest.fixture(scope="module")
 def server():
-    served = ForecastService(SITE, RECORDS, START, 0)
-    served.start()
+    served = ForecastService(SITE, RECORDS, START)
     yield served
     served.close()
 

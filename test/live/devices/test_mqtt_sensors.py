@@ -209,16 +209,6 @@ def test_a_broker_that_comes_or_is_killed_or_stops_answering_is_used(tmp_path: P
 SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
 
 
-def test_the_shipped_file_is_read() -> None:
-    sensors = read_sensors(
-        CONFIG / "sensors_mqtt.yaml",
-        {"level_limit": 5.0, "gauge_limit": 60.0, "flow_limit": 5.0},
-    )
-    assert list(sensors.by_section) == ["cistern", "roof", "rain_gauge", "thermometer"]
-    assert isinstance(sensors.cistern, MqttSensor)
-    assert sensors.rain_gauge is not None and sensors.rain_gauge.counts
-
-
 @pytest.mark.parametrize(
     ("old", "new", "line", "message"),
     [

@@ -296,12 +296,6 @@ def test_sensors_behind_one_gateway_share_a_connection() -> None:
 # --- the file -------------------------------------------------------------------------------------
 
 
-def test_the_shipped_file_is_read() -> None:
-    sensors = read_sensors(CONFIG / "sensors.yaml")
-    assert sensors.cistern.address == "tcp://127.0.0.1:5030"
-    assert (sensors.roof.high, sensors.roof.median, sensors.roof.missing) == (0.6, 5, 0xFFFF)
-
-
 @pytest.mark.parametrize(
     ("changes", "line", "message"),
     [
