@@ -26,8 +26,6 @@ class Mosquitto:
     Attributes:
         port: on loopback.
         address: in the form that an option takes.
-        login: login file for an option; empty for none.
-        authority: CA file for an option; empty for none.
     """
 
     def __init__(self, directory: Path, *lines: str) -> None:
@@ -40,7 +38,6 @@ class Mosquitto:
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port: int = free.getsockname()[1]
         self.address = f"mqtt://127.0.0.1:{self.port}"
-        self.login = self.authority = ""
         self._file, self._log = directory / "mosquitto.conf", directory / "mosquitto.log"
         more = lines or ("allow_anonymous true",)
         self._file.write_text("\n".join([f"listener {self.port} 127.0.0.1", *more, ""]))
@@ -104,8 +101,8 @@ class Talker:
         self.received: list[tuple[float, str, str, bool]] = []
         self._topic, self._connected = topic, threading.Event()
         self._client = make_client(
-            parse_broker(broker.address, "broker", broker.login, broker.authority),
-            f"talker_{id(self)}", self._subscribe, self._receive,
+            parse_broker(broker.address, "broker"), f"talker_{id(self)}", self._subscribe,
+            self._receive,
         )
 
     def _subscribe(self) -> None:

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from greenroof_ros.watch.feed import Feed
@@ -64,21 +63,21 @@ class Answer:
         return json.loads(self.body)
 
 
-def send(port: int, data: bytes, seconds: float = 60) -> bytes:
+def send(port: int, data: bytes) -> bytes:
     """Send bytes, and return all that comes until the other side closes.
 
     Raises:
         TimeoutError: it does not close, perhaps because its answer is an endless stream.
     """
-    until = time.monotonic() + seconds
-    with socket.create_connection((LOOPBACK, port), timeout=seconds) as connection:
+    until = time.monotonic() + 60
+    with socket.create_connection((LOOPBACK, port), timeout=60) as connection:
         connection.sendall(data)
         parts = []
         try:
             while part := connection.recv(1 << 16):
                 parts.append(part)
                 if time.monotonic() > until:
-                    raise TimeoutError(f"still answering after {seconds:g} s")
+                    raise TimeoutError("still answering after 60 s")
         except ConnectionResetError:
             pass
         return b"".join(parts)
@@ -138,10 +137,3 @@ class Stream:
     def close(self) -> None:
         self._file.close()
         self.socket.close()
-
-
-def page_files() -> list[Path]:
-    """Return the page's files."""
-    import greenroof_ros.watch
-
-    return sorted((Path(greenroof_ros.watch.__file__).parent / "page").iterdir())

@@ -215,6 +215,16 @@ TWO = wrong("input_publishers")
         "/mpc": wrong("peers_awaited", "controller", WARN, about=("plant",)),
         "/mpc: inputs": wrong("input_refused", "controller", about=("/roof/level",)),
     }, {}),
+    # The pump's state follows from the part that reports more, and from no other part.
+    ({
+        "/pump: pump": wrong("drive_lost", level=WARN),
+        "/pump: drive": wrong("drive_lost"),
+    }, "/pump: drive"),
+    ({
+        "/pump: pump": wrong("roof_level_unknown", level=WARN),
+        "/pump: levels": wrong("input_frozen"),
+    }, "/pump: levels"),
+    ({"/pump: pump": wrong("frost", level=WARN), "/pump: state file": wrong("frost")}, {}),
     # A pump that needs a person at it follows from nothing.
     ({"/pump: drive": wrong("drive_lost"), "/pump: pump": wrong("hold", level=WARN)}, {}),
 ])
@@ -225,20 +235,6 @@ def test_causes(
         causes = dict.fromkeys(diagnoses.keys() - {causes}, causes)
     assert find_causes(diagnoses) == causes
     assert find_causes(dict(reversed(diagnoses.items()))).keys() == causes.keys()
-
-
-@pytest.mark.parametrize(("state", "part", "code"), [
-    ("drive_lost", "drive", "drive_lost"), ("drive_timeout", "drive timeout", "drive_timeout"),
-    ("roof_level_unknown", "levels", "input_frozen"), ("frost", "frost", "frost"),
-    ("two_pumps", "flow", "two_pumps"),
-])
-def test_a_state_follows_from_the_part_that_reports_more(state: str, part: str, code: str) -> None:
-    """And from no other part of the pump."""
-    for said, cause in ((part, f"/pump: {part}"), ("state file", None)):
-        causes = find_causes({
-            "/pump: pump": wrong(state, level=WARN), f"/pump: {said}": wrong(code),
-        })
-        assert causes.get("/pump: pump") == cause
 
 
 # --- reports of nodes -----------------------------------------------------------------------------

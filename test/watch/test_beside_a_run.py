@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import filecmp
+import os
 import signal
 import socket
 import time
@@ -12,7 +13,7 @@ import pytest
 from browsers import started_browser
 from graphs import Process, bag_file, bring_up
 from test_foxglove import deaf_client, port_of
-from test_watch_command import end, watcher
+from test_watch_command import child_of, end, watcher
 
 pytest.importorskip("rclpy", reason="nodes need ROS 2")
 pytest.importorskip("pymodbus", reason="drives are on Modbus")
@@ -21,7 +22,8 @@ pytest.importorskip("pymodbus", reason="drives are on Modbus")
 def test_a_run_under_the_eyes_of_four_is_the_same_run(domain: int, tmp_path: Path) -> None:
     """A page that waits for it, one that never reads, and a slow one; the watcher is stopped.
 
-    And Foxglove, with a client that subscribes to everything and never reads.
+    And Foxglove, with a client that subscribes to everything and never reads. The run's own page is
+    killed.
     """
     options = ("--controller", "onoff", "--hours", "0.15")
     process, port = watcher(domain, tmp_path)
@@ -39,11 +41,13 @@ def test_a_run_under_the_eyes_of_four_is_the_same_run(domain: int, tmp_path: Pat
         page.set_default_timeout(60_000)
         page.goto(f"http://127.0.0.1:{port}/")
         run = Process(
-            domain, "bringup", *options, "--speed", "60", "--foxglove", "0", "--output", "run",
-            cwd=tmp_path,
+            domain, "bringup", *options, "--speed", "60", "--watch", "--foxglove", "0",
+            "--output", "run", cwd=tmp_path,
         )
         page.wait_for_selector("#heading:has-text('Simulated run')")
         assert slow.recv(512)
+        os.kill(child_of(run), signal.SIGKILL)
+        run.until_printed("the watcher has ended (SIGKILL)")
         process.process.send_signal(signal.SIGSTOP)
         time.sleep(2.0)
         process.process.send_signal(signal.SIGCONT)

@@ -58,11 +58,6 @@ OPTIONAL = {
 DEVICE = {"identifiers", "manufacturer", "name", "sw_version"}
 
 
-def state_on(client: Talker, site: str = "roof") -> dict[str, Any]:
-    """Return the newest state that a client has received."""
-    return json.loads(client.last(f"greenroof/{site}/state") or "{}")
-
-
 # --- what Home Assistant is asked to show ---------------------------------------------------------
 
 
@@ -147,44 +142,21 @@ def test_alarms_are_reported_by_code() -> None:
 
 
 @needs_mosquitto
-def test_it_reports_what_a_simulated_run_does_and_nothing_can_be_stopped(
-    domain: int, tmp_path: Path
-) -> None:
-    """An old state is not retained; after a kill it is offline."""
-    pytest.importorskip("rclpy", reason="nodes need ROS 2")
-    with mosquitto(tmp_path) as broker, Talker(broker) as heard:
-        bridge = Process(domain, "bridge", "--broker", broker.address, cwd=tmp_path)
-        run = Process(
-            domain, "bringup", "--controller", "lookahead", "--hours", "0.4", "--speed", "30",
-            "--cistern", "57", "--roof", "0", "--output", "run", cwd=tmp_path,
-        )
-        wait_for(lambda: state_on(heard).get("roof_level") is not None, 60, "a level")
-        assert state_on(heard)["mode"] == "simulated" and not state_on(heard)["can_stop"]
-        assert "pump" in state_on(heard)["plan"]
-        with Talker(broker) as late:
-            wait_for(lambda: late.of("greenroof/roof/availability"), 60, "what is retained")
-            retained = {topic for _, topic, _, retained in late.received if retained}
-            assert retained == {"greenroof/roof/availability", *discovery("roof")}
-        heard.publish("greenroof/roof/stop", "STOP")
-        bridge.until_printed("There is no pump node that could be stopped")
-        bridge.process.kill()
-        wait_for(
-            lambda: heard.last("greenroof/roof/availability") == "offline", 60, "the last will"
-        )
-        run.process.send_signal(signal.SIGINT)
-        assert run.wait(120) == 130
-
-
-@needs_mosquitto
 def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
     domain: int, tmp_path: Path
 ) -> None:
-    """A retained stop, one in other words, and any other request are ignored."""
+    """A retained stop, one in other words, and any other request are ignored.
+
+    An old state is not retained; after a kill it is offline. For a Foxglove viewer next to it, a
+    value has its time of arrival.
+    """
+    from test_foxglove import port_of, receive
+
     stop, availability = "greenroof/site1/stop", "greenroof/site1/availability"
     with (
         mosquitto(tmp_path) as broker, Talker(broker) as heard,
         # At less than full flow, so that it still runs after the broker was lost.
-        running_pump(domain, tmp_path, "--fraction", "0.4") as (run, drive),
+        running_pump(domain, tmp_path, "--fraction", "0.4", "--foxglove", "0") as (run, drive),
     ):
         heard.publish(stop, "STOP", retain=True)
         bridge = Process(
@@ -192,14 +164,22 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         )
 
         def state() -> dict[str, Any]:
-            return state_on(heard, "site1")
+            return json.loads(heard.last("greenroof/site1/state") or "{}")
 
         bridge.until_printed("ignored, since it is retained")
         wait_for(
             lambda: state().get("can_stop") and state()["pump"] == "running"
             and (state()["flow"] or 0.0) > 0, 60, "a running pump, and its flow",
         )
-        assert state()["hold"] == ""
+        assert (state()["mode"], state()["hold"]) == ("live", "")
+        began = time.time_ns()
+        _, values = receive(port_of(run.stderr), "/site1/roof/level", 10)
+        times = [time_ns for time_ns, _ in values]
+        assert times == sorted(times) and began < times[0] and times[-1] < time.time_ns()
+        with Talker(broker) as late:
+            wait_for(lambda: late.of("greenroof/site1/state"), 60, "a state")
+            retained = {topic for _, topic, _, retained in late.received if retained}
+            assert retained == {stop, availability, *discovery("site1")}
         for wish in ("RELEASE", "", '{"data": false}', "stop"):
             heard.publish(stop, wish)
         wait_for(lambda: bridge.stderr().count("it is not STOP") >= 4, 60, "four refusals")
@@ -224,7 +204,8 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         wait_for(lambda: state()["condition"] == "hold", 60, "the hold as its condition")
         assert state()["hold"] == "A hold by MQTT."
         # The broker has kept it: to a bridge that connects again it is no stop.
-        end(bridge)
+        bridge.process.kill()
+        wait_for(lambda: heard.last(availability) == "offline", 60, "the last will")
         assert run_command(
             "release", "--namespace", "site1", cwd=tmp_path, env=environment(domain)
         ).returncode == 0
@@ -247,7 +228,6 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
 
 @needs_mosquitto
 def test_it_logs_in_and_reports_once_why_it_cannot(domain: int, tmp_path: Path) -> None:
-    """For encryption see test_mqtt_sensors.py."""
     pytest.importorskip("rclpy", reason="nodes need ROS 2")
     words, login = tmp_path / "words", tmp_path / "login.yaml"
     subprocess.run(["mosquitto_passwd", "-b", "-c", words, "roof", "secret"], check=True)

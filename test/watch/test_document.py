@@ -760,10 +760,6 @@ def test_times_are_by_the_sites_clock(
 
 
 @pytest.mark.parametrize(("text", "expected"), [
-    (words.write_value("/roof/level", -0.00001), "0.0 mm"),
-    (words.write_command(0.4), "40 %"),
-    (words.write_rain(0.00994), "9.9 mm"),
-    (words.write_duration(45_000), "12.5 h"),
     (words.write_duration(259_200), "3 days"),
     (words.write_clock_time(1_626_757_199, STANDARD, 1_626_757_300), "2021-07-19 23:59:59"),
     (words.write_coming_time(1_626_757_200, STANDARD, 1_626_757_100), "tomorrow 00:00"),

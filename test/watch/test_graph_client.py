@@ -39,8 +39,7 @@ class Pump(Peer):
         self.node.create_service(SetParametersAtomically, "~/hold", self._on_hold)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
-        self._closed = False
-        self._thread = threading.Thread(target=self._spin)
+        self._thread = threading.Thread(target=self._executor.spin)
         self._thread.start()
 
     def _on_hold(self, request: Any, response: Any) -> Any:
@@ -52,12 +51,8 @@ class Pump(Peer):
         response.result.successful, response.result.reason = self.success, self.answer
         return response
 
-    def _spin(self) -> None:
-        while not self._closed:
-            self._executor.spin_once(timeout_sec=0.05)
-
     def close(self) -> None:
-        self._closed = True
+        self._executor.shutdown()
         self._thread.join()
         super().close()
 

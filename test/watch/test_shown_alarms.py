@@ -265,8 +265,6 @@ def test_a_watcher_that_stood_still_takes_no_one_for_silent() -> None:
 
 @pytest.mark.parametrize(("said", "shown"), [
     ("/roof/level is older than 5 s (level_limit)", "/roof/level is older than 5 s"),
-    ("not followed (follow_time, follow_tolerance, drive_ramp)", "not followed"),
-    ("give this one another file (--state, state_file)", "give this one another file"),
     ("2.5 m3 (today) are too much (set with max_dose)", "2.5 m³ (today) are too much"),
 ])
 def test_a_sentence_has_no_names_of_parameters(said: str, shown: str) -> None:
