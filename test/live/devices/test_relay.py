@@ -6,7 +6,6 @@ import getpass
 import itertools
 import json
 import re
-import socket
 import time
 from collections.abc import Iterator
 from contextlib import closing
@@ -14,7 +13,8 @@ from pathlib import Path
 
 import pytest
 from asking import Asking
-from brokers import Mosquitto, Talker, mosquitto, needs_mosquitto
+from brokers import Mosquitto, Talker, needs_mosquitto
+from graphs import free_ports
 from places import CHECKOUT, CONFIG
 from refusals import refusal
 from simulators import Simulator
@@ -272,23 +272,12 @@ def test_the_supervisor_stops_one_whose_driver_was_killed(bench: Bench) -> None:
     assert not bench.closed
 
 
-def test_no_one_there_or_no_one_let_in(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-
-    def failure(at: str) -> str:
-        relay = endpoint("tasmota", at).connection()
-        try:
-            with pytest.raises(DriveError) as caught:
-                relay.line.connect()
-        finally:
-            relay.line.close()
-        assert caught.value.kind == "connection"
-        return str(caught.value)
-
-    assert "cannot connect: no one answers at" in failure(f"mqtt://127.0.0.1:{port}/roof")
-    with mosquitto(tmp_path, "allow_anonymous false") as broker:
-        assert "cannot connect: Not authorized" in failure(f"{broker.address}/roof")
+def test_no_one_there() -> None:
+    (port,) = free_ports(1)
+    relay = endpoint("tasmota", f"mqtt://127.0.0.1:{port}/roof").connection()
+    with closing(relay.line), pytest.raises(DriveError, match="no one answers at") as caught:
+        relay.line.connect()
+    assert caught.value.kind == "connection"
 
 
 TASMOTA = (CONFIG / "drives" / "tasmota.yaml").read_text(encoding="utf-8")
