@@ -19,8 +19,7 @@ from typing import Any
 
 import pytest
 from commands import run_command
-from graphs import Process, alive, bag_file, environment, wait_for
-from mcap.reader import make_reader
+from graphs import Process, alive, environment, wait_for
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_watch_command import tcp_addresses_of
 
@@ -31,10 +30,10 @@ pytest.importorskip("foxglove", reason="serves Foxglove")
 pytest.importorskip("rclpy", reason="nodes need ROS 2")
 
 import aiohttp
+from test_feed import recorded
 
 LEVEL = "/roof/level"
 URL = re.compile(r"ws://127\.0\.0\.1:(\d+)\n")
-SUBSCRIBED = 42
 # Kinds of binary frames, and what is before a message: its subscription and its time.
 MESSAGE, TIME = 1, 2
 HEAD = struct.Struct("<BIQ")
@@ -63,11 +62,10 @@ async def client(port: int) -> AsyncIterator[tuple[Any, dict[str, dict[str, Any]
         yield connection, channels
 
 
-async def subscribe(connection: Any, channel: dict[str, Any]) -> None:
-    await connection.send_json({
-        "op": "subscribe",
-        "subscriptions": [{"id": SUBSCRIBED, "channelId": channel["id"]}],
-    })
+async def subscribe(connection: Any, *channels: dict[str, Any]) -> None:
+    await connection.send_json({"op": "subscribe", "subscriptions": [
+        {"id": channel["id"], "channelId": channel["id"]} for channel in channels
+    ]})
 
 
 def receive(port: int, topic: str, number: int) -> tuple[dict[str, Any], list[tuple[int, float]]]:
@@ -87,7 +85,7 @@ def receive(port: int, topic: str, number: int) -> tuple[dict[str, Any], list[tu
                     newest += struct.unpack_from("<Q", frame.data, 1)
                 elif frame.type is aiohttp.WSMsgType.BINARY:
                     kind, subscription, time_ns = HEAD.unpack_from(frame.data)
-                    assert (kind, subscription) == (MESSAGE, SUBSCRIBED)
+                    assert (kind, subscription) == (MESSAGE, channel["id"])
                     message = types.deserialize_cdr(frame.data[HEAD.size:], channel["schemaName"])
                     found.append((time_ns, message.data))
             # The server sends the time in a queue of its own, so that it may be behind by a little.
@@ -104,9 +102,7 @@ def deaf_client(port: int) -> Iterator[None]:
 
     async def run() -> None:
         async with client(port) as (connection, channels):
-            await connection.send_json({"op": "subscribe", "subscriptions": [
-                {"id": channel["id"], "channelId": channel["id"]} for channel in channels.values()
-            ]})
+            await subscribe(connection, *channels.values())
             ready.set()
             await asyncio.to_thread(done.wait)
 
@@ -118,16 +114,6 @@ def deaf_client(port: int) -> Iterator[None]:
     finally:
         done.set()
         thread.join(60)
-
-
-def recorded(run: Path, topic: str) -> tuple[str, dict[int, bytes]]:
-    """Return a topic's message definition in a bag, and its messages by time (ns)."""
-    messages, definition = {}, ""
-    with bag_file(run).open("rb") as stream:
-        for schema, _, message in make_reader(stream).iter_messages(topics=[topic]):
-            assert schema is not None
-            messages[message.log_time], definition = message.data, schema.data.decode()
-    return definition, messages
 
 
 def test_a_client_receives_the_roofs_level_as_in_the_bag(domain: int, tmp_path: Path) -> None:
@@ -147,8 +133,7 @@ def test_a_client_receives_the_roofs_level_as_in_the_bag(domain: int, tmp_path: 
     run.process.send_signal(signal.SIGINT)
     assert run.wait(120) == 130
     assert not alive(server)
-    definition, messages = recorded(tmp_path / "run", f"/site1{LEVEL}")
-    assert channel["schema"] == definition
+    messages = recorded(tmp_path / "run")[f"/site1{LEVEL}"]
     values = {time_ns: struct.unpack("<4xd", data)[0] for time_ns, data in messages.items()}
     assert [value for _, value in found] == [values[time_ns] for time_ns, _ in found]
     assert len({time_ns for time_ns, _ in found}) == 40

@@ -112,11 +112,6 @@ def site_watched(mode: str = "ended") -> GraphStore:
     return watched
 
 
-def later(watched: GraphStore, level: float) -> None:
-    """Add a level an hour later."""
-    watched.add("/roof/level", (BEGIN + 5 * 3600) * SECOND, level)
-
-
 @contextmanager
 def opened(browser: Any, port: int, hash_: str = "") -> Iterator[Any]:
     """Open the page; the browser's console messages are in ``page.said``."""
@@ -690,7 +685,7 @@ def test_what_is_not_responding_now_is_reported_to_be_of_before(browser: Any) ->
             at = document_of(watched)["time"]["text"]
         until_shown(page, "#lost", f"Not connected: what is shown is from {at}.")
         assert page.locator(".tile[data-key=roof] .value").is_visible()
-        later(watched, 0.05)
+        watched.add("/roof/level", (BEGIN + 5 * 3600) * SECOND, 0.05)  # an hour later
         with served(watched, port=port):
             until_shown(page, ".tile[data-key=roof] .value", "50.0 mm")
             assert not page.locator("#lost").is_visible()

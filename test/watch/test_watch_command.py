@@ -252,7 +252,14 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         assert alarms[0]["id"] == "/site1/pump: pump"
         drive.inject("none")
         wait_for(lambda: not tile()["alarm"], 60, "the drive again")
-        greenroof, *release = shlex.split(stop_on_page(port))
+        wait_for(lambda: document(port)["stop"]["possible"], 60, "a pump that can be stopped")
+        assert document(port)["stop"]["release"] == ""
+        answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
+        assert answer.status == 200 and answer.json()["ok"], answer.json()
+        wait_for(
+            lambda: document(port)["stop"]["stopped"] and tile()["state"] == "held", 60, "the stop"
+        )
+        greenroof, *release = shlex.split(document(port)["stop"]["release"])
         assert greenroof == "greenroof"
         held = wait_for(
             lambda: (seen := status_of(domain, tmp_path))["exit_code"] == 1
@@ -280,17 +287,3 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         page = child_of(process)
     assert page and not alive(page)
     assert "the watcher has ended" not in process.stderr()
-
-
-def stop_on_page(port: int) -> str:
-    """Stop the pump as the page does; when it is held, return the command that releases it."""
-    wait_for(lambda: document(port)["stop"]["possible"], 60, "a pump that can be stopped")
-    assert document(port)["stop"]["release"] == ""
-    answer = request(port, "POST", "/stop", b"{}", X_Greenroof="1")
-    assert answer.status == 200 and answer.json()["ok"], answer.json()
-    shown = wait_for(
-        lambda: (shown := document(port))["stop"]["stopped"]
-        and shown["tiles"]["pump"]["state"] == "held" and shown, 60, "the stop",
-    )
-    release: str = shown["stop"]["release"]
-    return release
