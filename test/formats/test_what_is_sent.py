@@ -601,15 +601,14 @@ def test_an_answer_with_unixtime(tmp_path: Path, offset: int) -> None:
         np.testing.assert_array_equal(read.values[quantity], series)
 
 
-@pytest.mark.parametrize("zero", ["", ".0"])
-def test_saved_previous_runs_with_unixtime(tmp_path: Path, zero: str) -> None:
+def test_saved_previous_runs_with_unixtime(tmp_path: Path) -> None:
     """As a program saves them, without the place; a table of numbers writes whole ones with .0.
 
     date -u -d 2024-03-01T00:00 +%s: 1709251200.
     """
     file = tmp_path / "previous.csv"
     file.write_text("time,precipitation_previous_day1\n" + "".join(
-        f"{1709251200 + 3600 * hour}{zero},{hour}\n" for hour in range(1, 25)
+        f"{1709251200 + 3600 * hour}.0,{hour}\n" for hour in range(1, 25)
     ))
     archive = read_archive(file, TORONTO)
     assert archive.issues[0].issued == parse_time("2024-03-01T00:00Z")

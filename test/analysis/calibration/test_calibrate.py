@@ -156,7 +156,6 @@ def test_all_else_in_a_site_file_stays() -> None:
         ("--pump-data in.csv", "in.csv: the curve has 15 m at no flow; it must exceed d - z_pump - "
          "z_H = 15.25 m of the site, or the pumps never lift water to the roof (Eq. 3e)"),
         ("", "MEASURED: must be given, or --pump-data alone"),
-        ("in.csv -o .", "--output = '.': must be the name of a file that ends in .yaml or .yml"),
     ],
 )
 def test_wrong_use_ends_it_with_2(arguments: str, message: str, tmp_path: Path) -> None:
