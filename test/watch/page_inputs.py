@@ -71,3 +71,8 @@ def add_values(
     """Add each topic's value from one second to another, the last one not included."""
     for topic, value in values.items():
         add_series(graph, topic, START + SECOND * np.arange(first, last, every), value)
+
+
+def fail(*_: Any, **__: Any) -> Any:
+    """Stand for a part of the package with a bug."""
+    raise ZeroDivisionError("a bug")

@@ -17,7 +17,7 @@ import pytest
 from brokers import Talker, mosquitto, needs_mosquitto
 from commands import run_command
 from graphs import Process, environment, wait_for
-from page_inputs import ERROR, SECOND, START, add_values, node, store
+from page_inputs import ERROR, SECOND, START, add_values, fail, node, store
 from test_watch_command import end, running_pump
 
 from greenroof_ros.common.mqtt import parse_broker
@@ -265,9 +265,6 @@ def test_wrong_input_is_one_message(unused_domain: int, tmp_path: Path) -> None:
 def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
     broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(*_: Any) -> Any:
-        raise ZeroDivisionError("a bug")
-
     monkeypatch.setattr(f"greenroof_ros.watch.{broken}", fail)
     monkeypatch.setattr(feed, "_STOP_S", 0.3)
     ended = threading.Event()

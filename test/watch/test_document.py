@@ -23,6 +23,7 @@ from page_inputs import (
     START,
     WARN,
     add_values,
+    fail,
     node,
     pump_report,
     store,
@@ -774,10 +775,6 @@ def test_as_an_operator_reads_it(text: str, expected: str) -> None:
 # --- a part that cannot be made ---------------------------------------------------------------
 
 
-def _fail(*_: Any, **__: Any) -> Any:
-    raise ZeroDivisionError("a bug")
-
-
 @pytest.mark.parametrize("place", [
     "tiles.make_rain_tile", "tiles.make_pump_tile", "tiles.make_controller_tile",
     "tiles.describe_wait", "words.write_time",
@@ -789,7 +786,7 @@ def test_if_a_part_cannot_be_shown_the_pump_can_be_stopped(
 ) -> None:
     graph = watched("live")
     pump_says(graph, 100.0, "running", stands=False)
-    monkeypatch.setattr(f"greenroof_ros.watch.{place}", _fail)
+    monkeypatch.setattr(f"greenroof_ros.watch.{place}", fail)
     document = shown(graph)
     assert document["stop"]["possible"] and document["stop"]["label"] == "Stop the pump"
     assert document["tiles"].keys() == {

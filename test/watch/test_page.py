@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -23,11 +22,13 @@ from page_inputs import (
     SECOND,
     START,
     add_series,
+    fail,
     node,
     pump_report,
     store,
 )
 from page_server import served
+from peers import repeating
 from places import CONFIG
 
 from greenroof_ros.model.look_ahead import growing_steps
@@ -67,20 +68,12 @@ def mpc(level: int = ERROR, what: str = CANNOT) -> list[WireStatus]:
 @contextmanager
 def saying(watched: GraphStore, statuses: list[WireStatus]) -> Iterator[None]:
     """Have nodes report four times a second as real ones do; the list can be changed."""
-    ended = threading.Event()
-
     def say() -> None:
-        while not ended.wait(0.25):
-            watched.add_statuses(time.monotonic(), list(statuses))
+        watched.add_statuses(time.monotonic(), list(statuses))
 
-    watched.add_statuses(time.monotonic(), statuses)
-    thread = threading.Thread(target=say)
-    thread.start()
-    try:
+    say()
+    with repeating(say, 0.25):
         yield
-    finally:
-        ended.set()
-        thread.join()
 
 
 def site_watched(mode: str = "ended") -> GraphStore:
@@ -691,10 +684,6 @@ def test_what_is_not_responding_now_is_reported_to_be_of_before(browser: Any) ->
             assert not page.locator("#lost").is_visible()
 
 
-def _fail(*_: Any) -> Any:
-    raise ZeroDivisionError("a bug")
-
-
 def _without_summary(store: GraphStore, wall: float) -> dict[str, Any]:
     """Return the document with a tile that the browser cannot show."""
     document = read_document(store, wall)
@@ -703,7 +692,7 @@ def _without_summary(store: GraphStore, wall: float) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("broken", "instead"), [
-    ("make_series", _fail), ("make_document", _without_summary),
+    ("make_series", fail), ("make_document", _without_summary),
 ])
 def test_a_fresh_page_has_its_stop_if_a_part_cannot_be_shown(
     browser: Any, monkeypatch: pytest.MonkeyPatch, broken: str, instead: Callable[..., Any]

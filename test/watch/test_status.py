@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import pytest
 from commands import run_command
 from graphs import Process, environment, wait_for
 from paper import PAPER_SITE
-from peers import Peer, in_domain
+from peers import Peer, in_domain, repeating
 from test_watch_command import WITHOUT
 
 TILES = ["Roof level", "Cistern level", "Pump", "Rain", "Controller"]
@@ -127,23 +126,12 @@ def test_a_run_that_is_well_and_then_has_warnings(domain: int, tmp_path: Path) -
             DiagnosticStatus(name=f"/camera{number}", level=b"\x02", message="\x1b[31mno picture")
             for number in range(30)
         ])
-        ended = threading.Event()
-
-        def repeat() -> None:
-            while not ended.wait(0.5):
-                publisher.publish(message)
-
-        thread = threading.Thread(target=repeat)
-        thread.start()
-        try:
+        with repeating(lambda: publisher.publish(message), 0.5):
             code, lines = wait_for(
                 lambda: (seen := status(domain, tmp_path, "--namespace", "site1"))[0] == 1
                 and seen, 60, "a warning",
             )
             values = data(domain, tmp_path, "--namespace", "site1")
-        finally:
-            ended.set()
-            thread.join()
     assert (code, len(lines)) == (1, 15)
     assert lines[0].startswith("30 warnings. The roof is ")
     assert lines[8] == "Alarm: /camera0: \N{REPLACEMENT CHARACTER}[31mno picture"
