@@ -203,4 +203,3 @@ def test_the_page_draws_everything_and_asks_for_nothing(fitted: Path) -> None:
         notes = page.locator("#notes li").all_inner_texts()
         assert [note.split(":")[0] for note in notes] == ["compared", "target", "pumps"]
         assert "The crop_coefficient applies only if evapotranspiration is computed" in words
-        assert page.locator("canvas").count() == 4
