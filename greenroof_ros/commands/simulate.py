@@ -71,9 +71,9 @@ def main() -> None:
         raise ConfigurationError("needs --trajectory or --plot", key="--trajectory-every")
     every = max(1, round(arguments.trajectory_every / run.site.tau))
     plot = None if arguments.plot is None else _plotter(arguments.plot, run)
+    simulation = Simulation(run)  # a controller that cannot be made leaves no directory
     directory = make_run_directory(arguments.output, run.controller.name)
     write_configuration(directory, run, {})
-    simulation = Simulation(run)
     with RunProgress(run.steps, run.site.tau) as progress:
         ticks = _paced(run, simulation.ticks(), arguments.speed, progress)
         if arguments.trajectory:

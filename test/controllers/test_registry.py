@@ -76,11 +76,6 @@ def test_wrong_references(reference: str, message: str) -> None:
         find_controller(reference)
 
 
-def test_only_a_graph_can_use_a_node_of_the_users_own() -> None:
-    with pytest.raises(ConfigurationError, match="controller = 'external': is a node that you run"):
-        paper_run("--controller", "external").make_controller()
-
-
 def test_a_node_is_named_after_the_class() -> None:
     """In lower case with underscores, as ROS names nodes."""
     for class_name, node in (("PControl", "p_control"), ("_MyMPC2", "my_mpc2")):

@@ -21,6 +21,7 @@ H0, H1, H2, H3 = (f"2021-07-07T0{hour}:00-05:00" for hour in range(4))
 # and FORECASTS.
 OPTIONS = {
     "--controller pid": "controller = 'pid'",
+    "--controller external": "controller = 'external': is a node that you run",
     "--controller onoff --weight 0.1": "--weight 0.1 (the parameters of onoff are --fraction",
     "--weight 0,1": "must be a number greater than 0 and at most 1000000, with a decimal point",
     "--cistern 60": "--roof: is missing: both volumes must be given",
