@@ -75,7 +75,7 @@ study: $(FOR_STUDY)
 FAILED := .pytest_cache/v/cache/lastfailed
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
-	@rm -f $(FAILED); $(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 4)) --dist loadgroup \
+	@rm -f $(FAILED); $(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 6)) --dist loadgroup \
 	    --no-loadscope-reorder --assert=plain; code=$$?; [ $$code -eq 1 ] || exit $$code; \
 	    echo "Once more, one at a time, what failed:"; \
 	    sed -i 's/@[^]@"]*": true/": true/' $(FAILED); \
