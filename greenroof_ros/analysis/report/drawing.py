@@ -138,8 +138,9 @@ def cycle_choices(choices: Sequence[Any], values: Sequence[str]) -> alt.Scale:
 def value_scale(values: Iterable[float | None]) -> alt.Scale:
     """Return the scale of a quantity: around its values, logarithmic if they differ much."""
     known = [value for value in values if value is not None]
-    wide = bool(known) and 0 < 5 * min(known) < max(known)
-    return alt.Scale(type="log" if wide else "linear", zero=False, nice=False, padding=8)
+    if known and 0 < 5 * min(known) < max(known):
+        return alt.Scale(type="log", nice=False, padding=8)
+    return alt.Scale(type="linear", zero=False, nice=False, padding=8)
 
 
 def round_value(value: float | None) -> float | None:
