@@ -30,7 +30,7 @@ _RAIN = (0.0, 1e-7, 2e-5)
 _EVAPOTRANSPIRATION = (0.0, 3e-6)
 
 
-class _ProblemError(Exception):
+class _BrokenRuleError(Exception):
     """A controller breaks a rule; the message states how."""
 
 
@@ -94,7 +94,7 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
         problem = ""
         try:
             check(_Trial(choice, site))
-        except _ProblemError as error:
+        except _BrokenRuleError as error:
             problem = str(error)
         except Exception as error:  # anything that a user's class raises
             known = isinstance(error, ConfigurationError)
@@ -110,7 +110,7 @@ def _check_command(controller: Controller, *inputs: Any) -> float:
     command = controller.command(*inputs)
     if not (is_finite_number(command) and command >= 0):
         cistern, roof = inputs[:2]
-        raise _ProblemError(
+        raise _BrokenRuleError(
             f"command() returns {command!r} at levels {cistern:g} m and {roof:g} m; it must be "
             "a finite number, not negative"
         )
@@ -120,16 +120,16 @@ def _check_command(controller: Controller, *inputs: Any) -> float:
 def _parameters(trial: _Trial) -> None:
     names = [parameter.name for parameter in trial.choice.kind.parameters]
     if len(set(names)) < len(names):
-        raise _ProblemError(f"two parameters have the same name: {', '.join(names)}")
+        raise _BrokenRuleError(f"two parameters have the same name: {', '.join(names)}")
     for parameter in trial.choice.kind.parameters:
         if not parameter.name.isidentifier() or parameter.name != parameter.name.lower():
-            raise _ProblemError(
+            raise _BrokenRuleError(
                 f"{parameter.name!r} is not a valid name: use a-z, 0-9 and _, no digit first"
             )
         if not (parameter.unit and parameter.meaning):
-            raise _ProblemError(f"{parameter.name} has no unit ('1' if none) or no meaning")
+            raise _BrokenRuleError(f"{parameter.name} has no unit ('1' if none) or no meaning")
         if parameter.default not in parameter.range:
-            raise _ProblemError(
+            raise _BrokenRuleError(
                 f"the default of {parameter.name}, {parameter.default:g}, "
                 f"{parameter.range.expected(parameter.default)}"
             )
@@ -142,15 +142,17 @@ def _whole_range(trial: _Trial) -> None:
         for value in (parameter.low, parameter.high):
             try:
                 trial.request_commands(trial.make(**{parameter.name: value}), stride=7)
-            except _ProblemError as error:
-                raise _ProblemError(f"with {parameter.name} = {value:g} {error}") from None
+            except _BrokenRuleError as error:
+                raise _BrokenRuleError(f"with {parameter.name} = {value:g} {error}") from None
 
 
 def _deterministic(trial: _Trial) -> None:
     one, other = (trial.request_commands(trial.make()) for _ in range(2))
     for first, second in zip(one, other, strict=True):
         if first != second:
-            raise _ProblemError(f"two instances command {first!r} and {second!r} for equal inputs")
+            raise _BrokenRuleError(
+                f"two instances command {first!r} and {second!r} for equal inputs"
+            )
 
 
 def _inputs_unchanged(trial: _Trial) -> None:
@@ -159,7 +161,7 @@ def _inputs_unchanged(trial: _Trial) -> None:
         before = [np.array(forecast) for forecast in inputs[2:]]
         _check_command(controller, *inputs)
         if not all(map(np.array_equal, before, inputs[2:])):
-            raise _ProblemError("command() changes the forecasts that it gets; copy them first")
+            raise _BrokenRuleError("command() changes the forecasts that it gets; copy them first")
 
 
 def _skip(trial: _Trial) -> None:
@@ -185,7 +187,7 @@ def _wrong_forecasts(trial: _Trial) -> None:
         except ConfigurationError:
             if choice.needs_forecast or rain is not empty:
                 continue
-            raise _ProblemError("it needs a forecast, but needs_forecast is False") from None
+            raise _BrokenRuleError("it needs a forecast, but needs_forecast is False") from None
     if choice.ensemble:
         controller = trial.make()
         for members in (1, 3):
@@ -198,7 +200,7 @@ def _may_change(trial: _Trial) -> None:
             continue
         name, controller = parameter.name, trial.make()
         if getattr(controller, name, None) != trial.choice.defaults(trial.site)[name]:
-            raise _ProblemError(f"it has no attribute {name} with the parameter's value")
+            raise _BrokenRuleError(f"it has no attribute {name} with the parameter's value")
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
             trial.request_commands(controller, stride=11)
@@ -218,7 +220,7 @@ def _outputs(trial: _Trial) -> None:
             )
         if not right:
             problem = f"{topic.name}: there is no {expected} in the attribute {attribute}"
-            raise _ProblemError(problem)
+            raise _BrokenRuleError(problem)
 
 
 def _statistics(trial: _Trial) -> None:
@@ -227,11 +229,11 @@ def _statistics(trial: _Trial) -> None:
     statistics = controller.statistics()
     figures = TickTimes().statistics(0, 0)
     if statistics is not None and statistics.keys() != figures.keys():
-        raise _ProblemError(f"statistics() must be None or have {', '.join(sorted(figures))}")
+        raise _BrokenRuleError(f"statistics() must be None or have {', '.join(sorted(figures))}")
 
 
 # Each check by what it shows, in the order in which a user should repair failures. A check that
-# fails raises a _ProblemError, or what the controller raises.
+# fails raises a _BrokenRuleError, or what the controller raises.
 _CHECKS: dict[str, Callable[[_Trial], object]] = {
     "its parameters have distinct names; each has a unit, a meaning, and a default in its range":
         _parameters,

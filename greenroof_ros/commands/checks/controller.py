@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from rclpy.node import Node
 
-from greenroof_ros.commands.checks.node import SETTLE_S, NodeCheck, ProblemError, require
+from greenroof_ros.commands.checks.node import SETTLE_S, BrokenRuleError, NodeCheck, require
 from greenroof_ros.controllers.check import trial_values
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import WithFront
@@ -129,7 +129,7 @@ class ControllerCheck(NodeCheck):
                 self.result = f"{command:.3g}{_with(trial)}"
                 return
         self.hindered = "not tried: no command was above 0, so a stop would prove nothing"
-        raise ProblemError("the command is 0 at all levels and forecasts")
+        raise BrokenRuleError("the command is 0 at all levels and forecasts")
 
     def _trials(self) -> list[dict[str, float]]:
         return [
@@ -186,7 +186,7 @@ class ControllerCheck(NodeCheck):
             last: the topic that comes last; empty for the usual order.
 
         Raises:
-            ProblemError: there is no answer, or one before the last input.
+            BrokenRuleError: there is no answer, or one before the last input.
         """
         self.count_answers(0)
         self.start_tick()
@@ -206,7 +206,7 @@ class ControllerCheck(NodeCheck):
                 f"no command within {self._limit:g} s in tick {self.ticks - 1}"
                 f"{_with(overrides)}{ended}"
             )
-            raise ProblemError(self.hindered)
+            raise BrokenRuleError(self.hindered)
         self._slowest = max(self._slowest, time.monotonic() - began)
         if self.ticks == 1:
             self.spin(SETTLE_S)

@@ -44,14 +44,14 @@ _DISCOVERY_S = 2.0
 SETTLE_S = 0.5
 
 
-class ProblemError(Exception):
+class BrokenRuleError(Exception):
     """The node breaks a rule; the message states how."""
 
 
 def require(right: bool, problem: str) -> None:
-    """Raise a ProblemError unless the node is right."""
+    """Raise a BrokenRuleError unless the node is right."""
     if not right:
-        raise ProblemError(problem)
+        raise BrokenRuleError(problem)
 
 
 class NodeCheck(ABC):
@@ -137,7 +137,7 @@ class NodeCheck(ABC):
         problem, self.result = "", ""
         try:
             yield
-        except ProblemError as error:
+        except BrokenRuleError as error:
             problem = str(error)
         self.results.append(CheckResult(title, problem, self.result))
 
@@ -248,7 +248,7 @@ class NodeCheck(ABC):
         """Publish the time of the next tick.
 
         Raises:
-            ProblemError: no more ticks are tried.
+            BrokenRuleError: no more ticks are tried.
         """
         require(not self.hindered, self.hindered)
         self._lines.update(self._current_check)

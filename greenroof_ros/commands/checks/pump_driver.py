@@ -239,7 +239,7 @@ class PumpCheck(NodeCheck):
         """Repeat a tick until the flow is 0, then ten times more; note how long the stop took.
 
         Raises:
-            ProblemError: the flow is not 0 within the limit, or does not stay 0.
+            BrokenRuleError: the flow is not 0 within the limit, or does not stay 0.
         """
         began = time.monotonic()
         before = flow = self._answer(overrides)
@@ -263,7 +263,7 @@ class PumpCheck(NodeCheck):
         """Repeat a command until the flow is steady and above 0, and return it (m3/s).
 
         Raises:
-            ProblemError: this does not happen within the limit.
+            BrokenRuleError: this does not happen within the limit.
         """
         until = time.monotonic() + self._limits.start
         flows: list[float] = []
