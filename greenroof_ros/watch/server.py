@@ -29,7 +29,7 @@ from urllib.parse import urlsplit
 from aiohttp import web
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
-from greenroof_ros.common.ranges import Range
+from greenroof_ros.common.ranges import Range, read_number
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import HOURS, make_document, make_series
 from greenroof_ros.watch.feed import Feed
@@ -432,7 +432,7 @@ def _number(body: Mapping[str, object], name: str, unit: str) -> float:
 def _hours(text: str) -> float:
     """Return how much of the past is requested (h)."""
     with suppress(ValueError):
-        hours = float(text)
+        hours = read_number(text)
         if hours in HOURS:
             return hours
     raise web.HTTPBadRequest(reason=f"hours {HOURS.expected()}")
