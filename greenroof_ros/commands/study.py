@@ -123,8 +123,8 @@ def main() -> int:
     )
     open_cases = [case for case in cases if case.identity not in store.outcomes]
     unbounded = {
-        case.problem: case for case in cases
-        if case.bound_block != 0 and case.problem not in store.bounds
+        case.bound_identity: case for case in cases
+        if case.bound_block != 0 and case.bound_identity not in store.bounds
     }
     if store.outcomes:
         print(f"{len(store.outcomes)} of {len(cases)} runs are stored already", file=sys.stderr)

@@ -18,6 +18,7 @@ from greenroof_ros.common.times import iso
 # The file's name in the directory of a site, next to the bag, and its name once it is full.
 ALARMS = "alarms.jsonl"
 _OLDER = f"{ALARMS}.1"
+_SUMMARY = "summary.json"
 # Size at which the file is renamed, replacing the one before: over a thousand alarms (bytes).
 _FULL = 1_000_000
 # Number kept in memory and in the summary; all are counted.
@@ -52,7 +53,8 @@ def read_alarms(directory: Path) -> list[Alarm]:
     """Return the newest recorded alarms of a live site, in order of number.
 
     Each line of the file is an alarm as it was known when the line was written; the last line with
-    a number counts. Of each file, the last 2 MB are read.
+    a number counts. Of each file, the last 2 MB are read. Without the file, which a full disk may
+    have prevented, those of the summary count.
 
     Args:
         directory: of the site.
@@ -60,12 +62,21 @@ def read_alarms(directory: Path) -> list[Alarm]:
     Raises:
         OSError: a file cannot be read.
         ValueError: something in it is not an alarm. An incomplete last line, cut by a crash, is
-            ignored.
+            ignored, and so is a summary that is none.
     """
     alarms: dict[int, Alarm] = {}
     for path in (directory / _OLDER, directory / ALARMS):
         if path.exists():
             alarms |= {alarm.number: alarm for alarm in _read(path)}
+    if not alarms:
+        try:
+            records = json.loads((directory / _SUMMARY).read_bytes())["alarms"]
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return []
+        try:
+            alarms = {alarm.number: alarm for alarm in map(_from_record, records)}
+        except (AttributeError, TypeError, ValueError) as error:
+            raise ValueError(f"{directory / _SUMMARY}: not all are alarms ({error})") from error
     return sorted(alarms.values(), key=lambda alarm: alarm.number)
 
 

@@ -71,7 +71,9 @@ def decide(
 def is_finite_number(value: Any) -> bool:
     """Return whether a value is a real number, Python's or numpy's, and finite as a float."""
     try:
-        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+        # A float first: the check of Real alone takes a tenth of a simulated tick.
+        is_number = isinstance(value, (float, Real)) and not isinstance(value, bool)
+        return is_number and math.isfinite(value)
     except OverflowError:
         return False
 

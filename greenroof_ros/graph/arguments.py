@@ -35,9 +35,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     group.add_argument(
         "--watch", action="store_true",
         help="show the graph on a page in a browser, whose address is printed; a run, at a --speed "
-        "of at most 60. The page ends with "
-        "the graph; the graph does not need it. The page of greenroof watch stays. Needs "
-        "the extra [watch]",
+        "of at most 60. The page ends with the graph; the graph does not need it. The page of "
+        "greenroof watch stays. Needs the extra [watch]",
     )
     add_foxglove(
         group, "serve the graph to Foxglove or Lichtblick on this machine, at the address that is "

@@ -58,6 +58,9 @@ def test_each_change_is_printed_and_stored_at_once(tmp_path: Path) -> None:
     assert add_alarm_count("done", log.count) == "done, with 1 alarm"
     first = json.loads((tmp_path / ALARMS).read_text().splitlines()[0])
     assert first["since"] == "2026-11-18T11:06:40.250+00:00" and first["ended"] is None
+    (tmp_path / ALARMS).unlink()
+    (tmp_path / "summary.json").write_text(json.dumps({"alarms": log.as_records()}))
+    assert [alarm.number for alarm in read_alarms(tmp_path)] == [1, 2]
 
 
 def test_another_start_keeps_what_was_before(tmp_path: Path) -> None:
@@ -115,3 +118,11 @@ def test_a_disk_that_is_full_and_a_damaged_file_stop_no_one(tmp_path: Path) -> N
             read_alarms(tmp_path)
         written(tmp_path, read=printed.append)
         assert "the alarms of earlier starts are not shown" in printed[-1]
+    (tmp_path / ALARMS).unlink()
+    for foreign in ({"alarms": 7}, {"alarms": [7]}, {"alarms": [{}]}):
+        (tmp_path / "summary.json").write_text(json.dumps(foreign))
+        with pytest.raises(ValueError, match="not all are alarms"):
+            read_alarms(tmp_path)
+    for other in ("{", "[]", "[" * 100_000):
+        (tmp_path / "summary.json").write_text(other)
+        assert read_alarms(tmp_path) == []

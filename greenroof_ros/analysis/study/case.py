@@ -98,7 +98,7 @@ class Case:
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
 
     @property
-    def problem(self) -> str:
+    def bound_identity(self) -> str:
         """Identity of the inputs that do not depend on the controller, and of the bound's block."""
         alike = replace(self, forecast_files={}, inputs=replace(
             self.inputs, controller=find_controller("onoff"), parameters={},

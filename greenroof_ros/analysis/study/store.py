@@ -38,7 +38,7 @@ class StudyStore:
             None to keep only the results.
         outcomes: of finished runs, without their files, by identity.
         failures: reasons of failed runs, by identity; runs in neither were not run.
-        bounds: minimum possible total deviations (m3) that are known, by problem.
+        bounds: minimum possible total deviations (m3) that are known, by bound_identity.
     """
 
     def __init__(
@@ -156,8 +156,8 @@ class StudyStore:
         self.outcomes[case.identity] = replace(outcome, files={})
 
     def write_bound(self, case: Case, bound: float) -> None:
-        """Store the minimum possible total deviation (m3) of a case's problem."""
-        self.bounds[case.problem] = bound
+        """Store the minimum possible total deviation (m3) of a case."""
+        self.bounds[case.bound_identity] = bound
         replace_text(self._bounds, _with_digest(self.bounds))
 
     def write_tables(self) -> list[dict[str, Any]]:
@@ -172,7 +172,7 @@ class StudyStore:
         for case in self.cases:
             inputs = case.inputs
             run, error = {"run": case.identity}, self.failures.get(case.identity)
-            outcome, bound = self.outcomes.get(case.identity), self.bounds.get(case.problem)
+            outcome, bound = self.outcomes.get(case.identity), self.bounds.get(case.bound_identity)
             results = {} if outcome is None else outcome.results
             rows.append({
                 **run,

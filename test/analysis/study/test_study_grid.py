@@ -286,7 +286,7 @@ def test_seconds_of_the_bound(tmp_path: Path) -> None:
     usual = read_grid(tmp_path / grid(tmp_path))[0]
     assert not PARAMETERS.keys() & usual.columns().keys()  # no errors in the grid
     ten = read_grid(tmp_path / grid(tmp_path, GRID + "bound_block: 600\n"))[0]
-    assert usual.identity == ten.identity and usual.problem != ten.problem
+    assert usual.identity == ten.identity and usual.bound_identity != ten.bound_identity
     # With larger blocks that are whole multiples it is never higher (Jensen's inequality).
     write_inputs(collect_contents([usual]), tmp_path)
     assert 0 < bound_case(tmp_path, ten) <= bound_case(tmp_path, usual)
