@@ -41,6 +41,7 @@ _SPEED_S, _SPEED_MAX_S = 1.0, 3.0
 # Limits to what a hostile sender can fill, besides the limits of :mod:`.wire`: nodes, parts of
 # each, statuses of other devices, and characters of a name. A graph has seven nodes.
 _NODES, _PARTS, _FOREIGN, _NAME = 32, 24, 200, 160
+_NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
 # The maximum tick of a run, and the end of the times of a run (ns since 1970): the year 2116.
 _LAST_TICK, _LAST_NS = 2**40, 2**62
 # A name that ROS allows for a node; the name becomes part of commands that are advised.
@@ -229,11 +230,26 @@ class Registry:
                     self._remove(other)
 
     def _report_changes(self, node: Node, before: Mapping[str, Any]) -> None:
-        """Report a hold or a fault that has begun or ended as an event."""
+        """Report changes in a node's values as events."""
+        values, name = node.values, node.name
+        changes, left_out = _new_changes(before, values)
+        if left_out:
+            self._on_event(
+                f"{name}: {left_out} changes of parameters before the next are not listed"
+            )
+        for change in changes:
+            if isinstance(change, dict):
+                what, old, new = (change.get(key) for key in ("parameter", "before", "value"))
+                self._on_event(f"{name}: {what} was changed from {old} to {new}")
+        known, warnings = before.get("warnings"), values.get("warnings")
+        if isinstance(known, list) and isinstance(warnings, list):
+            for warning in warnings[:_NEWEST]:
+                if warning not in known:
+                    self._on_event(f"{name} warns: {clean_sentence(str(warning))}")
         hold, fault = node.hold, node.text("fault")
         if _hold_text(before) != hold:
             self._on_event(f"the pump is held: {hold}" if hold else "the hold has ended")
-        if before.get("fault", "") != node.values.get("fault", ""):
+        if before.get("fault", "") != values.get("fault", ""):
             self._on_event(
                 f"the pump is off until it is reset: {fault}" if fault else "the fault was reset"
             )
@@ -393,3 +409,16 @@ def _read_value(text: str) -> Any:
         parse_float=lambda digits: value if math.isfinite(value := float(digits)) else None,
         parse_constant=lambda _: None,
     )
+
+
+def _new_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[list[Any], int]:
+    """Return the parameter changes since a node's last report, and how many more are not listed.
+
+    The node keeps only the newest, and counts all.
+    """
+    listed = values.get("parameter_changes")
+    first, last = (known.get("parameter_change_count") for known in (before, values))
+    if not (isinstance(listed, list) and isinstance(first, int) and isinstance(last, int)):
+        return [], 0
+    new = listed[-min(last - first, _NEWEST):] if last > first else []
+    return new, max(0, last - first) - len(new)

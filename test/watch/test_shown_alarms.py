@@ -126,6 +126,25 @@ def test_what_is_wrong_with_a_node(
     assert {row["code"] for row in present_rows} <= read_conditions().keys()
 
 
+def test_events_of_parameters_and_warnings() -> None:
+    """A node reports the newest changes and the number of all; the page counts what it missed.
+
+    Each new warning is an event, although a warning that has gone makes room for it.
+    """
+    alarms = Alarms()
+    changes = [{"parameter": "w", "before": 1, "value": number} for number in range(25)]
+    for known in (1, 2, 2, 5, 11, 25):
+        newest = changes[max(0, known - 10):known]
+        alarms.receive(0.0, 0.0, mpc(parameter_changes=newest, parameter_change_count=known))
+    assert happened(alarms) == [
+        *(f"/mpc: w was changed from 1 to {number}" for number in range(1, 11)),
+        "/mpc: 4 changes of parameters before the next are not listed",
+        *(f"/mpc: w was changed from 1 to {number}" for number in range(15, 25)),
+    ]
+    alarms = heard(*((0.0, mpc(warnings=said)) for said in ([], ["a"], ["a"], ["b"], [], ["b"])))
+    assert happened(alarms) == ["/mpc warns: a", "/mpc warns: b", "/mpc warns: b"]
+
+
 def test_events_of_a_hold_and_a_fault() -> None:
     alarms = Alarms()
     overheat = "the drive reports: overheat"
@@ -223,7 +242,8 @@ _STATUSES = st.builds(
     WireStatus, _TEXTS, st.integers(-(2**70), 2**70) | st.sampled_from([0, 1, 2, 3]), _TEXTS,
     st.dictionaries(
         st.sampled_from([
-            "role", "refused", "hold", "fault", "warnings", "waiting", "failure",
+            "role", "refused", "hold", "fault", "warnings", "waiting", "parameter_changes",
+            "failure", "parameter_change_count",
         ]) | _TEXTS, _TEXTS, max_size=8,
     ),
 )
