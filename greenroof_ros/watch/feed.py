@@ -11,8 +11,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -104,8 +102,9 @@ class Feed:
         self._saved_at = time.monotonic()
         self._saving: threading.Thread | None = None
         self._problem, self._problem_until = "", 0.0
-        self._requests: list[tuple[str, dict[str, Any], Future[str]]] = []
-        self._request_lock = threading.Lock()  # of that list
+        self._requesting = threading.Lock()  # held by the thread that makes a request
+        self._requesting.acquire()  # until the graph is joined
+        self._last_stop = object()  # another one for each stop that is asked for
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._client: GraphClient | None = None
@@ -118,6 +117,7 @@ class Feed:
             ConfigurationError: ROS 2 is not installed.
         """
         self._client = GraphClient(self._store.namespace, self._on_message)
+        self._requesting.release()
         self._thread.start()
         return self
 
@@ -127,8 +127,6 @@ class Feed:
     ) -> None:
         """Leave the graph."""
         self._closing.set()
-        if self._client is not None:
-            self._client.wake()
         self._thread.join(2.0)
         if self._saving is not None:
             self._saving.join()
@@ -150,47 +148,47 @@ class Feed:
         Raises:
             PumpRequestError: the pump node did not confirm it.
         """
-        future: Future[str] = Future()
-        with self._request_lock:
-            if action == "stop":
-                self._drop_before_stop()
-            self._requests.append((action, request, future))
-        if self._client is not None:
-            self._client.wake()
+        if action == "stop":
+            self._last_stop = object()
+        last_stop = self._last_stop
+        if not self._requesting.acquire(timeout=_STOP_S + 2.0):
+            raise PumpRequestError(
+                "The watcher is busy: the pump node was not asked, and nothing was done."
+            )
         try:
-            return future.result(2 * _STOP_S + 2.0)
-        except FutureTimeoutError:
-            what = "the pump node was not asked, and nothing was done"
-            if not future.cancel():
-                what = "it is unknown whether the pump node did that"
-            raise PumpRequestError(f"The watcher is busy: {what}.") from None
-
-    def _drop_before_stop(self) -> None:
-        """Cancel requests from before a stop: they must not be carried out after it."""
-        for action, _, before in self._requests:
-            if action != "stop" and before.set_running_or_notify_cancel():
-                before.set_exception(PumpRequestError(
-                    "Nothing was done: someone is asking to stop the pump."
-                ))
-        self._requests = [request for request in self._requests if request[0] == "stop"]
+            client = self._client
+            assert client is not None
+            acts: dict[str, Callable[..., str]] = {
+                "stop": client.hold_pump, "release": client.release_pump,
+                "clear": client.clear_fault, "dose": client.request_dose,
+            }
+            if action != "stop":
+                if self._last_stop is not last_stop:  # it would undo that
+                    raise PumpRequestError("Nothing was done: someone is asking to stop the pump.")
+                with self._store.lock:
+                    two = self._graph.two_pumps(time.monotonic())
+                if two:  # a stop goes to each of them
+                    raise PumpRequestError(two)
+            return acts[action](**request, timeout_s=_STOP_S)
+        finally:
+            self._requesting.release()
 
     # --- the graph ------------------------------------------------------------------------------
 
     def _watch_graph(self) -> None:
         while not self._closing.is_set():
             self._run_cycle()
-        if self._client is not None:
-            self._client.close()
+        assert self._client is not None
+        self._requesting.acquire()
+        self._client.close()
 
     def _run_cycle(self) -> None:
         """Receive new messages and show them; if a step fails, the others are done all the same."""
         failed = [act for act in (
-            self._receive, self._answer, self._find_pumps, self._update_graph, self._report,
+            self._receive, self._find_pumps, self._update_graph, self._report,
         ) if self._fails(act)]
-        # An error may come again at once; but a request such as a stop must not wait for that.
-        until = time.monotonic() + (_REST_S if failed else 0.0)
-        while time.monotonic() < until and not self._requests and not self._closing.is_set():
-            self._closing.wait(_POLL_S)
+        if failed:  # it may fail again at once
+            self._closing.wait(_REST_S)
 
     def _fails(self, act: Callable[[], None]) -> bool:
         """Do a step; if it fails, show the error and return True."""
@@ -356,31 +354,15 @@ class Feed:
         self._saving = threading.Thread(target=_write, args=(self._past_file, rows), daemon=True)
         self._saving.start()
 
-    # --- stopping -------------------------------------------------------------------------------
-
     def _find_pumps(self) -> None:
         assert self._client is not None
-        pumps = self._client.find_pumps(self._graph.pumps(time.monotonic()))
+        if not self._requesting.acquire(blocking=False):
+            return  # a request finds them itself
+        try:
+            pumps = self._client.find_pumps(self._graph.pumps(time.monotonic()))
+        finally:
+            self._requesting.release()
         self._store.can_stop = bool(pumps)
-
-    def _answer(self) -> None:
-        client = self._client
-        assert client is not None
-        acts: dict[str, Callable[..., str]] = {
-            "stop": client.hold_pump, "release": client.release_pump, "clear": client.clear_fault,
-            "dose": client.request_dose,
-        }
-        while self._requests:
-            with self._request_lock:
-                action, request, future = self._requests.pop(0)
-            if future.set_running_or_notify_cancel():
-                try:
-                    # A stop goes to every node that may control the pump.
-                    if action != "stop" and (two := self._graph.two_pumps(time.monotonic())):
-                        raise PumpRequestError(two)
-                    future.set_result(acts[action](**request, timeout_s=_STOP_S))
-                except Exception as error:  # it is raised in the thread that asked
-                    future.set_exception(error)
 
 
 def _write(file: Path, rows: Any) -> None:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import threading
 import time
 from collections.abc import Callable, Collection
 from itertools import islice
@@ -45,7 +44,10 @@ class PumpRequestError(Exception):
 
 
 class GraphClient:
-    """A separate node with a separate context, to be used by one thread."""
+    """Two nodes with a separate context: one receives, the other one makes requests.
+
+    One thread receives, and one thread at a time makes requests, which may be another one.
+    """
 
     def __init__(
         self, namespace: str, on_message: Callable[[str, bytes, int | None, int], None]
@@ -86,7 +88,6 @@ class GraphClient:
         self._on_message = on_message
         self._interface = read_topics()
         self._subscriptions: dict[str, Any] = {}
-        self._wake = threading.Event()
         self.subscribe(())
 
     def subscribe(self, topics: Collection[str]) -> None:
@@ -110,20 +111,13 @@ class GraphClient:
             )
 
     def receive(self, wait_s: float) -> None:
-        """Wait, unless woken, and pass on the messages that have arrived; /diagnostics first."""
-        self._wake.wait(wait_s)
-        self._wake.clear()
+        """Wait, and pass on the messages that have arrived; /diagnostics first."""
+        time.sleep(wait_s)
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
             subscription = self._subscriptions[name]
             for message, info in islice(take_messages(subscription), _DEPTH):
-                if self._wake.is_set():
-                    return  # what waits is less urgent
                 number = info["publication_sequence_number"]
                 self._on_message(name, message, number, info["received_timestamp"])
-
-    def wake(self) -> None:
-        """End the present wait, from another thread."""
-        self._wake.set()
 
     def find_pumps(self, reported: Collection[str] = ()) -> Collection[str]:
         """Find the nodes that may control the pump, and open clients, so that calls find them.
@@ -141,9 +135,9 @@ class GraphClient:
         pattern = re.compile(re.escape(self._namespace) + "(/[^/]+)/hold")
         found = {*reported} | {
             self._namespace + offered[1]
-            for service, types in self._node.get_service_names_and_types()
+            for service, types in self._caller.get_service_names_and_types()
             if hold in types and (offered := pattern.fullmatch(service))
-            and self._node.count_services(service)  # listed for this client alone, too
+            and self._caller.count_services(service)  # listed for this client alone, too
         }
         for name in self._pumps.keys() - found:
             for client in self._pumps.pop(name).values():
@@ -225,7 +219,7 @@ class GraphClient:
             self.find_pumps(reported)
             before, twice = twice, {
                 name for name in self._pumps
-                if self._node.count_services(f"{name}/{service}") > 1
+                if self._caller.count_services(f"{name}/{service}") > 1
             }
             for name in before - twice:
                 sent.pop(name, None)

@@ -245,20 +245,66 @@ def test_a_stop_is_answered_if_all_else_fails(domain: int) -> None:
         assert time.monotonic() - began < 15
 
 
-def test_a_stop_goes_before_what_was_asked_before_it_which_is_not_done() -> None:
+class Asked:
+    """A client whose pump node answers when the test lets it.
+
+    Attributes:
+        done: what was requested of the pump node, in this order.
+        answers: set to answer.
+    """
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+        self.answers = threading.Event()
+
+    def __getattr__(self, name: str) -> Callable[..., str]:
+        def act(**_: Any) -> str:
+            self.done.append(name)
+            self.answers.wait(60)
+            return name
+
+        return act
+
+
+def test_what_was_asked_before_a_stop_is_not_done_after_it(monkeypatch: Any) -> None:
     """A release that is done after a stop would undo it."""
-    feed = Feed(Kept())  # not entered: no one answers
-    answers: dict[int, str] = {}
+    feed, client = Feed(Kept()), Asked()  # not entered: the client is this one
+    monkeypatch.setattr(feed, "_client", client)
+    feed._requesting.release()
+    answers: dict[str, str] = {}
 
     def ask(number: int, action: str) -> None:
-        with pytest.raises(PumpRequestError) as failed:
-            feed.request_action(action)
-        answers[number] = str(failed.value)
+        try:
+            answers[f"{action} {number}"] = feed.request_action(action)
+        except PumpRequestError as error:
+            answers[f"{action} {number}"] = str(error)
 
-    for number, action in enumerate(("release", "stop", "dose", "stop", "release")):
+    for number, action in enumerate(("clear", "release", "stop", "dose", "stop")):
         threading.Thread(target=ask, args=(number, action), daemon=True).start()
-        wait_for(lambda a=action: feed._requests and feed._requests[-1][0] == a, 10, "the request")
-    wait_for(lambda: len(answers) == 2, 60, "the end of what came before a stop")
-    assert [action for action, *_ in feed._requests] == ["stop", "stop", "release"]
-    assert answers.keys() == {0, 2}
-    assert {*answers.values()} == {"Nothing was done: someone is asking to stop the pump."}
+        wait_for(lambda: client.done == ["clear_fault"], 10, "the first request")
+        time.sleep(0.1)  # it waits for the answer to the first
+    client.answers.set()
+    wait_for(lambda: len(answers) == 5, 60, "the answers")
+    assert client.done == ["clear_fault", "hold_pump", "hold_pump"]
+    refused = "Nothing was done: someone is asking to stop the pump."
+    assert answers == {
+        "clear 0": "clear_fault", "release 1": refused, "stop 2": "hold_pump", "dose 3": refused,
+        "stop 4": "hold_pump",
+    }
+
+
+def test_while_a_request_waits_for_its_answer_others_say_when_nothing_was_done(
+    monkeypatch: Any,
+) -> None:
+    feed, client = Feed(Kept()), Asked()
+    monkeypatch.setattr(feed, "_client", client)
+    feed._requesting.release()
+    monkeypatch.setattr("greenroof_ros.watch.feed._STOP_S", -1.9)
+    first = threading.Thread(target=feed.request_action, args=("stop",), daemon=True)
+    first.start()
+    wait_for(lambda: client.done, 10, "the first request")
+    with pytest.raises(PumpRequestError, match="busy: the pump node was not asked, and nothing"):
+        feed.request_action("release")
+    client.answers.set()
+    first.join(60)
+    assert client.done == ["hold_pump"]

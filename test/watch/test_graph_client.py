@@ -104,7 +104,7 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(place: int) -> None
     wait_for(lambda: client.find_pumps() == {"/pump"}, 60, "the end of the other node")
     # Of two nodes of one name, one can hang although an answer comes.
     pumps.append(Pump(place))
-    wait_for(lambda: client._node.count_services("/pump/hold") == 2, 60, "its twin")
+    wait_for(lambda: client._caller.count_services("/pump/hold") == 2, 60, "its twin")
     pumps[1].answers.clear()
     with pytest.raises(PumpRequestError, match=f"two nodes are named /pump, .*{held}") as refused:
         client.hold_pump("the page", timeout_s=1.0)
