@@ -15,7 +15,7 @@ from itertools import accumulate
 from typing import Any
 
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.watch import tiles, words
+from greenroof_ros.watch import alarms, tiles, words
 from greenroof_ros.watch.history import stretch_of
 from greenroof_ros.watch.outlook import AHEAD_S
 from greenroof_ros.watch.parts import Parts
@@ -53,10 +53,10 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
 
 
 def _document(store: GraphStore, wall: float) -> dict[str, Any]:
-    parts, alarms = Parts(), store.alarms
+    parts = Parts()
     parts.make("What is overdue", lambda: store.update(wall), None)
     stop = parts.make("What may be done to the pump", lambda: stop_of(store), bare_stop())
-    rows = parts.make("Alarms", lambda: _alarm_rows(store), [])
+    rows = parts.make("Alarms", lambda: alarms.list_alarms(store), [])
     listed, present = _within(rows, _MAX_ALARMS), [row for row in rows if row["over"] is None]
     shown = {
         name: parts.make(
@@ -73,7 +73,9 @@ def _document(store: GraphStore, wall: float) -> dict[str, Any]:
     waits = parts.make(
         "What is waited for", lambda: tiles.describe_wait(store, shown["pump"]["idle"]), ""
     )
-    serious, warnings, following = parts.make("Numbers of alarms", alarms.counts, (0, 0, 0))
+    serious, warnings, following = parts.make(
+        "Numbers of alarms", lambda: alarms.count_alarms(store), (0, 0, 0)
+    )
     summary = parts.make("The summary", lambda: {
         "word": "Nothing received yet:" if store.mode == "none"
         else _word(serious, warnings, following) + _starts(store),
@@ -91,10 +93,11 @@ def _document(store: GraphStore, wall: float) -> dict[str, Any]:
         ),
         "tiles": {**shown, "summary": summary},
         "advice": parts.make(
-            "The advice", lambda: alarms.advice() if present else _advice(store, shown, waits), ""
+            "The advice",
+            lambda: alarms.choose_advice(present) if present else _advice(store, shown, waits), "",
         ),
         "alarms": listed,
-        "events": parts.make("Events", lambda: _events(store), []),
+        "events": parts.make("Events", lambda: _within(alarms.list_events(store), _MAX_EVENTS), []),
         "stop": stop,
     }
     notes = parts.make("The notes", lambda: _notes(store, len(rows) - len(listed)), [])
@@ -103,23 +106,6 @@ def _document(store: GraphStore, wall: float) -> dict[str, Any]:
     if parts.failed and summary["level"] == "ok":
         summary["level"] = "warn"
     return result | {"notes": [*parts.notes, *notes]}
-
-
-def _alarm_rows(store: GraphStore) -> list[dict[str, Any]]:
-    """Return the alarms, those that are over last, with their times in words."""
-    rows = store.alarms.rows()
-    for row in rows:
-        over = row["over"]
-        row["since_text"] = store.time_of_day(row["since"])
-        row["over_text"] = "" if over is None else store.time_of_day(over)
-    return rows
-
-
-def _events(store: GraphStore) -> list[dict[str, Any]]:
-    """Return the events, the newest first, as many as there is room for."""
-    return _within([
-        {**event, "at_text": store.time_of_day(event["at"])} for event in store.alarms.events()
-    ], _MAX_EVENTS)
 
 
 def _heading(store: GraphStore) -> str:
@@ -132,7 +118,7 @@ def _heading(store: GraphStore) -> str:
 
 def _notes(store: GraphStore, hidden: int) -> list[str]:
     notes = [*store.notes]
-    if missing := store.alarms.judge.missing:
+    if missing := store.judge.missing:
         listed = [f"{name}: {diagnosis.sentence}." for name, diagnosis in missing.items()]
         notes[:0] = ["The site is starting. Not there yet:", *map(words.clean_text, listed)]
     if hidden:
@@ -159,7 +145,7 @@ def _word(alarms: int, warnings: int, following: int) -> str:
 
 
 def _starts(store: GraphStore) -> str:
-    return " The site is starting." if store.alarms.judge.missing else ""
+    return " The site is starting." if store.judge.missing else ""
 
 
 def _level(shown: dict[str, Tile]) -> str:
@@ -211,7 +197,7 @@ def _pump_clause(pump: Tile) -> str:
 
 def _advice(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     """Return what to do if there is no alarm; if something is not as wanted, what happens next."""
-    if store.alarms.judge.missing:
+    if store.judge.missing:
         return "Nothing to do: the site is starting. What is still missing is listed below."
     roof, pump = shown["roof"]["state"], shown["pump"]
     if store.mode == "none":

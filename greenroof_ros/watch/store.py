@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from greenroof_ros.common.alarms import Alarm, Judge
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.states import PUMP, PUMP_STATES, PumpState
 from greenroof_ros.model.look_ahead import MAX_MEMBERS
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.watch import wire, words
-from greenroof_ros.watch.alarms import Alarms
 from greenroof_ros.watch.history import History, Values
 from greenroof_ros.watch.outlook import Forecast, Plan
 from greenroof_ros.watch.registry import Node, Registry
@@ -50,6 +50,7 @@ _LATEST_NS = 2**62
 _SET_BACK_S = 60.0
 # The maximum number of steps of a forecast or a plan, as the longest look-ahead has.
 _MAX_STEPS = 1000
+_MAX_EVENTS = 50
 
 
 class TopicValue:
@@ -106,7 +107,9 @@ class GraphStore:
         factor: simulated time per wall time; None if there is none.
         allow_release: whether the pump may be released from here.
         can_stop: whether a node offers to hold the pump, whatever is reported.
-        alarms: alarms of the nodes, and the registry of their reports.
+        graph: what its nodes report.
+        judge: what is wrong now, and what is only missing while the site starts.
+        events: the newest events, each with its time (s since 1970).
         newest: the newest value of each topic.
         past: the past of each line of the charts.
         forecast: the newest forecast of rain; None if it is unknown.
@@ -117,7 +120,8 @@ class GraphStore:
         """Start without knowing anything.
 
         Args:
-            namespace: of the graph; empty if it has none.
+            namespace: of the graph; empty if it has none. Nodes in other namespaces are treated as
+                other devices.
         """
         self.lock = threading.RLock()
         self.namespace = namespace
@@ -126,7 +130,7 @@ class GraphStore:
         self.notes = ["", ""]
         self.mode = "none"
         self.factor: float | None = None
-        self.alarms = Alarms(namespace)
+        self.graph = Registry(namespace, self.add_event)
         self._interface = read_topics()
         self.wall = 0.0
         self._system: float | None = None  # the system's time at the last update (s since 1970)
@@ -135,7 +139,10 @@ class GraphStore:
     def reset(self) -> None:
         """Reset everything except the nodes and how they are watched: another run began."""
         with self.lock:
-            self.alarms.reset()
+            self.judge = Judge()
+            self.events: deque[tuple[float, str]] = deque(maxlen=_MAX_EVENTS)
+            # By name: number, level and subjects of the alarm that someone acknowledged.
+            self._acknowledged: dict[str, tuple[int, str, tuple[str, ...]]] = {}
             self._forget_values()
 
     def _forget_values(self) -> None:
@@ -147,11 +154,6 @@ class GraphStore:
         self._controller_at = -math.inf  # when it last reported (s since 1970)
 
     # --- the graph that is watched --------------------------------------------------------------
-
-    @property
-    def graph(self) -> Registry:
-        """What the nodes of the graph report."""
-        return self.alarms.registry
 
     @property
     def pump(self) -> Node | None:
@@ -205,7 +207,7 @@ class GraphStore:
             self.wall = wall
             for newest in self.newest.values():
                 newest.update(wall, ended=self.ended)
-            self.alarms.update(wall, self._event_time)
+            self._judge(wall)
 
     @property
     def silent_s(self) -> float:
@@ -337,7 +339,8 @@ class GraphStore:
             stamp_ns: time stamp of the message (ns since 1970), in a simulation by its clock.
         """
         with self.lock:
-            self.alarms.receive(wall, self._event_time, statuses, stamp_ns=stamp_ns)
+            self.graph.receive(wall, statuses, now=self._event_time, stamp_ns=stamp_ns)
+            self._judge(wall)
             node = self.graph.node("controller")
             if node is None:
                 return
@@ -350,15 +353,34 @@ class GraphStore:
                 self.plan = None
             self._controller, self._controller_at = controller, self._event_time
 
+    def _judge(self, wall: float) -> None:
+        diagnoses, starting = self.graph.diagnoses(wall), self.graph.starting(wall)
+        ended: dict[str, Alarm] = {}
+        for what, alarm in self.judge.update(wall, self._event_time, diagnoses, starting=starting):
+            if what == "ends":
+                ended[alarm.name] = alarm
+            elif what == "begins" and (before := ended.get(alarm.name)):
+                self.add_event(f"{alarm.name}: {alarm.sentence}; before: {before.sentence}")
+
     def add_event(self, text: str) -> None:
         """Add an event that happens now."""
         with self.lock:
-            self.alarms.add_event(self._event_time, text)
+            self.events.append((self._event_time, words.clean_text(text)))
 
     def acknowledge(self, alarm_id: str) -> bool:
-        """Acknowledge an alarm; return False if there is no such alarm."""
+        """Acknowledge an alarm, until it changes; return False if there is no such alarm."""
         with self.lock:
-            return self.alarms.acknowledge(alarm_id)
+            alarm = self.judge.alarms.get(alarm_id)
+            if alarm is not None:
+                self._acknowledged = {
+                    name: known for name, known in self._acknowledged.items()
+                    if name in self.judge.alarms
+                } | {alarm_id: (alarm.number, alarm.level, alarm.about)}
+            return alarm is not None
+
+    def is_acknowledged(self, alarm: Alarm) -> bool:
+        """Return whether it is acknowledged: as bad as it is now, and about the same."""
+        return self._acknowledged.get(alarm.name) == (alarm.number, alarm.level, alarm.about)
 
     # --- time -----------------------------------------------------------------------------------
 

@@ -16,7 +16,8 @@ from greenroof_ros.common.times import iso
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.live.supervisor_socket import read_report
-from greenroof_ros.watch.alarms import Alarms
+from greenroof_ros.watch.alarms import list_alarms
+from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.wire import WireStatus
 
 NOON = 1_800_000_000.0
@@ -73,7 +74,7 @@ def test_console_record_summary_and_page_have_the_same_alarms(
     site = SiteAlarms(
         tmp_path, "/site1", [NodeStart(node, "module") for node in SCRIPT], printed.append
     )
-    pages = {0.0: Alarms("/site1"), 32.0: Alarms("/site1"), 62.0: Alarms("/site1")}
+    pages = {begins: GraphStore("/site1") for begins in (0.0, 32.0, 62.0)}
     of_pages: dict[float, dict[tuple[str, str], float]] = {begins: {} for begins in pages}
     received: dict[str, Any] = {}
     for step in range(480):
@@ -93,8 +94,9 @@ def test_console_record_summary_and_page_have_the_same_alarms(
         for begins, page in pages.items():
             if now < begins:
                 continue
+            page.update(now, NOON + now)
             if now % 1 == 0:
-                page.receive(now, NOON + now, [
+                page.add_statuses(now, [
                     status for node, (values, statuses) in said.items() for status in (
                         WireStatus(f"/site1/{node}", OK, "ready", {
                             key: json.dumps(value) for key, value in values.items()
@@ -103,9 +105,9 @@ def test_console_record_summary_and_page_have_the_same_alarms(
                           for part, status in statuses.items()),
                     )
                 ])
-            page.update(now, NOON + now)
             of_pages[begins] |= {
-                (row["id"], row["code"]): row["since"] for row in page.rows() if not row["over"]
+                (row["id"], row["code"]): row["since"]
+                for row in list_alarms(page) if not row["over"]
             }
     assert DISK.wait(60)
     expected = {

@@ -778,7 +778,7 @@ def test_as_an_operator_reads_it(text: str, expected: str) -> None:
 @pytest.mark.parametrize("place", [
     "tiles.make_rain_tile", "tiles.make_pump_tile", "tiles.make_controller_tile",
     "tiles.describe_wait", "words.write_time",
-    "alarms.Alarms.rows", "alarms.Alarms.counts", "alarms.Alarms.events", "alarms.Alarms.update",
+    "alarms.list_alarms", "alarms.count_alarms", "alarms.list_events", "store.GraphStore.update",
     "registry.Registry.two_pumps",
 ])
 def test_if_a_part_cannot_be_shown_the_pump_can_be_stopped(

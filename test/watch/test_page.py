@@ -34,7 +34,6 @@ from places import CONFIG
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import feed
-from greenroof_ros.watch.alarms import Alarms
 from greenroof_ros.watch.document import make_document as read_document
 from greenroof_ros.watch.document import make_series as read_series
 from greenroof_ros.watch.store import GraphStore
@@ -553,7 +552,8 @@ def test_alarms_are_acknowledged_and_events_listed(open_page: Open) -> None:
     # The alarm disappears just as someone presses its button.
     button = other.element_handle()
     said.clear()
-    watched.alarms = Alarms()  # of another graph
+    watched.graph = GraphStore().graph  # of another graph
+    watched.reset()
     page.wait_for_selector(".alarm", state="detached")
     button.evaluate("(button) => button.click()")
     until_shown(page, "#answer.failed", "This alarm is no longer listed.")
