@@ -130,11 +130,14 @@ def _hold(client: GraphClient, arguments: argparse.Namespace, _: Registry) -> st
     until = arguments.until
     if arguments.hours is not None:
         until = time.time() + arguments.hours * 3600
-    return client.hold_pump("the command line", arguments.reason, until, _PATIENCE_S)
+    end = {} if until is None else {"until": until}
+    return client.request(
+        "stop", _PATIENCE_S, owner="the command line", reason=arguments.reason, **end
+    )
 
 
 def _release(client: GraphClient, _: argparse.Namespace, __: Registry) -> str:
-    return client.release_pump(_PATIENCE_S)
+    return client.request("release", _PATIENCE_S)
 
 
 def _add_dose_options(parser: Parser) -> None:
@@ -147,7 +150,7 @@ def _add_dose_options(parser: Parser) -> None:
 def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Registry) -> str:
     """Request a dose, and print its progress until it ends."""
     requested_at, said = time.time(), ""
-    client.request_dose(arguments.volume, requested_at, _PATIENCE_S)
+    client.request("dose", _PATIENCE_S, volume=arguments.volume, asked_at=requested_at)
     accepted = time.monotonic()
     print(f"dose {requested_at:.6f} of {arguments.volume:g} m3 is accepted", flush=True)
     while True:
@@ -181,7 +184,7 @@ def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Registry
             print(f"The fault: {fault}", file=sys.stderr)
         if not _confirmed():
             raise PumpRequestError("not cleared: it was not confirmed")
-    return client.reset_fault(_PATIENCE_S)
+    return client.request("reset", _PATIENCE_S)
 
 
 def _confirmed() -> bool:

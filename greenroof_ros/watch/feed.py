@@ -22,6 +22,7 @@ from greenroof_ros.model.site import read_site
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
 from greenroof_ros.watch.history import read_histories, write_histories
+from greenroof_ros.watch.message_times import MessageTimes
 from greenroof_ros.watch.store import GraphStore
 
 # The fastest run, in times real time, whose numbers are received: 60 and some jitter.
@@ -36,46 +37,8 @@ _SHOWN_S, _REST_S = 60.0, 1.0
 _STOP_S = 3.0
 # How often the past of a live site is saved (s).
 _SAVE_S = 600.0
-# A message further than this from the clock (ticks) is of a publisher that was restarted: the plant
-# is at most 32 ticks ahead of the recorder, and messages received together are closer.
-_FAR = 64
 
 _CLOCK = "/clock"
-
-
-class Ticks:
-    """The simulated time of each message of a run, by the number that its publisher gave it.
-
-    In lockstep the j-th message of a topic belongs to tick j - 1. The order of arrival is less
-    reliable: the plant's next clock may arrive before the messages of the tick before it.
-
-    Attributes:
-        newest_ns: the newest time of the clock (ns since 1970); 0 before the first.
-    """
-
-    def __init__(self) -> None:
-        """Start before the first clock."""
-        self.newest_ns = 0
-        self._clock = 0  # number of the newest clock message
-        self._period = 0  # ns
-
-    def clock(self, number: int | None, time_ns: int) -> None:
-        """Receive a clock message."""
-        number = self._clock + 1 if number is None else number
-        if self._clock and number > self._clock:
-            self._period = (time_ns - self.newest_ns) // (number - self._clock)
-        self._clock, self.newest_ns = number, time_ns
-
-    def time(self, number: int | None) -> int | None:
-        """Return the time of a message (ns since 1970); None if it cannot be known.
-
-        Args:
-            number: of the message; None if it does not count ticks: it gets the newest time.
-        """
-        if not self._period:
-            return None  # fewer than two clocks were received
-        ahead = 0 if number is None else number - self._clock
-        return None if abs(ahead) > _FAR else self.newest_ns + ahead * self._period
 
 
 class Feed:
@@ -92,10 +55,8 @@ class Feed:
         self._graph = store.graph
         self._past_file = past_file
         self._topics = read_topics()
-        self._run = 0
-        self._ticks = Ticks()
+        self._times = MessageTimes(self._graph)
         self._subscribed = False
-        self._live: bool | None = None  # whether the graph shown, now or last, is live
         self._site: tuple[Path, int] | None = None  # file, and when it was written (ns)
         self._awake = time.monotonic()
         self._reported_at = 0.0
@@ -138,9 +99,8 @@ class Feed:
         """Request a hold, a release, a cleared fault or a dose; callable from any thread.
 
         Args:
-            action: ``stop``, ``release``, ``clear`` or ``dose``.
-            request: for a stop or a dose, as the methods hold_pump and request_dose of
-                :class:`greenroof_ros.watch.graph_client.GraphClient` take it.
+            action: as :meth:`greenroof_ros.watch.graph_client.GraphClient.request` takes it.
+            request: its parameters.
 
         Returns:
             The pump node's answer.
@@ -156,12 +116,7 @@ class Feed:
                 "The watcher is busy: the pump node was not asked, and nothing was done."
             )
         try:
-            client = self._client
-            assert client is not None
-            acts: dict[str, Callable[..., str]] = {
-                "stop": client.hold_pump, "release": client.release_pump,
-                "clear": client.clear_fault, "dose": client.request_dose,
-            }
+            assert self._client is not None
             if action != "stop":
                 if self._last_stop is not last_stop:  # it would undo that
                     raise PumpRequestError("Nothing was done: someone is asking to stop the pump.")
@@ -169,7 +124,7 @@ class Feed:
                     two = self._graph.two_pumps(time.monotonic())
                 if two:  # a stop goes to each of them
                     raise PumpRequestError(two)
-            return acts[action](**request, timeout_s=_STOP_S)
+            return self._client.request(action, _STOP_S, **request)
         finally:
             self._requesting.release()
 
@@ -208,16 +163,13 @@ class Feed:
         self._excuse_own_pause()
 
     def _update_graph(self) -> None:
-        now, store = time.monotonic(), self._store
-        mode = self._graph.mode(now)
-        live = {"simulated": False, "live": True}.get(mode, self._live)
-        if self._graph.runs != self._run or self._live not in (None, live):
-            self._run, self._ticks = self._graph.runs, Ticks()
+        store, was_live = self._store, self._times.live
+        if self._times.update(time.monotonic()):
             store.reset()
             store.add_event("Another run began.")
-        if live and not self._live:
+        if self._times.live and not was_live:
             self._load()
-        self._live = live
+        mode = self._times.mode
         if mode != store.mode:
             if mode == "ended" and store.mode != "none":
                 store.add_event("The run ended.")
@@ -260,7 +212,8 @@ class Feed:
             name for name, topic in self._topics.items()
             if (topic.live and name != DIAGNOSTICS) or (topic.per_tick and not live)
         ] if wanted else ())
-        self._subscribed, self._ticks = wanted, Ticks()
+        self._subscribed = wanted
+        self._times.forget_clock()
 
     @property
     def _factor(self) -> float | None:
@@ -273,9 +226,9 @@ class Feed:
 
     # --- incoming messages ----------------------------------------------------------------------
 
-    def _on_message(self, name: str, message: bytes, number: int | None, _: int) -> None:
+    def _on_message(self, *message: Any) -> None:
         """Receive a message; if that fails, the others are received all the same."""
-        self._fails(lambda: self._receive_message(name, message, number))
+        self._fails(lambda: self._receive_message(*message))
 
     def _excuse_own_pause(self) -> None:
         """Excuse the silence of the nodes while this process stood still."""
@@ -284,7 +237,9 @@ class Feed:
             with self._store.lock:
                 self._graph.excuse_silence(self._awake - before)
 
-    def _receive_message(self, name: str, message: bytes, number: int | None) -> None:
+    def _receive_message(
+        self, name: str, message: bytes, number: int | None, arrived_ns: int
+    ) -> None:
         self._excuse_own_pause()
         if name == DIAGNOSTICS:
             if (received := wire.read_statuses(message)) is not None:
@@ -292,20 +247,9 @@ class Feed:
                 self._store.add_statuses(time.monotonic(), statuses, stamp_ns)
         elif name == _CLOCK:
             if (time_ns := wire.read_clock(message)) is not None:
-                self._ticks.clock(number, time_ns)
-        elif time_ns := self._time_of(name, number):
+                self._times.receive_clock(number, time_ns)
+        elif time_ns := self._times.time_of(self._topics[name], number, arrived_ns):
             self._store.receive(name, time_ns, message)
-
-    def _time_of(self, name: str, number: int | None) -> int | None:
-        """Return the time of a message (ns since 1970); None if it cannot be known yet."""
-        if self._store.mode == "live":
-            return time.time_ns()
-        topic = self._topics[name]
-        if not topic.per_tick:
-            return self._ticks.newest_ns or None
-        # A pump driver from another package may have begun at any tick.
-        own = any(self._graph.node(role) for role in topic.publishers)
-        return self._ticks.time(number if own else None)
 
     # --- state of the graph ---------------------------------------------------------------------
 
@@ -347,7 +291,7 @@ class Feed:
         """Save the past of a live site in a thread of its own: a stop must not wait for a disk."""
         self._saved_at = time.monotonic()
         busy = self._saving is not None and self._saving.is_alive()
-        if self._past_file is None or not self._live or busy:
+        if self._past_file is None or not self._times.live or busy:
             return
         with self._store.lock:
             rows = {name: past.rows.copy() for name, past in self._store.past.items()}

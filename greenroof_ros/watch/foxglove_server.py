@@ -16,9 +16,9 @@ from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.processes import Signals
 from greenroof_ros.recording.bag_writer import message_definition
 from greenroof_ros.watch import wire
-from greenroof_ros.watch.feed import Ticks
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient
 from greenroof_ros.watch.listening import LOOPBACK
+from greenroof_ros.watch.message_times import MessageTimes
 from greenroof_ros.watch.registry import Registry
 
 # How often new messages are passed on (s).
@@ -67,8 +67,7 @@ class FoxgloveServer:
         self._topics = read_topics()
         self._client = GraphClient(namespace, self._on_message)
         self._registry = Registry(namespace)
-        self._live, self._run = False, (False, 0)
-        self._ticks, self._time_ns = Ticks(), 0
+        self._times, self._time_ns = MessageTimes(self._registry), 0
         self._waiting: list[tuple[int, str, bytes]] = []
         self._channels = {
             name: foxglove.Channel(
@@ -104,30 +103,17 @@ class FoxgloveServer:
             self._server.stop()
 
     def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
-        """Receive a message, and find its time.
-
-        Before a run's second clock it has none. If its number is no tick's, as of a pump driver
-        that was restarted, it has the newest time.
-        """
+        """Receive a message, and find its time; viewers forget the run before."""
         if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
-            self._update_run(*received)
+            now = time.monotonic()
+            self._registry.receive(now, received[1], stamp_ns=received[0])
+            if self._times.update(now):
+                self._time_ns = 0
+                self._server.clear_session()
         if name == _CLOCK and (time_ns := wire.read_clock(message)) is not None:
-            self._ticks.clock(number, time_ns)
-        tick_ns = self._ticks.time(number) if self._topics[name].per_tick else None
-        time_ns = arrived_ns if self._live else tick_ns or self._ticks.time(None)
-        if time_ns:
+            self._times.receive_clock(number, time_ns)
+        if time_ns := self._times.time_of(self._topics[name], number, arrived_ns):
             self._waiting.append((time_ns, name, message))
-
-    def _update_run(self, stamp_ns: int, statuses: list[wire.WireStatus]) -> None:
-        """Find out which graph is there; viewers forget the run before."""
-        now = time.monotonic()
-        self._registry.receive(now, statuses, stamp_ns=stamp_ns)
-        mode = self._registry.mode(now)
-        self._live = {"simulated": False, "live": True}.get(mode, self._live)
-        run = self._live, self._registry.runs
-        if run != self._run:
-            self._run, self._ticks, self._time_ns = run, Ticks(), 0
-            self._server.clear_session()
 
     def _pass_on(self) -> None:
         """Pass on what has arrived, in order of time.

@@ -14,7 +14,7 @@ import os
 import re
 import signal
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from itertools import islice
 from typing import Any
 
@@ -29,6 +29,10 @@ _DEPTH = 64
 _DISCOVERY_S, _SPIN_S = 2.0, 0.02
 
 DIAGNOSTICS = "/diagnostics"
+# The pump node's service for each action.
+_SERVICES = {
+    "stop": "hold", "release": "stop", "clear": "clear", "reset": "reset", "dose": "dose",
+}
 
 
 class PumpRequestError(Exception):
@@ -149,68 +153,28 @@ class GraphClient:
             }
         return self._pumps.keys()
 
-    def hold_pump(
-        self, owner: str, reason: str = "", until: float | None = None, timeout_s: float = 3.0
-    ) -> str:
-        """Hold the pump until someone releases it, or until a time.
+    def request(self, action: str, timeout_s: float, **parameters: float | str) -> str:
+        """Make a request of the pump node, and return its answer.
 
-        The request goes to each node that may control the pump.
+        A stop goes to each node that may control the pump; if there are several, anything else goes
+        to none. The answer of one of two nodes of one name says nothing about the other one: it is
+        asked again when only one is left.
 
         Args:
-            owner: who requests it.
-            reason: why; may be empty.
-            until: its end (s since 1970); None if it has none.
+            action: ``stop``: hold the pump until someone releases it, or until a time. ``release``:
+                end the hold, whoever made it. ``clear``: clear the latched fault if that may be
+                done from afar. ``reset``: clear any, for a person at the pump. ``dose``: deliver a
+                volume.
             timeout_s: longest wait for the answer (s).
-
-        Returns:
-            The pump node's answer.
+            parameters: of a stop: ``owner``, who requests it, ``reason``, which may be empty, and
+                ``until``, its end (s since 1970), unless it has none. Of a dose: ``volume`` (m3),
+                and ``asked_at``, when the user requested it (s since 1970).
 
         Raises:
             PumpRequestError: the pump node did not confirm it.
         """
-        end = {} if until is None else {"until": until}
-        return self._request(
-            "hold", timeout_s, to_all=True, **_parameters(owner=owner, reason=reason, **end)
-        )
-
-    def release_pump(self, timeout_s: float = 3.0) -> str:
-        """End the hold, whoever made it; returns and raises likewise."""
-        return self._request("stop", timeout_s, data=False)
-
-    def clear_fault(self, timeout_s: float = 3.0) -> str:
-        """Clear the latched fault if that may be done from afar; returns and raises likewise."""
-        return self._request("clear", timeout_s)
-
-    def reset_fault(self, timeout_s: float = 3.0) -> str:
-        """Clear any latched fault, for a person at the pump; returns and raises likewise."""
-        return self._request("reset", timeout_s)
-
-    def request_dose(self, volume: float, requested_at: float, timeout_s: float = 3.0) -> str:
-        """Request a dose.
-
-        Args:
-            volume: the dose (m3).
-            requested_at: when the user requested it, by the system clock (s since 1970).
-            timeout_s: longest wait for the answer (s).
-
-        Returns:
-            The pump node's answer.
-
-        Raises:
-            PumpRequestError: it was refused, or there was no answer.
-        """
-        return self._request(
-            "dose", timeout_s, **_parameters(volume=volume, asked_at=requested_at)
-        )
-
-    def _request(
-        self, service: str, timeout_s: float, *, to_all: bool = False, **request: Any
-    ) -> str:
-        """Send a request to the pump node; if there are several, to all or to none.
-
-        The answer of one of two nodes of one name says nothing about the other one: it is asked
-        again when only one is left.
-        """
+        service, to_all = _SERVICES[action], action == "stop"
+        request = {"data": False} if action == "release" else _parameters(parameters)
         until, reported = time.monotonic() + timeout_s, tuple(self._pumps)
         settled = min(until, self._joined_at + _DISCOVERY_S)
         sent: dict[str, Any] = {}
@@ -269,13 +233,13 @@ class GraphClient:
         signal.alarm(before)
 
 
-def _parameters(**values: float | str) -> dict[str, Any]:
-    """Return the fields of a request with these parameters."""
+def _parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
+    """Return the fields of a request with these parameters; none without parameters."""
     from rclpy.parameter import Parameter
 
     return {"parameters": [
         Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-    ]}
+    ]} if values else {}
 
 
 def _is_done(future: Any) -> bool:

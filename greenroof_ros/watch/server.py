@@ -343,7 +343,7 @@ class _PageApplication:
         if action == "dose":
             given = {
                 "volume": _number(body, "volume", "m3"),
-                "requested_at": _number(body, "asked_at", "s"),
+                "asked_at": _number(body, "asked_at", "s"),
             }
         task = self._acting.get(action)
         # A request joins the one under way only if no other action was requested since.

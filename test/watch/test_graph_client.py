@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from functools import partial
 from typing import Any
 
 import pytest
@@ -18,6 +17,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import parameter_value_to_python
 
 from greenroof_ros.watch.graph_client import GraphClient, PumpRequestError
+
+PAGE = {"owner": "the page"}
 
 
 @pytest.fixture
@@ -62,17 +63,17 @@ def test_hold(place: int) -> None:
     client = GraphClient("", lambda *_: None)
     assert client.find_pumps(["/pump"]) == {"/pump"}
     pump = Pump(place)
-    assert client.hold_pump("the page", timeout_s=20) == "held: a hold by the page"
-    assert client.hold_pump("MQTT", "frost", 4e9, timeout_s=20)
+    assert client.request("stop", 20, **PAGE) == "held: a hold by the page"
+    assert client.request("stop", 20, owner="MQTT", reason="frost", until=4e9)
     assert pump.requests == [
-        {"owner": "the page", "reason": ""}, {"owner": "MQTT", "reason": "frost", "until": 4e9},
+        PAGE, {"owner": "MQTT", "reason": "frost", "until": 4e9},
     ]
     pump.success, pump.answer = False, "held: a hold by the page; but the disk is full"
     with pytest.raises(PumpRequestError, match="the disk is full"):
-        client.hold_pump("the page", timeout_s=20)
+        client.request("stop", 20, **PAGE)
     pump.answers.clear()
     with pytest.raises(PumpRequestError, match=r"did not answer within 0\.5 s"):
-        client.hold_pump("the page", timeout_s=0.5)
+        client.request("stop", 0.5, **PAGE)
     pump.answers.set()
     client.close()
     pump.close()
@@ -84,21 +85,20 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(place: int) -> None
     client = GraphClient("", lambda *_: None)
     wait_for(lambda: client.find_pumps() == {"/pump", "/other"}, 60, "both nodes")
     held = "held: a hold by the page"
-    assert client.hold_pump("the page", timeout_s=20) == f"/other: {held}; /pump: {held}"
-    assert [pump.requests for pump in pumps] == [[{"owner": "the page", "reason": ""}]] * 2
+    assert client.request("stop", 20, **PAGE) == f"/other: {held}; /pump: {held}"
+    assert [pump.requests for pump in pumps] == [[PAGE]] * 2
     # A node that does not answer, and one that is only reported, keep the stop from none.
     client.find_pumps(["/reported"])
     pumps[1].answers.clear()
     with pytest.raises(PumpRequestError) as refused:
-        client.hold_pump("the page", timeout_s=1.0)
+        client.request("stop", 1.0, **PAGE)
     assert len(pumps[0].requests) == 2 and refused.value.answered
     for part in (f"/pump: {held}", "/other did not answer", "/reported does not answer"):
         assert part in str(refused.value)
     pumps[1].answers.set()
-    for request in (client.release_pump, client.clear_fault, client.reset_fault,
-                    partial(client.request_dose, 0.1, 1.0)):
+    for action in ("release", "clear", "reset", "dose"):
         with pytest.raises(PumpRequestError, match="Nothing was done: it is not clear which node"):
-            request(timeout_s=20)
+            client.request(action, 20)
     # One that has gone is not asked any more, so that the other can be released.
     pumps.pop().close()
     wait_for(lambda: client.find_pumps() == {"/pump"}, 60, "the end of the other node")
@@ -107,10 +107,10 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(place: int) -> None
     wait_for(lambda: client._caller.count_services("/pump/hold") == 2, 60, "its twin")
     pumps[1].answers.clear()
     with pytest.raises(PumpRequestError, match=f"two nodes are named /pump, .*{held}") as refused:
-        client.hold_pump("the page", timeout_s=1.0)
+        client.request("stop", 1.0, **PAGE)
     assert refused.value.answered
     pumps[1].answers.set()
     pumps.pop().close()
-    assert client.hold_pump("the page", timeout_s=20) == held
+    assert client.request("stop", 20, **PAGE) == held
     client.close()
     pumps.pop().close()

@@ -1,0 +1,73 @@
+"""The time of each message of the graph that is watched."""
+
+from __future__ import annotations
+
+from greenroof_ros.common.interface import Topic
+from greenroof_ros.watch.registry import Registry
+
+# A message further than this from the clock (ticks) is of a publisher that was restarted: the plant
+# is at most 32 ticks ahead of the recorder, and messages received together are closer.
+_FAR = 64
+
+
+class MessageTimes:
+    """Which graph is there, and the time of each message: of its tick, or of arrival if it is live.
+
+    In lockstep the j-th message of a topic belongs to tick j - 1, by the number that its publisher
+    gave it. The order of arrival is less reliable: the plant's next clock may arrive before the
+    messages of the tick before it.
+
+    Attributes:
+        mode: the kind of graph, as in a registry.
+        live: whether the graph, now or last, is live; None before the first.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        """Start before the first message of the nodes in a registry."""
+        self.mode = "none"
+        self.live: bool | None = None
+        self._registry = registry
+        self._runs = 0
+        self.forget_clock()
+
+    def forget_clock(self) -> None:
+        """Start again before the first clock."""
+        self._newest_ns = 0  # time of the newest clock message (since 1970)
+        self._clock = 0  # its number
+        self._period = 0  # ns
+
+    def update(self, wall: float) -> bool:
+        """Return whether another run, or a graph of the other kind, began by now (steady, s)."""
+        was_live, self.mode = self.live, self._registry.mode(wall)
+        self.live = {"simulated": False, "live": True}.get(self.mode, was_live)
+        if self._registry.runs == self._runs and was_live in (None, self.live):
+            return False
+        self._runs = self._registry.runs
+        self.forget_clock()
+        return True
+
+    def receive_clock(self, number: int | None, time_ns: int) -> None:
+        """Receive a clock message, with the number that its publisher gave it."""
+        number = self._clock + 1 if number is None else number
+        if self._clock and number > self._clock:
+            self._period = (time_ns - self._newest_ns) // (number - self._clock)
+        self._clock, self._newest_ns = number, time_ns
+
+    def time_of(self, topic: Topic, number: int | None, arrived_ns: int) -> int | None:
+        """Return the time of a message (ns since 1970); None if it cannot be known yet.
+
+        Args:
+            topic: its topic.
+            number: which of its publisher's messages it is, from 1 on; None if that is unknown.
+            arrived_ns: when it arrived (ns since 1970).
+        """
+        if self.mode == "live":
+            return arrived_ns
+        if not topic.per_tick:
+            return self._newest_ns or None
+        if not self._period:
+            return None  # fewer than two clocks were received
+        # A pump driver from another package may have begun at any tick: it has the newest time.
+        own = any(self._registry.node(role) for role in topic.publishers)
+        ahead = number - self._clock if own and number is not None else 0
+        return None if abs(ahead) > _FAR else self._newest_ns + ahead * self._period
