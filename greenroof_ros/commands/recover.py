@@ -101,8 +101,8 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
         stream = file.open("rb")
     except OSError as error:
         return 0, [f"{file.name} cannot be read: {error.strerror}"]
-    schemas: dict[int, int] = {}
-    channels: dict[int, int] = {}
+    schemas: set[int] = set()
+    channels: set[int] = set()
     losses: list[str] = []
     messages = lost = 0
     last: int | None = None  # time of the last message written (ns)
@@ -114,14 +114,13 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
                 continue
             for record in part:
                 if isinstance(record, Schema) and record.id not in schemas:
-                    schemas[record.id] = writer.add_schema(
-                        record.name, record.encoding, record.data
-                    )
+                    schemas.add(record.id)
+                    writer.add_schema(record)
                 elif isinstance(record, Channel) and record.id not in channels:
-                    channels[record.id] = writer.add_channel(
-                        record.topic, record.message_encoding, schemas.get(record.schema_id, 0),
-                        record.metadata,
-                    )
+                    channels.add(record.id)
+                    if record.schema_id not in schemas:
+                        record.schema_id = 0  # its type was defined in what is lost
+                    writer.add_channel(record)
                 elif isinstance(record, Message) and record.channel_id not in channels:
                     lost += len(record.data)  # its topic was defined in what is lost
                 elif isinstance(record, Message):
@@ -130,8 +129,8 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
                     last, lost = record.log_time, 0
                     messages += 1
                     writer.add_message(
-                        channels[record.channel_id], record.log_time, record.data,
-                        record.publish_time, record.sequence,
+                        record.channel_id, record.log_time, record.data, record.publish_time,
+                        record.sequence,
                     )
             writer.flush()
         writer.finish()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -53,8 +54,8 @@ def read_alarms(directory: Path) -> list[Alarm]:
     """Return the newest recorded alarms of a live site, in order of number.
 
     Each line of the file is an alarm as it was known when the line was written; the last line with
-    a number counts. Of each file, the last 2 MB are read. Without the file, which a full disk may
-    have prevented, those of the summary count.
+    a number counts. Without the file, which a full disk may have prevented, those of the summary
+    count.
 
     Args:
         directory: of the site.
@@ -81,19 +82,13 @@ def read_alarms(directory: Path) -> list[Alarm]:
 
 
 def _read(path: Path) -> Iterator[Alarm]:
-    """Yield the alarm of each of the last lines of a file."""
-    with path.open("rb") as stream:
-        skipped = max(0, path.stat().st_size - 2 * _FULL)
-        stream.seek(skipped)
-        if skipped:
-            stream.readline()  # the rest of a line
-        *lines, _cut = stream.read().split(b"\n")
+    """Yield the alarm of each complete line of a file."""
+    *lines, _cut = path.read_bytes().split(b"\n")
     for index, line in enumerate(lines, start=1):
         try:
             yield _from_record(json.loads(line))
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
-            place = f"line {index} of its last 2 MB" if skipped else f"line {index}"
-            raise ValueError(f"{path}, {place}: is not an alarm ({error})") from error
+            raise ValueError(f"{path}, line {index}: is not an alarm ({error})") from error
 
 
 class AlarmLog:
@@ -178,10 +173,7 @@ class AlarmLog:
 
 def _drop_cut_line(file: Path) -> None:
     """Remove the end of a file after its last complete line, which a crash has cut."""
-    with file.open("rb+") as stream:
-        start = max(0, file.stat().st_size - _FULL)
-        stream.seek(start)
-        stream.truncate(start + stream.read().rfind(b"\n") + 1)
+    os.truncate(file, file.read_bytes().rfind(b"\n") + 1)
 
 
 def add_alarm_count(text: str, count: int) -> str:

@@ -159,6 +159,7 @@ class RecorderNode(SimulationNode):
             raise self._damaged(error) from error
 
     def _damaged(self, error: OSError) -> OSError:
+        self._bag.cut()
         bag = self._bag.directory
         return OSError(
             f"{bag}: {error.strerror}; 'greenroof recover {bag}' restores its first "

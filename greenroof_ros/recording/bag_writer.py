@@ -10,8 +10,8 @@ import functools
 import math
 import os
 import struct
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -194,7 +194,7 @@ class LiveBag:
 
 
 class BagFile:
-    """An mcap file being written; after an error it is truncated to its last flush.
+    """An mcap file being written; after an error it must be cut.
 
     Otherwise it would keep a part of the failed write, and the number of recoverable writes would
     differ from ``safe``.
@@ -223,19 +223,18 @@ class BagFile:
         self._writer = McapWriter(self._stream)
         self._add = self._writer.add_message
         types = _types()
-        schemas: dict[str, int] = {}
-        self._channels = []
-        for topic in topics:
+        kinds: list[str] = []
+        for number, topic in enumerate(topics, start=1):
             kind = topic.type
-            if kind not in schemas:
-                schemas[kind] = self._writer.add_schema(
-                    kind, "ros2msg", message_definition(kind).encode()
-                )
+            if kind not in kinds:
+                kinds.append(kind)
+                definition = message_definition(kind).encode()
+                self._writer.add_schema(Schema(len(kinds), definition, "ros2msg", kind))
             about = {_PROFILES: _yaml([_qos_profile(topic.qos)]), _HASH: types[kind]["hash"]}
-            self._channels.append(
-                self._writer.add_channel(topic.name, "cdr", schemas[kind], about)
+            self._writer.add_channel(
+                Channel(number, topic.name, "cdr", about, kinds.index(kind) + 1)
             )
-        self._counts = [0] * len(self._channels)
+        self._counts = [0] * len(topics)
 
     @property
     def size(self) -> int:
@@ -252,12 +251,9 @@ class BagFile:
         Raises:
             OSError: for instance on a full disk.
         """
-        with self._cut_on_error():
-            for index, message in messages:
-                self._add(
-                    self._channels[index], time_ns, message, time_ns, self._counts[index]
-                )
-                self._counts[index] += 1
+        for index, message in messages:
+            self._add(index + 1, time_ns, message, time_ns, self._counts[index])
+            self._counts[index] += 1
         self.written += 1
 
     def flush(self, *, to_disk: bool = False) -> None:
@@ -269,10 +265,9 @@ class BagFile:
         Raises:
             OSError: for instance on a full disk.
         """
-        with self._cut_on_error():
-            self._writer.flush()
-            if to_disk:
-                os.fsync(self._stream.fileno())
+        self._writer.flush()
+        if to_disk:
+            os.fsync(self._stream.fileno())
         self.safe, self._safe_bytes = self.written, self._stream.tell()
 
     def close(self) -> None:
@@ -281,9 +276,8 @@ class BagFile:
         Raises:
             OSError: for instance on a full disk.
         """
-        with self._cut_on_error():
-            self._writer.finish()
-            self._stream.close()
+        self._writer.finish()
+        self._stream.close()
         self.safe = self.written
 
     def cut(self) -> None:
@@ -294,14 +288,6 @@ class BagFile:
             os.truncate(self.path, self._safe_bytes)
             if not self._safe_bytes:
                 self.path.unlink()
-
-    @contextmanager
-    def _cut_on_error(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError:
-            self.cut()
-            raise
 
 
 class BagWriter(BagFile):
@@ -334,7 +320,7 @@ class BagWriter(BagFile):
             messages: the serialised (CDR) message of each topic, in the order of the topics.
 
         Raises:
-            OSError: for instance on a full disk; the file then ends with the safe ticks.
+            OSError: for instance on a full disk.
         """
         self.write(time_ns, enumerate(messages))
         if self.written % _TICKS_PER_CHUNK == 0:
@@ -344,7 +330,8 @@ class BagWriter(BagFile):
         """Finish the file and write ``metadata.yaml``.
 
         Raises:
-            OSError: for instance on a full disk; ``greenroof recover`` restores the safe ticks.
+            OSError: for instance on a full disk; when it is cut, ``greenroof recover`` restores the
+                safe ticks.
         """
         super().close()
         write_metadata(self.directory, [read_index(self.path)])

@@ -35,8 +35,8 @@ class McapWriter:
         self._stream = stream
         self._compress = ZstdCompressor().compress
         self._crc = 0  # of all that was written: chunks, and what lies between
-        self._schemas: list[records.Schema] = []
-        self._channels: list[records.Channel] = []
+        self._schemas: list[records.Schema] = []  # message types
+        self._channels: list[records.Channel] = []  # topics
         self._chunk_indexes = RecordBuilder()
         self._chunks = 0
         self._counts: Counter[int] = Counter()  # messages, by channel
@@ -46,22 +46,15 @@ class McapWriter:
         self._index: defaultdict[int, list[int]] = defaultdict(list)
         self._write(MCAP0_MAGIC + _packed(records.Header("ros2", "greenroof_ros")))
 
-    def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Add a message type; return its number."""
-        self._schemas.append(records.Schema(
-            id=len(self._schemas) + 1, name=name, encoding=encoding, data=data
-        ))
-        self._chunk += _packed(self._schemas[-1])
-        return len(self._schemas)
+    def add_schema(self, schema: records.Schema) -> None:
+        """Add a message type."""
+        self._schemas.append(schema)
+        self._chunk += _packed(schema)
 
-    def add_channel(self, topic: str, encoding: str, schema: int, metadata: dict[str, str]) -> int:
-        """Add a topic; return its channel's number."""
-        self._channels.append(records.Channel(
-            id=len(self._channels) + 1, topic=topic, message_encoding=encoding, schema_id=schema,
-            metadata=metadata,
-        ))
-        self._chunk += _packed(self._channels[-1])
-        return len(self._channels)
+    def add_channel(self, channel: records.Channel) -> None:
+        """Add a topic."""
+        self._channels.append(channel)
+        self._chunk += _packed(channel)
 
     def add_message(
         self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from io import BytesIO
+from itertools import count
 from random import Random
 
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
 from greenroof_ros.recording.mcap_writer import McapWriter
@@ -21,7 +23,15 @@ def ours(steps: list[Step]) -> bytes:
     """Write a file with the writer under test."""
     stream = BytesIO()
     writer = McapWriter(stream)
-    perform(steps, writer.add_schema, writer.add_channel, writer.add_message, writer.flush)
+    types, topics = count(1), count(1)
+
+    def add_schema(name: str, encoding: str, data: bytes) -> None:
+        writer.add_schema(Schema(next(types), data, encoding, name))
+
+    def add_channel(topic: str, encoding: str, schema: int, metadata: dict[str, str]) -> None:
+        writer.add_channel(Channel(next(topics), topic, encoding, metadata, schema))
+
+    perform(steps, add_schema, add_channel, writer.add_message, writer.flush)
     writer.finish()
     return stream.getvalue()
 
@@ -39,7 +49,7 @@ def theirs(steps: list[Step]) -> bytes:
 
 
 def perform(
-    steps: list[Step], schema: Callable[..., int], channel: Callable[..., int],
+    steps: list[Step], schema: Callable[..., object], channel: Callable[..., object],
     message: Callable[..., None], flush: Callable[[], None],
 ) -> None:
     for step in steps:
