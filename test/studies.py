@@ -85,7 +85,7 @@ def rows_of(file: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def edited(old: str, new: str) -> str:
+def edit_grid(old: str, new: str) -> str:
     """Return the grid with a replaced part."""
     assert old in GRID
     return GRID.replace(old, new)

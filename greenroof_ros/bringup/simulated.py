@@ -109,7 +109,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
             "record": not arguments.no_record,
             "peer_limit": arguments.peer_limit,
         })
-        summary.write(summary.build_unfinished(run, summary.RUNNING), directory)
+        summary.write(summary.make_unfinished_summary(run, summary.RUNNING), directory)
         progress = RunProgress(run.steps, run.site.tau, LINES)
         graph = Composition(
             run, [parameters, *user_files], arguments.namespace, record=not arguments.no_record,
@@ -140,13 +140,13 @@ def _end(
     """Write the summary; print it if the run is done, otherwise print how to open the bag."""
     notes: dict[str, Any] = {"refused": graph.refused, **graph.parameter_changes}
     if status == summary.DONE:
-        result = summary.build(run, **graph.results, **notes)
+        result = summary.make_summary(run, **graph.results, **notes)
         summary.write(result, directory)
         summary_table.show(result, directory, as_json=as_json)
         return
     _print_bag_contents(directory, count_ticks(directory / "bag"))
     tick = graph.tick
-    result = summary.build_unfinished(
+    result = summary.make_unfinished_summary(
         run, status, reason=reason, last_tick=tick if tick >= 0 else None, **notes
     )
     summary.write(result, directory)

@@ -20,7 +20,7 @@ from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, 
 from greenroof_ros.experiment.options import add_site_arguments, build_run
 from greenroof_ros.experiment.plan import PlanResult, recursion_plan
 from greenroof_ros.experiment.run import Run, count_ticks
-from greenroof_ros.experiment.summary import setting
+from greenroof_ros.experiment.summary import describe_setting
 from greenroof_ros.experiment.summary_table import grid, print_notes, setting_rows
 
 
@@ -38,7 +38,7 @@ def _result(
         "max_command": max_command,
         "block_s": bound.block * run.site.tau,
         "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2},
-        **setting(run),
+        **describe_setting(run),
         "evapotranspiration_method": run.weather.method,
     }
 

@@ -23,7 +23,7 @@ from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.formats.reading import name_format
 from greenroof_ros.formats.rules import check_hours
-from greenroof_ros.model.place import kilometres, place_text
+from greenroof_ros.model.place import format_place, measure_distance
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.reading import complete_records, find_files, read_measured
 from greenroof_ros.weather.series import Weather
@@ -136,7 +136,7 @@ def _measure_distances(places: Sequence[tuple[float, float]], site: Site) -> lis
     """Return how far places are from the site (km); None if the site gives no place."""
     if site.latitude is None or site.longitude is None:
         return None
-    return [round(kilometres(place, (site.latitude, site.longitude)), 1) for place in places]
+    return [round(measure_distance(place, (site.latitude, site.longitude)), 1) for place in places]
 
 
 def _describe_column(name: str, measured: Records) -> dict[str, Any]:
@@ -187,9 +187,9 @@ def _list_rows(about: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     for number, place in enumerate(about["places"]):
         away = "" if about["km_from_site"] is None else (
             f"{about['km_from_site'][number]:.0f} km from the site, "
-            f"{place_text(*about['site_place'])} (--site)"
+            f"{format_place(*about['site_place'])} (--site)"
         )
-        yield "place", place_text(*place), away
+        yield "place", format_place(*place), away
     if not about["places"]:
         yield "place", "not given", ""
     span = " to ".join(

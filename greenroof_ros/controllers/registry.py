@@ -254,7 +254,7 @@ def find_controller(reference: str) -> ControllerChoice:
     return ControllerChoice(name, reference, reference)
 
 
-def choice_of(kind: Any) -> ControllerChoice:
+def choose_class(kind: Any) -> ControllerChoice:
     """Return the choice of a class that a program gives; one of this package's by its name."""
     path = f"{kind.__module__}:{kind.__qualname__}"
     for name, own in BUILT_IN.items():

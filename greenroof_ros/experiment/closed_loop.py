@@ -99,7 +99,7 @@ class Simulation:
 
     def summary(self) -> dict[str, Any]:
         """Return the content of ``summary.json``, after the last tick."""
-        return summary.build(
+        return summary.make_summary(
             self._run, self.metrics.results(), self.metrics.weekly_deviations(),
             wall_s=self._wall_s, solver=read_statistics(self._controller),
         )

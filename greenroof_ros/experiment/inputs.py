@@ -257,8 +257,8 @@ def _refuse_what_nodes_refuse(site: Site, series: WeatherSeries, x1: float, x2: 
     for name, value in (
         ("/cistern/level", site.cistern_level(x1)),
         ("/roof/level", site.roof_level(x2)),
-        ("/weather/precipitation", series.precipitation.largest),
-        ("/weather/evapotranspiration", series.evapotranspiration.largest),
+        ("/weather/precipitation", series.precipitation.maximum),
+        ("/weather/evapotranspiration", series.evapotranspiration.maximum),
     ):
         topic = topics[name]
         if value > topic.high:

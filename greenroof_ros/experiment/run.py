@@ -17,7 +17,7 @@ from greenroof_ros.forecast.resampling import Forecast
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.model.initial_state import note_full_roof
-from greenroof_ros.model.place import kilometres, place_text
+from greenroof_ros.model.place import format_place, measure_distance
 from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
@@ -118,11 +118,12 @@ def _note_far(weather: Weather, site: Site) -> Iterator[str]:
     if site.latitude is None or site.longitude is None:
         return
     for file, place in weather.places.items():
-        away = kilometres(place, (site.latitude, site.longitude))
+        away = measure_distance(place, (site.latitude, site.longitude))
         if away > _FAR_KM:
             yield (
-                f"{file} is from {place_text(*place)}, {away:.0f} km from the site at "
-                f"{place_text(site.latitude, site.longitude)}: is it the right weather (--weather)?"
+                f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
+                f"{format_place(site.latitude, site.longitude)}: is it the right weather "
+                "(--weather)?"
             )
 
 

@@ -24,7 +24,7 @@ SITE_FILE = "site.yaml"
 RUNNING, DONE, FAILED, INTERRUPTED = "running", "done", "failed", "interrupted"
 
 
-def build(
+def make_summary(
     run: Run,
     metrics: Mapping[str, float],
     weeks: Sequence[float],
@@ -43,10 +43,10 @@ def build(
         wall_s: duration in wall time (s).
         solver: the controller's statistics; None if it has no solver.
         messages: number of messages of each topic in the bag.
-        happened: what happened during the run, as for :func:`build_unfinished`.
+        happened: what happened during the run, as for :func:`make_unfinished_summary`.
     """
     return {
-        **build_unfinished(run, DONE, last_tick=run.steps, **happened),
+        **make_unfinished_summary(run, DONE, last_tick=run.steps, **happened),
         "frost_hours": run.series.frost_hours,
         "precipitation_in_frost_mm": run.series.precipitation_in_frost,
         **metrics,
@@ -58,7 +58,7 @@ def build(
     }
 
 
-def build_unfinished(
+def make_unfinished_summary(
     run: Run,
     status: str,
     *,
@@ -88,9 +88,9 @@ def build_unfinished(
         "last_tick": last_tick,
         "controller": run.controller.name,
         "controller_reference": run.controller.reference,
-        "parameters": finite(run.parameters),
+        "parameters": replace_infinity(run.parameters),
         "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2, **layer},
-        **setting(run),
+        **describe_setting(run),
         "gaps": run.weather.gaps,
         "evapotranspiration_method": run.weather.method,
         "forecast": {
@@ -99,7 +99,7 @@ def build_unfinished(
             **({"file": str(choice.file)} if choice.file is not None else {}),
         },
         "forecast_repeats_last_record_from": repeats_from.isoformat() if repeats_from else None,
-        "longest_issue_h": run.forecast.longest,
+        "max_issue_h": run.forecast.max_issue_h,
         "sensor_and_pump": run.sensor_and_pump.values(),
         "filled": run.series.filled,
         "filled_hours": run.series.filled_hours,
@@ -111,7 +111,7 @@ def build_unfinished(
     }
 
 
-def setting(run: Run) -> dict[str, Any]:
+def describe_setting(run: Run) -> dict[str, Any]:
     """Return where and when a run takes place, and what a reader must know before its results."""
     weather = run.weather
     return {
@@ -129,7 +129,7 @@ def setting(run: Run) -> dict[str, Any]:
     }
 
 
-def finite(parameters: Mapping[str, float]) -> dict[str, float | None]:
+def replace_infinity(parameters: Mapping[str, float]) -> dict[str, float | None]:
     """Return parameters for JSON, which has no infinity: null stands for no limit."""
     return {name: value if math.isfinite(value) else None for name, value in parameters.items()}
 
@@ -157,7 +157,7 @@ def write(summary: Mapping[str, Any], directory: Path) -> None:
             raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-def site_file_of(run: Path) -> Path:
+def find_site_file(run: Path) -> Path:
     """Return the path of a run's site file; a live site keeps it in a directory of its own."""
     configuration = run / "configuration"
     return next(iter((configuration / "site").glob("*")), configuration / SITE_FILE)
@@ -182,7 +182,7 @@ def versions() -> dict[str, str]:
     return result
 
 
-def versions_text(by_name: Mapping[str, str]) -> str:
+def format_versions(by_name: Mapping[str, str]) -> str:
     """Write versions for people, with the hash under a name that they understand."""
     names = {"source": "hash of its source files"}
     return ", ".join(f"{names.get(name, name)} {version}" for name, version in by_name.items())

@@ -14,7 +14,7 @@ from rich.table import Table
 from greenroof_ros.common.times import hours_minutes, to_minutes
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.model.place import place_text
+from greenroof_ros.model.place import format_place
 from greenroof_ros.model.sensor_and_pump import SensorAndPump
 
 _PERIOD = ("from", "until")
@@ -103,10 +103,10 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     repeats_from = summary["forecast_repeats_last_record_from"]
     if repeats_from:
         yield "forecast", "ends", f"at {repeats_from}; later values are assumed"
-    longest, horizon = summary["longest_issue_h"], summary["parameters"].get("horizon") or 0.0
-    if longest is not None and longest < horizon:
+    max_issue, horizon = summary["max_issue_h"], summary["parameters"].get("horizon") or 0.0
+    if max_issue is not None and max_issue < horizon:
         yield (
-            "FORECAST", f"{longest} h",
+            "FORECAST", f"{max_issue} h",
             f"is the longest issue, the horizon {horizon:g} h: no rain is assumed after its end",
         )
     if SensorAndPump(**summary["sensor_and_pump"]) != SensorAndPump():
@@ -122,11 +122,11 @@ def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield site and weather of a run: places, the records' period and the run's, and notes."""
     start = datetime.fromisoformat(summary["start"])
     end = start + timedelta(seconds=summary["steps"] * summary["tau_s"])
-    places = [place_text(*place) for place in summary["weather_places"]]
+    places = [format_place(*place) for place in summary["weather_places"]]
     records = [to_minutes(datetime.fromisoformat(summary[f"weather_{at}"])) for at in _PERIOD]
-    yield "site", Path(summary["site"]).name, place_text(*summary["place"])
+    yield "site", Path(summary["site"]).name, format_place(*summary["place"])
     yield "weather", Path(summary["weather"]).name, (
-        f"{' and '.join(places) or place_text(None, None)}; records from {records[0]} to "
+        f"{' and '.join(places) or format_place(None, None)}; records from {records[0]} to "
         f"{records[1]}, the run from {to_minutes(start)} to {to_minutes(end)}"
     )
     for note in summary["weather_notes"]:

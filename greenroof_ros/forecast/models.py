@@ -77,7 +77,7 @@ _RECORDS = 6158359
 class ForecastModel(ABC):
     """Hourly forecasts: what is known in an hour about the following ones."""
 
-    longest: int | None = None
+    max_issue_h: int | None = None
     """length of the longest issue (h); None if forecasts have no end"""
     notes: tuple[str, ...] = ()
     """what of a file's forecasts could not be used as it is"""
@@ -179,7 +179,7 @@ class FileModel(ForecastModel):
         super().__init__(weather)
         self.notes = archive.notes
         self._archive = archive = replace(archive, issues=align_to_hours(archive.issues, weather))
-        self.longest = max(issue.hours for issue in archive.issues)
+        self.max_issue_h = max(issue.hours for issue in archive.issues)
         self._late = weather.rain_late
         # The hour of the records at whose start each issue becomes known. If their rain is late,
         # forecasts must be as late: otherwise the controller would expect rain that in fact fell an

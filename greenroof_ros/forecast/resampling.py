@@ -124,11 +124,11 @@ class PerfectForecast:
 
     Attributes:
         repeats_from: the earliest time from which its values are assumed.
-        longest: length of its longest issue (h); None if it has no end.
+        max_issue_h: length of its longest issue (h); None if it has no end.
         notes: what of a file's forecasts could not be used as it is.
     """
 
-    longest = None
+    max_issue_h = None
     notes: tuple[str, ...] = ()
 
     def __init__(self, series: WeatherSeries, look_ahead: int) -> None:
@@ -170,7 +170,7 @@ class SteppedForecast:
 
     Attributes:
         repeats_from: see :class:`PerfectForecast`.
-        longest: see there.
+        max_issue_h: see there.
         notes: see there.
     """
 
@@ -200,7 +200,7 @@ class SteppedForecast:
         self._hour_forecast = lru_cache(maxsize=1)(self._make_hour_forecast)
         self._at = lru_cache(maxsize=1)(self._outlook)
         self.repeats_from = self._request_all()
-        self.longest = model.longest
+        self.max_issue_h = model.max_issue_h
         self.notes = model.notes
 
     def precipitation(self, tick: int) -> Rain:

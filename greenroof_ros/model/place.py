@@ -7,7 +7,7 @@ import math
 _EARTH_KM = 6371.0
 
 
-def kilometres(here: tuple[float, float], there: tuple[float, float]) -> float:
+def measure_distance(here: tuple[float, float], there: tuple[float, float]) -> float:
     """Return the distance of two places along a great circle (km); latitudes and longitudes."""
     (north, east), (north2, east2) = (map(math.radians, place) for place in (here, there))
     chord = math.sin((north2 - north) / 2) ** 2 + (
@@ -16,7 +16,7 @@ def kilometres(here: tuple[float, float], there: tuple[float, float]) -> float:
     return 2 * _EARTH_KM * math.asin(min(1.0, math.sqrt(chord)))
 
 
-def place_text(latitude: float | None, longitude: float | None) -> str:
+def format_place(latitude: float | None, longitude: float | None) -> str:
     """Write a place for people: 43.63 N, 79.4 W."""
     if latitude is None or longitude is None:
         return "place not given"

@@ -380,7 +380,7 @@ def site_parameters() -> list[Parameter]:
     return parameters_of(Site)
 
 
-def edited(path: Path, values: Mapping[str, Any]) -> str:
+def edit_site_text(path: Path, values: Mapping[str, Any]) -> str:
     """Return the text of a site file with other values; its comments stay.
 
     The entries of a file that it extends are copied into it, so that it is complete. Volumes that
@@ -411,7 +411,7 @@ def _changes(current: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str,
     return {key: value for key, value in new.items() if value != current.get(key)}
 
 
-def site_text(site: Site) -> str:
+def format_site(site: Site) -> str:
     """Return the text of a site file, without comments, that :func:`read_site` reads as a site."""
     text: str = safe_dump({
         name: list(value) if isinstance(value, tuple) else value
@@ -507,7 +507,7 @@ def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
     Args:
         path: of the file.
         changes: parameters with other values than in the file; volumes that depend on them follow,
-            as in :func:`edited`.
+            as in :func:`edit_site_text`.
 
     Raises:
         ConfigurationError: a parameter is missing, unknown, not a number, beyond its range, or

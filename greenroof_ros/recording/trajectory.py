@@ -24,7 +24,7 @@ TRAJECTORY, CSV = "trajectory.parquet", "trajectory.csv"
 """The file's name in the directory of a run: of a study or of Python, and of the command."""
 
 
-class Column(NamedTuple):
+class TrajectoryColumn(NamedTuple):
     """One quantity of a trajectory."""
 
     name: str
@@ -37,27 +37,27 @@ class Column(NamedTuple):
     """in a bag; the volumes are computed from levels"""
 
 
-LAYER = Column("drainage_layer_m3", "layer")
+LAYER = TrajectoryColumn("drainage_layer_m3", "layer")
 """of a measured soil only"""
 
 # Besides the times, in the order of files and tables.
 COLUMNS = (
-    Column("cistern_m3", "x1", "cistern", "/cistern/level"),
-    Column("roof_m3", "x2", "roof", "/roof/level"),
-    Column("cistern_level_m", "cistern_level"),
-    Column("roof_level_m", "roof_level"),
-    Column(
+    TrajectoryColumn("cistern_m3", "x1", "cistern", "/cistern/level"),
+    TrajectoryColumn("roof_m3", "x2", "roof", "/roof/level"),
+    TrajectoryColumn("cistern_level_m", "cistern_level"),
+    TrajectoryColumn("roof_level_m", "roof_level"),
+    TrajectoryColumn(
         "precipitation_m_per_s", "precipitation", "precipitation", "/weather/precipitation",
     ),
-    Column(
+    TrajectoryColumn(
         "evapotranspiration_m3_per_s", "evapotranspiration", "evapotranspiration",
         "/weather/evapotranspiration",
     ),
-    Column("command", "command", "command", "/pump/command"),
-    Column("pump_flow_m3_per_s", "flows.pump", "pump_flow", "/pump/flow"),
-    Column("outflow_m3_per_s", "flows.outflow", "outflow", "/cistern/outflow"),
-    Column("drainage_m3_per_s", "flows.drainage", "drainage", "/roof/drainage"),
-    Column("frost", "frost", "frost", "/weather/frost"),
+    TrajectoryColumn("command", "command", "command", "/pump/command"),
+    TrajectoryColumn("pump_flow_m3_per_s", "flows.pump", "pump_flow", "/pump/flow"),
+    TrajectoryColumn("outflow_m3_per_s", "flows.outflow", "outflow", "/cistern/outflow"),
+    TrajectoryColumn("drainage_m3_per_s", "flows.drainage", "drainage", "/roof/drainage"),
+    TrajectoryColumn("frost", "frost", "frost", "/weather/frost"),
     LAYER,
 )
 RECORDED = tuple(column for column in COLUMNS if column.attribute)

@@ -120,8 +120,8 @@ class PerTick(Sequence[float]):
         return array("d", self.hourly[self.clock.hours(ticks)].tobytes())
 
     @property
-    def largest(self) -> float:
-        """The largest value of a tick."""
+    def maximum(self) -> float:
+        """The maximum value of a tick."""
         first, last = self.clock.hour(0), self.clock.hour(len(self) - 1)
         return float(self.hourly[first : last + 1].max())
 

@@ -19,7 +19,7 @@ from greenroof_ros.commands import simulate
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.experiment.options import build_run
-from greenroof_ros.model.place import kilometres, place_text
+from greenroof_ros.model.place import format_place, measure_distance
 
 BERLIN = (52.52, 13.41)
 HEADER = "time,precipitation [mm/h],published evapotranspiration [mm/day]\n"
@@ -129,8 +129,8 @@ def test_a_wrong_place_is_refused(tmp_path: Path) -> None:
 def test_distances(
     here: tuple[float, float], there: tuple[float, float], distance: float
 ) -> None:
-    assert kilometres(here, there) == pytest.approx(distance, rel=1e-3)
-    assert place_text(-33.87, 151.21) == "33.87 S, 151.21 E"
+    assert measure_distance(here, there) == pytest.approx(distance, rel=1e-3)
+    assert format_place(-33.87, 151.21) == "33.87 S, 151.21 E"
 
 
 def examples() -> list[str]:

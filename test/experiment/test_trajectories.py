@@ -8,7 +8,7 @@ from pathlib import Path
 from commands import run_command
 from graphs import environment
 from paper import paper_run
-from studies import edited
+from studies import edit_grid
 
 from greenroof_ros.analysis.study.case import collect_contents
 from greenroof_ros.analysis.study.case_run import run_case, write_inputs
@@ -33,7 +33,7 @@ def test_csv(tmp_path: Path) -> None:
 
 def test_results_do_not_depend_on_it(tmp_path: Path) -> None:
     """A study's run without a trajectory, with each tick, and with one every 100 s."""
-    (tmp_path / "grid.yaml").write_text(edited("0.25", "0.1"))
+    (tmp_path / "grid.yaml").write_text(edit_grid("0.25", "0.1"))
     case = read_grid(tmp_path / "grid.yaml")[-1]
     write_inputs(collect_contents([case]), tmp_path)
     outcomes = [run_case(tmp_path, case, every) for every in (None, 0.0, 100.0)]

@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 
 import greenroof_ros
-from greenroof_ros.experiment.summary import versions, versions_text
+from greenroof_ros.experiment.summary import format_versions, versions
 
 
 def test_the_source_is_a_hash_and_the_version_reports_it() -> None:
@@ -17,6 +17,6 @@ def test_the_source_is_a_hash_and_the_version_reports_it() -> None:
         digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())
     by_name = versions()
     assert by_name["source"] == digest.hexdigest()[:12]
-    assert versions_text(by_name).startswith(
+    assert format_versions(by_name).startswith(
         f"greenroof_ros {greenroof_ros.__version__}, hash of its source files {by_name['source']}, "
     )

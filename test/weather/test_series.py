@@ -81,7 +81,7 @@ def test_each_tick_has_its_hour(tau: float) -> None:
         assert min(now.until, steps + 10) == until
     assert series.frost_hours == pytest.approx(frost[:steps].sum() * tau / 3600, rel=1e-12)
     assert series.precipitation[5:25:3].tolist() == rain[5:25:3].tolist()
-    assert series.precipitation.largest == rain.max()
+    assert series.precipitation.maximum == rain.max()
     with pytest.raises(IndexError):
         series.precipitation[steps + 10]
 

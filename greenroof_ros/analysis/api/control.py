@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.protocol import Controller
-from greenroof_ros.controllers.registry import ControllerChoice, choice_of, find_controller
+from greenroof_ros.controllers.registry import ControllerChoice, choose_class, find_controller
 from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import Site
 
@@ -115,9 +115,9 @@ def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | N
     if isinstance(controller, str):
         return find_controller(controller), None
     if isinstance(controller, type):
-        return choice_of(controller), None
+        return choose_class(controller), None
     if hasattr(controller, "command"):
-        return choice_of(type(controller)), controller
+        return choose_class(type(controller)), controller
     if not callable(controller):
         raise ConfigurationError(
             "must be a name, a class, an instance, or a function of (state, forecast)",
@@ -125,7 +125,7 @@ def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | N
         )
     name = getattr(controller, "__name__", type(controller).__name__).strip("<>")
     members = {"function": staticmethod(controller), "__module__": controller.__module__}
-    return choice_of(type(name, (FunctionController,), members)), None
+    return choose_class(type(name, (FunctionController,), members)), None
 
 
 def read_parameters(instance: Controller, choice: ControllerChoice) -> dict[str, float]:

@@ -14,7 +14,7 @@ from greenroof_ros.analysis.api.arguments import build_run
 from greenroof_ros.analysis.api.control import ForecastSteps, FunctionController, SiteState
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.registry import choice_of
+from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.experiment.closed_loop import Simulation, Tick
 from greenroof_ros.forecast.resampling import PerfectForecast, make_forecast
 from greenroof_ros.model.look_ahead import look_ahead_ends
@@ -70,7 +70,7 @@ class Environment:
         Raises:
             ConfigurationError: an input is wrong.
         """
-        self._run = build_run(choice_of(FunctionController), inputs)
+        self._run = build_run(choose_class(FunctionController), inputs)
         self.site = self._run.site
         self._ends = look_ahead_ends(self.site, self._run.parameters["horizon"])
         self.reset()

@@ -13,7 +13,7 @@ from ruamel.yaml.comments import CommentedMap
 from greenroof_ros.analysis.calibration.fit import FILLED, Fit
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.pump_curve import PumpCurve
-from greenroof_ros.model.site import edited, read_site, site_parameters, site_yaml
+from greenroof_ros.model.site import edit_site_text, read_site, site_parameters, site_yaml
 
 CROP_NOTE = (
     "applies only if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a "
@@ -86,8 +86,9 @@ def edit_site_file(file: Path, entries: Entries, heading: Sequence[str]) -> str:
     """
     yaml = site_yaml()
     values = {name: f"{value:.6g}" for name, (value, _) in entries.items()}
-    missing = [name for name in entries if name not in yaml.load(edited(file, {}))]
-    site: CommentedMap = yaml.load(edited(file, {key: float(text) for key, text in values.items()}))
+    missing = [name for name in entries if name not in yaml.load(edit_site_text(file, {}))]
+    fitted = {key: float(text) for key, text in values.items()}
+    site: CommentedMap = yaml.load(edit_site_text(file, fitted))
     site.fa.set_block_style()
     for name, (_, reason) in entries.items():
         site[name] = values[name]

@@ -16,7 +16,7 @@ from greenroof_ros.common.alarm_log import read_alarms
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.times import to_people
-from greenroof_ros.experiment.summary import site_file_of
+from greenroof_ros.experiment.summary import find_site_file
 from greenroof_ros.model.metrics import Samples, totals_of
 from greenroof_ros.model.plant import mains_flow
 from greenroof_ros.model.site import Site, read_site
@@ -79,7 +79,7 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
 
 def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRun:
     run, bag, notes = run_directory(path), _bag_in(path), list(about.notes)
-    own_site = site_file_of(run)
+    own_site = find_site_file(run)
     file = given if isinstance(given, Path) else own_site if own_site.is_file() else None
     site = given if isinstance(given, Site) else read_site(file or default_site_file())
     if file is None and given is None:

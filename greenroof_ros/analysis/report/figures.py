@@ -20,7 +20,7 @@ from greenroof_ros.analysis.report.drawing import (
     round_value,
     value_scale,
 )
-from greenroof_ros.analysis.report.groups import FLOWS, TOTAL, Case, Report
+from greenroof_ros.analysis.report.groups import FLOWS, TOTAL, CaseRuns, Report
 from greenroof_ros.analysis.report.trajectories import (
     Drawn,
     figures_over_time,
@@ -60,7 +60,7 @@ def make_figures(report: Report) -> Iterator[Figure]:
         yield balance(cases, name)
 
 
-def _over_time(place: Sequence[Case], name: str) -> Iterator[Figure]:
+def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
     """Yield the figures over time of a place's runs that are cases of their own."""
     window, initial = place[0].place
     title = f"from {initial}: {window}"
@@ -122,7 +122,7 @@ def _rows_panel(
     return Panel(alt.layer(*layers), title, _height(rows))
 
 
-def _row(case: Case, *values: float) -> dict[str, Any]:
+def _row(case: CaseRuns, *values: float) -> dict[str, Any]:
     """Return a row of such a panel, with value, low and high."""
     rounded = zip(("v", "low", "high"), map(round_value, values), strict=True)
     return {"case": case.label, "controller": case.row["controller"], **dict(rounded)}
@@ -138,7 +138,7 @@ def _height(rows: Rows) -> int:
     return max(60, 18 * len({row["case"] for row in rows}))
 
 
-def deviation(cases: Sequence[Case], name: str) -> Figure:
+def deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
     """Return the total deviation of a window's cases, a panel for each initial state."""
     panels, data = list[Panel](), dict[str, Rows]()
     for initial in dict.fromkeys(case.place[1] for case in cases):
@@ -167,7 +167,7 @@ _TERMS = {
 _LABELS = {metric.name: metric.label for metric in METRICS}
 
 
-def balance(cases: Sequence[Case], name: str) -> Figure:
+def balance(cases: Sequence[CaseRuns], name: str) -> Figure:
     """Return the water balance of both tanks: a row of panels for each initial state."""
     panels, data = list[Panel](), dict[str, Rows]()
     for initial in dict.fromkeys(case.place[1] for case in cases):

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from greenroof_ros.analysis.report.intervals import Comparison, Deviations, compare
+from greenroof_ros.analysis.report.intervals import Deviations, SeasonComparison, compare
 from greenroof_ros.analysis.report.run import ReportedRun, Row
 from greenroof_ros.analysis.report.sources import Sources
 from greenroof_ros.controllers.onoff import OnOff
@@ -38,7 +38,7 @@ class Assumptions(NamedTuple):
 
 
 @dataclass
-class Case:
+class CaseRuns:
     """Runs of one window, initial state and setting.
 
     Attributes:
@@ -52,7 +52,7 @@ class Case:
     runs: list[ReportedRun]
     row: Row
     deviations: Deviations
-    relative: Comparison | None = None
+    relative: SeasonComparison | None = None
 
     @property
     def label(self) -> str:
@@ -88,11 +88,11 @@ class Report:
         for place in self.places():
             _compare(place)
 
-    def windows(self) -> list[list[Case]]:
+    def windows(self) -> list[list[CaseRuns]]:
         """Return the cases of each window."""
         return _grouped(self.cases, lambda case: case.place[0])
 
-    def places(self) -> list[list[Case]]:
+    def places(self) -> list[list[CaseRuns]]:
         """Return the cases of each window and initial state."""
         return _grouped(self.cases, lambda case: case.place)
 
@@ -104,7 +104,7 @@ def _grouped(items: Sequence[Item], key: Callable[[Item], object]) -> list[list[
     return list(groups.values())
 
 
-def _case(runs: list[ReportedRun], assumptions: Assumptions) -> Case:
+def _case(runs: list[ReportedRun], assumptions: Assumptions) -> CaseRuns:
     """Return the case of some runs."""
     years: dict[int, list[Row]] = {}
     season = runs[0].row["season"]
@@ -118,7 +118,7 @@ def _case(runs: list[ReportedRun], assumptions: Assumptions) -> Case:
         year: np.array([row["weekly_deviation_m3"][:whole] for row in rows])
         for year, rows in years.items() if season
     }
-    return Case(runs, row, Deviations(totals, weeks))
+    return CaseRuns(runs, row, Deviations(totals, weeks))
 
 
 def _means(years: Sequence[Sequence[Row]]) -> Row:
@@ -175,7 +175,7 @@ def _sum(row: Row, terms: Mapping[str, int]) -> float | None:
     return float(sum(sign * row[name] for name, sign in terms.items()))
 
 
-def _compare(place: Sequence[Case]) -> None:
+def _compare(place: Sequence[CaseRuns]) -> None:
     """Compare the seasons of a place with the on/off controller that fills to the target.
 
     That is the paper's. Of several with different shares of the flow it is the one in the most

@@ -64,7 +64,7 @@ class Deviations:
         return float(within @ values[order] / count)
 
 
-class Comparison(NamedTuple):
+class SeasonComparison(NamedTuple):
     """A controller compared with another in the same years."""
 
     difference: float
@@ -77,7 +77,7 @@ class Comparison(NamedTuple):
     """number of years in which both ran"""
 
 
-def compare(own: Deviations, other: Deviations) -> Comparison | None:
+def compare(own: Deviations, other: Deviations) -> SeasonComparison | None:
     """Compare two controllers; None if they share fewer than two years, or a divisor is 0."""
     years = [year for year in own.totals if year in other.totals]
     means, others = (
@@ -86,7 +86,7 @@ def compare(own: Deviations, other: Deviations) -> Comparison | None:
     if len(years) < 2 or not others.any():
         return None
     counts = np.vstack((np.ones(len(years)), _draws(len(years))))
-    return Comparison(
+    return SeasonComparison(
         difference=float(np.mean(means - others)),
         mean=_ratio(counts @ means / (counts @ others), len(years)),
         better=int((means < others).sum()),

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from greenroof_ros.analysis.report.drawing import CONFIG, Figure, Rows
 from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.tables import Table, make_notes, make_tables
-from greenroof_ros.experiment.summary import versions, versions_text
+from greenroof_ros.experiment.summary import format_versions, versions
 from greenroof_ros.model.site import Site, site_parameters
 
 
@@ -33,7 +33,7 @@ def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
         undefined=jinja2.StrictUndefined,
     )
     return environment.get_template("page.html").render({
-        "figures": figures, "versions": versions_text(versions()), "library": _library(),
+        "figures": figures, "versions": format_versions(versions()), "library": _library(),
         "payload": payload(figures), "folded": False, **values,
     })
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greenroof_ros.analysis.report.groups import TOTAL, Case, Report
-from greenroof_ros.analysis.report.intervals import Comparison
+from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Report
+from greenroof_ros.analysis.report.intervals import SeasonComparison
 from greenroof_ros.model.metrics import METRICS
 
 Table = list[dict[str, str]]
@@ -103,7 +103,7 @@ def make_tables(report: Report) -> dict[str, Table]:
     return tables
 
 
-def _named(report: Report, case: Case) -> dict[str, str]:
+def _named(report: Report, case: CaseRuns) -> dict[str, str]:
     """Return the cells that name a case, and how its run ended if one of the runs is unfinished."""
     ended = any(run.row.get("ended") for run in report.runs)
     window, initial = case.place
@@ -122,7 +122,7 @@ def _text(value: float | None, result: _Result) -> str:
     return f"{value:{result.form}}" + " ⚠" * (value > result.max_possible)
 
 
-def _spread(report: Report, case: Case) -> dict[str, str]:
+def _spread(report: Report, case: CaseRuns) -> dict[str, str]:
     """Return the cells on how a case's runs differ, marked if some of them failed."""
     lacking = sum(
         (run["window"], run["from"], run["case"]) == (*case.place, case.label)
@@ -143,7 +143,7 @@ def _spread(report: Report, case: Case) -> dict[str, str]:
     return cells
 
 
-def _relative(relative: Comparison) -> dict[str, str]:
+def _relative(relative: SeasonComparison) -> dict[str, str]:
     """Return the cells of a comparison with on/off."""
     return {
         "deviation of a season, over on/off's (1)": f"{relative.mean.value:.3f}",

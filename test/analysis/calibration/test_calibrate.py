@@ -18,7 +18,7 @@ from twins import TWIN, record_rows, summed, write
 from greenroof_ros.analysis.calibration.site_file import edit_site_file
 from greenroof_ros.commands.calibrate import read_pump_data
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.model.site import edited, read_site
+from greenroof_ros.model.site import edit_site_text, read_site
 
 PUMPED = replace(TWIN, a_in=300.0, a_hat=-1e6, c_hat=45.0)
 PAPER = shared_directory() / "config" / "site.yaml"
@@ -36,7 +36,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     directory = tmp_path_factory.mktemp("command")
     write(record_rows(PUMPED, 32, 2, pumping=True), directory / "twin.csv")
-    (directory / "site.yaml").write_text(edited(PAPER, {
+    (directory / "site.yaml").write_text(edit_site_text(PAPER, {
         "a2": 100.0, "z_veg": 0.06, "z_soil": 0.1, "latitude": 52.5, "longitude": 13.4,
         "utc_offset": 1.0, "a_in": 300.0,
     }), encoding="utf-8")

@@ -228,5 +228,5 @@ def ended_run(
     (directory / "configuration" / "weather").mkdir(parents=True)
     for name in ("site.yaml", "weather/toronto_2021-07.csv"):
         shutil.copy(CONFIG / name, directory / "configuration" / name)
-    summary.write({**summary.build_unfinished(example.run, status), **known}, directory)
+    summary.write({**summary.make_unfinished_summary(example.run, status), **known}, directory)
     return directory

@@ -11,8 +11,8 @@ import scipy.stats
 from inputs import figures_of, report_of, study_of
 from studies import record, run_here
 
-from greenroof_ros.analysis.report.groups import TOTAL, Case, Report
-from greenroof_ros.analysis.report.intervals import Comparison, Deviations, compare
+from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Report
+from greenroof_ros.analysis.report.intervals import Deviations, SeasonComparison, compare
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
 
 YEARS = range(2015, 2026)
@@ -47,7 +47,7 @@ def deviations(*seeds: dict[int, float]) -> Deviations:
     )
 
 
-def relative_to_onoff(*seeds: dict[int, float]) -> Comparison:
+def relative_to_onoff(*seeds: dict[int, float]) -> SeasonComparison:
     """Return the comparison with on/off of a controller with one seed for each of these totals."""
     comparison = compare(deviations(*seeds), deviations(ONOFF))
     assert comparison is not None
@@ -125,7 +125,7 @@ def test_intervals_of_another_library() -> None:
 # --- a study's cases -----------------------------------------------------------------------------
 
 
-def case_of(report: Report, controller: str) -> Case:
+def case_of(report: Report, controller: str) -> CaseRuns:
     """Return the only case of a controller."""
     (case,) = (case for case in report.cases if case.row["controller"] == controller)
     return case

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from graphs import wait_for
 from places import Once
-from studies import GRID, begun, edited, grid, rows_of, store_of, stored, study
+from studies import GRID, begun, edit_grid, grid, rows_of, store_of, stored, study
 
 from greenroof_ros.analysis.study.case_run import Outcome
 from greenroof_ros.common.errors import ConfigurationError
@@ -127,7 +127,7 @@ def test_what_was_begun_is_not_mixed_with_something_else(finished: Path) -> None
     """Another grid, other trajectories, other versions."""
     before = (finished / "out" / "results.csv").read_bytes()
     assert "begun with other trajectories, or none" in refusal(finished, trajectory_every=None)
-    grid(finished, edited("hours: 0.25", "hours: 0.5"))
+    grid(finished, edit_grid("hours: 0.25", "hours: 0.5"))
     assert "begun with another grid, or other files" in refusal(finished)
     grid(finished)
     file = finished / "out" / "configuration" / "study.json"
@@ -153,7 +153,7 @@ def test_a_run_that_cannot_be_read_now_stays(finished: Path) -> None:
 @pytest.mark.parametrize("what", ["outcome", "bounds", "results"])
 def test_a_full_disk_is_named(tmp_path: Path, what: str) -> None:
     """For any such file the message has its path; /dev/full is a disk without room."""
-    grid(tmp_path, edited("hours: 0.25", "hours: 0.05"))
+    grid(tmp_path, edit_grid("hours: 0.25", "hours: 0.05"))
     store = store_of(tmp_path)
     full = {
         "outcome": tmp_path / "out" / "runs" / f"{store.cases[0].identity}.part" / "outcome.json",

@@ -13,7 +13,7 @@ from commands import run_command
 from graphs import environment
 from places import DATA
 from refusals import refusal
-from studies import CONFIG, GRID, WEATHER, edited, grid, record, run_here
+from studies import CONFIG, GRID, WEATHER, edit_grid, grid, record, run_here
 
 from greenroof_ros.analysis.study.case import collect_contents
 from greenroof_ros.analysis.study.case_run import bound_case, run_case, write_inputs
@@ -28,22 +28,22 @@ HOURS = "    hours: 0.25\n"
 WRONG = {
     "unknown-key": (GRID + "workers: 4\n", "line 14: workers = 4: is not a key here"),
     "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty; it must be a list"),
-    "window-without-file": (edited("- file:", "- year: 2021 #"), "file: is missing or empty"),
+    "window-without-file": (edit_grid("- file:", "- year: 2021 #"), "file: is missing or empty"),
     "window-kind": (
-        edited(f"  - file: {WEATHER}\n", "  - 5\n  - file: x\n"), "line 3: weather: must be a list"
+        edit_grid(f"  - file: {WEATHER}\n", "  - 5\n  - file: x\n"), "line 3: weather: must be a li"
     ),
-    "site-kind": (edited(SITE, "site: [10]"), "line 2: site: must be the name of a file, {file"),
+    "site-kind": (edit_grid(SITE, "site: [10]"), "line 2: site: must be the name of a file, {file"),
     "site-value": (  # the error is in the grid, not in the copy of the site file with the value
-        edited(SITE, "site: {file: site.yaml, tau: [1.0, 0.0]}"),
+        edit_grid(SITE, "site: {file: site.yaml, tau: [1.0, 0.0]}"),
         "grid.yaml, line 2: site.yaml with these values: tau = 0.0: must be a number from 0.001 to "
         "3600 s (duration of a tick)",
     ),
-    "no-file": (edited("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
-    "year": (edited(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be {from: 1, to: 50}"),
-    "one-volume": (edited(", roof: 0.5", ""), "line 8: roof: is missing: both volumes"),
-    "state-twice": (edited("name: dry", "name: low-low"), "line 8: name = 'low-low': is given tw"),
-    "parameter": (edited("weight", "weights"), "line 11: weights: is not a key here; did you mean"),
-    "value": (edited("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than 0"),
+    "no-file": (edit_grid("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
+    "year": (edit_grid(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be {from: 1, to: 5"),
+    "one-volume": (edit_grid(", roof: 0.5", ""), "line 8: roof: is missing: both volumes"),
+    "state-twice": (edit_grid("name: dry", "name: low-low"), "line 8: name = 'low-low': is given"),
+    "parameter": (edit_grid("weight", "weights"), "line 11: weights: is not a key here; did you"),
+    "value": (edit_grid("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than"),
     "sensor_and_pump-twice": (
         GRID + "sensor_and_pump: [{}, {roof_noise: 0}]\n",
         "is the same run twice: mpc {'weight': 0.001, ",
@@ -89,7 +89,7 @@ def test_window_of_several_files(tmp_path: Path) -> None:
         (tmp_path / name).write_text("".join([lines[header], *part]))
     whole = read_grid(tmp_path / grid(tmp_path))
     for files in ("[part-2.csv, part-1.csv]", "part-?.csv"):
-        cases = read_grid(tmp_path / grid(tmp_path, edited(str(WEATHER), files)))
+        cases = read_grid(tmp_path / grid(tmp_path, edit_grid(str(WEATHER), files)))
         assert len(cases) == len(whole)
         assert {case.weather_name for case in cases} == {"2 files, part-1.csv to part-2.csv"}
         assert [file.name for file in cases[-1].files] == ["site.yaml", "part-1.csv", "part-2.csv"]
@@ -165,7 +165,7 @@ def test_grids_of_records_that_users_bring(tmp_path: Path) -> None:
 
 def test_settings_and_whole_numbers(tmp_path: Path) -> None:
     """A list contains settings, each with its combinations and forecasts; years and seeds."""
-    text = edited("2021-07-07T02:00", "2021-07-0{year}T02:00")
+    text = edit_grid("2021-07-07T02:00", "2021-07-0{year}T02:00")
     text = text.replace(HOURS, f"{HOURS}    year: {{from: 7, to: 9}}\n")
     text = text[: text.index("    weight:")] + """
     - {weight: [0.001, 0.01], forecast: perfect}
@@ -265,7 +265,7 @@ def test_a_directory_of_forecasts_with_two_delays(tmp_path: Path) -> None:
     (tmp_path / "issued" / "a.csv").write_text(header + "".join(
         f"2021-07-07T00:00-05:00,2021-07-07T01:30-05:00,{row}" for row in rows
     ))
-    file = tmp_path / grid(tmp_path, edited("[published, fao56]", "published").replace(
+    file = tmp_path / grid(tmp_path, edit_grid("[published, fao56]", "published").replace(
         "  onoff:\n", ""
     ) + "forecast: [{model: issued, delay: 1}, issued]\n")
     (tmp_path / "inputs").mkdir()
@@ -316,7 +316,7 @@ def test_names_of_files(tmp_path: Path) -> None:
 
 def test_gaps_of_a_window(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """21 July 2022 lacks an hour of rain: refused, unless the window is set to fill it."""
-    july = edited(str(WEATHER), str(DATA / "en_climate_hourly_07-2022.csv"))
+    july = edit_grid(str(WEATHER), str(DATA / "en_climate_hourly_07-2022.csv"))
     july = july.replace("2021-07-07T02:00", "2022-07-21T11:00").replace("published, ", "")
     file = tmp_path / grid(tmp_path, july)
     refusal(read_grid, file, match="is missing at 2022-07-21T11:00-05:00")

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from graphs import alive, wait_for
 from places import CHECKOUT, DATA
-from studies import CONFIG, WEATHER, archive, begun, edited, grid, rows_of, stored, study
+from studies import CONFIG, WEATHER, archive, begun, edit_grid, grid, rows_of, stored, study
 
 from greenroof_ros.analysis.study.grid import read_grid
 
@@ -61,7 +61,7 @@ def wait_for_end(processes: list[int]) -> None:
 
 def lasting(hours: str) -> str:
     """Return the grid with six longer runs, and without bounds."""
-    text = edited("[published, fao56]", "fao56").replace("hours: 0.25", f"hours: {hours}")
+    text = edit_grid("[published, fao56]", "fao56").replace("hours: 0.25", f"hours: {hours}")
     return f"{text}bound_block: 0\n"
 
 
@@ -245,7 +245,7 @@ def test_dask(dask: Dask, tmp_path: Path) -> None:
     The second worker continues. Without a scheduler the study reports this in one sentence. Without
     a worker or an answer it does not begin.
     """
-    text = edited("0.25", "0.5").replace("02:00", "01:00").replace("  onoff:\n", "")
+    text = edit_grid("0.25", "0.5").replace("02:00", "01:00").replace("  onoff:\n", "")
     text = text.replace("[1.0e-3, 0.1]", "[1.0e-3, 0.01, 0.1]")
     grid(tmp_path, f"{text}bound_block: 0\n")
     on_cluster = ("--scheduler", dask.address)
