@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 import types
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -136,11 +136,8 @@ def parameters_of(kind: Any) -> list[Parameter]:
     return [key.entry for key in keys(kind)]
 
 
-class _Wrong(Exception):
-    """What is wrong with the value of a key, which is given by its parts."""
-
-    def __init__(self, parts: tuple[str, ...], expected: str, value: object = None) -> None:
-        self.parts, self.expected, self.value = parts, expected, value
+def _refuse(parts: tuple[str, ...], expected: str, value: object = None) -> ConfigurationError:
+    return ConfigurationError(expected, key=".".join(parts), value=value)
 
 
 def read_record(
@@ -162,11 +159,11 @@ def read_record(
     """
     content = read_yaml(file)
     try:
-        record: Record = _record(kind, content, ())
-    except _Wrong as wrong:
-        line = _find(content, wrong.parts)[0] or min(content.lines.values(), default=None)
+        record = make_record(kind, content)
+    except ConfigurationError as error:
+        line = find(content, error.key or "")[0] or min(content.lines.values(), default=None)
         raise ConfigurationError(
-            wrong.expected, file=file, line=line, key=".".join(wrong.parts), value=wrong.value
+            error.expected, file=file, line=line, key=error.key, value=error.value
         ) from None
     for key, expected in mistakes(record, content):
         line, place = find(content, key)
@@ -186,11 +183,7 @@ def make_record(kind: type[Record], values: Mapping[str, Any]) -> Record:
         ConfigurationError: a key is unknown or missing, or a value is of the wrong kind or out of
             range.
     """
-    try:
-        record: Record = _record(kind, values, ())
-    except _Wrong as wrong:
-        key = ".".join(wrong.parts)
-        raise ConfigurationError(wrong.expected, key=key, value=wrong.value) from None
+    record: Record = _record(kind, values, ())
     return record
 
 
@@ -199,13 +192,9 @@ def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
 
     If there is no such key: the line of the last part of it that exists, and None.
     """
-    return _find(content, key.split("."))
-
-
-def _find(content: YamlMapping, parts: Sequence[str]) -> tuple[int | None, Any]:
     place: Any = content
     line = None
-    for part in parts:
+    for part in [key] if key in content else key.split("."):
         if isinstance(place, YamlMapping) and part in place:
             line, place = place.lines[part], place[part]
         elif isinstance(place, list) and part.isdecimal() and 0 < int(part) <= len(place):
@@ -221,19 +210,19 @@ def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
     for name in entries:
         if name not in by_name:
             wrong = f"is not a key here; {suggest_names(name, by_name)}"
-            raise _Wrong((*parts, name), wrong, entries[name])
+            raise _refuse((*parts, name), wrong, entries[name])
     fields = {}
     for name, key in by_name.items():
         if name in entries:
             fields[name] = _value(key.kind, entries[name], key.entry, (*parts, name))
         elif not key.optional:
-            raise _Wrong((*parts, name), f"is missing: {key.entry.meaning}")
+            raise _refuse((*parts, name), f"is missing: {key.entry.meaning}")
     return kind(**fields)
 
 
 def _mapping(value: Any, parts: tuple[str, ...]) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise _Wrong(parts, "must hold 'key: value' lines", value)
+        raise _refuse(parts, "must hold 'key: value' lines", value)
     return value
 
 
@@ -252,7 +241,7 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
         return _record(kind, value, parts)
     if origin is tuple:
         if not isinstance(value, list):
-            raise _Wrong(parts, "must be a list", value)
+            raise _refuse(parts, "must be a list", value)
         return tuple(
             _value(inner[0], item, entry, (*parts, str(number)))
             for number, item in enumerate(value, start=1)
@@ -275,13 +264,13 @@ def _key(kind: Any, key: str, entry: Parameter, parts: tuple[str, ...]) -> Any:
 def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> Any:
     if kind is bool:
         if not isinstance(value, bool):
-            raise _Wrong(parts, "must be true or false", value)
+            raise _refuse(parts, "must be true or false", value)
         return value
     if kind is str:
         if not isinstance(value, str) or not (value.strip() or value in entry.among):
-            raise _Wrong(parts, "must be text", value)
+            raise _refuse(parts, "must be text", value)
         if entry.among and value not in entry.among:
-            raise _Wrong(parts, describe_choices([*filter(None, entry.among)], value), value)
+            raise _refuse(parts, describe_choices([*filter(None, entry.among)], value), value)
         return " ".join(value.split())
     if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
         value = int(value, 16)
@@ -289,7 +278,7 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
         return replace(entry.range, whole=kind in (int, Word), words=entry.among).check(value)
     except ValueError as error:
         example = ", such as 0x047E or 1150" if kind is Word else ""
-        raise _Wrong(parts, f"{error}{example}", value) from None
+        raise _refuse(parts, f"{error}{example}", value) from None
 
 
 def suggest_parameter(name: str, names: Iterable[str]) -> str:

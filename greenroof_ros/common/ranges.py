@@ -112,15 +112,16 @@ class Range:
         return self.check(value)
 
     def read(
-        self, value: Any, *, file: Path | None, line: int | None, key: str, about: str = ""
+        self, value: Any, *, key: str, file: Path | None = None, line: int | None = None,
+        about: str = "",
     ) -> float:
-        """Return the number under a key of a file; a whole one may be written as 5.0.
+        """Return the number under a key; a whole one may be written as 5.0.
 
         Args:
-            value: what the file has.
+            value: under the key.
+            key: its name.
             file: the file; None if a program gives the value.
             line: of the key.
-            key: its name.
             about: end of the message.
 
         Raises:

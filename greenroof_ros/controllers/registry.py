@@ -180,13 +180,8 @@ class ControllerChoice:
             ConfigurationError: one is not a number, or not in its range; the error's key is its
                 name.
         """
-        known, values = self.parameters, {}
-        for name, value in given.items():
-            try:
-                values[name] = known[name].range.check(value)
-            except ValueError as error:
-                raise ConfigurationError(str(error), key=name, value=value) from None
-        return values
+        known = self.parameters
+        return {name: known[name].range.read(value, key=name) for name, value in given.items()}
 
     def read_parameters(self, path: Path) -> dict[str, float]:
         """Return the values of its parameters that a ROS 2 parameter file gives.
