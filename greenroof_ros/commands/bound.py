@@ -16,27 +16,24 @@ from greenroof_ros.common.command_line import (
     command,
     make_number_type,
 )
-from greenroof_ros.experiment.clairvoyant import _BLOCK_S, Bound, NoBoundError, clairvoyant_bound
+from greenroof_ros.experiment.clairvoyant import BLOCK_S, NoBoundError, clairvoyant_bound
 from greenroof_ros.experiment.options import add_site_arguments, build_run
-from greenroof_ros.experiment.plan import PlanResult, recursion_plan
+from greenroof_ros.experiment.plan import PlanResult, simulate_plan
 from greenroof_ros.experiment.run import Run, count_ticks
 from greenroof_ros.experiment.summary import describe_setting
 from greenroof_ros.experiment.summary_table import grid, print_notes, setting_rows
 
 
 def _result(
-    run: Run, max_command: float, bound: Bound, recursion: PlanResult
+    run: Run, max_command: float, bound_m3: float, plan: PlanResult, block_s: float
 ) -> dict[str, Any]:
-    attained = min(bound.plan_m3, recursion.total_m3)
     return {
-        "bound_m3": bound.bound_m3,
-        "plan_m3": bound.plan_m3,
-        "recursion_m3": recursion.total_m3,
-        "gap": attained / bound.bound_m3 - 1 if bound.bound_m3 > 0 else None,
-        "pumped_m3": bound.pumped_m3,
-        "recursion_pumped_m3": recursion.pumped_m3,
+        "bound_m3": bound_m3,
+        "plan_m3": plan.total_m3,
+        "gap": plan.total_m3 / bound_m3 - 1 if bound_m3 > 0 else None,
+        "pumped_m3": plan.pumped_m3,
         "max_command": max_command,
-        "block_s": bound.block * run.site.tau,
+        "block_s": block_s,
         "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2},
         **describe_setting(run),
         "evapotranspiration_method": run.weather.method,
@@ -59,21 +56,17 @@ def _table(result: dict[str, Any]) -> Table:
             f"({result['evapotranspiration_method']} evapotranspiration)",
         ),
         (
-            "its plan", f"{result['plan_m3']:.2f}",
-            "m3, of the bound's linear program, run through the exact plant",
-        ),
-        (
-            "lookahead's plan", f"{result['recursion_m3']:.2f}",
-            "m3, of its recursion with all weather known, likewise",
+            "plan", f"{result['plan_m3']:.2f}",
+            "m3, of lookahead with all weather known, run through the exact plant",
         ),
         (
             "gap", "-" if gap is None else f"{100 * gap:.4f} %",
-            "between the bound and the better plan; the optimum lies in it. On a measured soil "
+            "between the bound and the plan; the optimum lies in it. On a measured soil "
             "mostly due to the bound, whose program replaces the soil by straight lines",
         ),
         (
-            "pumped", f"{result['pumped_m3']:.4f} / {result['recursion_pumped_m3']:.4f}",
-            f"m3 by the plans, at a command of at most {result['max_command']:g}",
+            "pumped", f"{result['pumped_m3']:.4f}",
+            f"m3 by the plan, at a command of at most {result['max_command']:g}",
         ),
         ("block", f"{result['block_s']:g} s", "that share one variable"),
     )
@@ -86,8 +79,7 @@ def make_parser() -> Parser:
         prog="greenroof bound",
         usage="%(prog)s [options]",
         description="Compute a lower bound of the total deviation that any controller could "
-        "reach if it knew all weather, and the results of two plans in the exact "
-        "plant: the bound's linear program, and lookahead's recursion. "
+        "reach if it knew all weather, and the result of lookahead's plan in the exact plant. "
         "The optimum lies in between. It is the same for every controller.",
         epilog="examples:\n"
         "  greenroof bound --start 2021-07-08T05:00\n"
@@ -99,7 +91,7 @@ def make_parser() -> Parser:
     group.add_argument(
         "--block", type=make_number_type(1e-9, 1e9), metavar="S",
         help="seconds that share one variable: shorter is tighter and slower, one tick is exact "
-        f"and takes a minute for 12 h (default: {_BLOCK_S:g}, or one tick if that is longer)",
+        f"and takes a minute for 12 h (default: {BLOCK_S:g}, or one tick if that is longer)",
     )
     group.add_argument(
         "--max-command", type=make_number_type(1e-9, 100.0), default=1.0, metavar="U",
@@ -114,16 +106,16 @@ def main() -> int:
     """Compute the bound of the run on the command line."""
     arguments = make_parser().parse_args()
     run = build_run(arguments)
-    block = None
+    block = max(1, round(BLOCK_S / run.site.tau))
     if arguments.block is not None:
         block = count_ticks(run.site, arguments.block, "--block", unit_s=1.0)
     try:
-        bound = clairvoyant_bound(run, arguments.max_command, block)
-        recursion = recursion_plan(run, arguments.max_command)
+        bound_m3 = clairvoyant_bound(run, arguments.max_command, block)
     except NoBoundError as error:
         print(f"error: no bound found; the solver reports: {error}", file=sys.stderr)
         return EXIT_FAILED
-    result = _result(run, arguments.max_command, bound, recursion)
+    plan = simulate_plan(run, arguments.max_command)
+    result = _result(run, arguments.max_command, bound_m3, plan, block * run.site.tau)
     if arguments.json:
         print(json.dumps(result, indent=2, allow_nan=False))
     else:

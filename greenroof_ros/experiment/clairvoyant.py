@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from array import array
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.experiment.plan import find_pumping_ticks, run_plan
+from greenroof_ros.experiment.plan import find_pumping_ticks
 from greenroof_ros.experiment.roof_range import ROUNDING, RoofRange, roof_range
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.plant import maximum_pump_flow
@@ -18,32 +15,15 @@ Values = NDArray[np.float64]
 # The tightest that HiGHS accepts: a tick's evapotranspiration is usually only 1e-7 of x2*.
 _TOLERANCES = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 
-_BLOCK_S = 60.0
+BLOCK_S = 60.0
+"""length of a block, or a tick if that is longer (s)"""
 
 
 class NoBoundError(Exception):
     """The solver found no optimum; its own message states why."""
 
 
-@dataclass(frozen=True)
-class Bound:
-    """A bound that no controller can beat, and a plan that shows how close one can come.
-
-    Attributes:
-        bound_m3: no run with these inputs has a smaller total deviation (m3, summed over the
-            ticks), unless a command exceeds the maximum that the bound allows.
-        plan_m3: total deviation of the plan, run through the exact plant.
-        pumped_m3: volume that the plan pumps.
-        block: ticks in a block of the linear program.
-    """
-
-    bound_m3: float
-    plan_m3: float
-    pumped_m3: float
-    block: int
-
-
-def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = None) -> Bound:
+def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = None) -> float:
     r"""Bound the total deviation sum_{k=0..N} \|x_{k,2} - x2*\| of a run from below.
 
     The bound is the optimum of a linear program in the roof's volume x2 alone. Every run that the
@@ -68,7 +48,8 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
 
     The program neglects the following, which can leave a gap: the outflow of the cistern; that the
     flow falls with its level; that pumping stops at z_veg, if the roof may but need not be below;
-    that drainage and a dry roof follow from the volume. The cost of the plan shows the gap.
+    that drainage and a dry roof follow from the volume. A plan that is carried out
+    (:func:`greenroof_ros.experiment.plan.simulate_plan`) shows the gap.
 
     In blocks of n ticks the program has one volume for each: the mean. The sum of \|x - x*\| over
     the block is at least n \|mean - x*\| (Jensen). With G_k the sum of the largest changes before
@@ -83,36 +64,29 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
         max_command: maximum command (share of the maximum flow), from 1e-9 to 100.
         block: number of ticks that share one variable, at least 1; by default a minute's.
 
+    Returns:
+        No run with these inputs has a smaller total deviation (m3, summed over the ticks), unless a
+        command exceeds the maximum.
+
     Raises:
         NoBoundError: the solver found no optimum.
     """
     if block is None:
-        block = max(1, round(_BLOCK_S / run.site.tau))
-    still, limits = _limits(run, max_command)
-    edges = np.arange(0, run.steps + 1, block)
-    deviation, cost = _solve(run, limits, edges)
-    targets = array("d", _targets(run, still, edges, deviation))
-    done = run_plan(run, lambda k, x1, x2: targets[k + 1], max_command)
-    return Bound(cost, done.total_m3, done.pumped_m3, block)
+        block = max(1, round(BLOCK_S / run.site.tau))
+    return _solve(run, _limits(run, max_command), np.arange(0, run.steps + 1, block))
 
 
 def _sums(first: float, changes: Values) -> Values:
     return np.concatenate([[first], first + np.cumsum(changes)])
 
 
-def _limits(run: Run, max_command: float) -> tuple[Values, RoofRange]:
-    """Return the limits of every run; :func:`clairvoyant_bound` derives them.
-
-    Returns:
-        The change of the roof's volume in each tick without pumping, drainage or running dry (m3),
-        shape (N,); and the limits of its volume and changes.
-    """
+def _limits(run: Run, max_command: float) -> RoofRange:
+    """Return the limits of every run; :func:`clairvoyant_bound` derives them."""
     site, tau = run.site, run.site.tau
     rain, evapotranspiration = (
         np.frombuffer(series[: run.steps])
         for series in (run.series.precipitation, run.series.evapotranspiration)
     )
-    still = tau * (rain * site.a2 - evapotranspiration)
     # As if the mains' valve were always open.
     received = _sums(run.x1, tau * (site.effective_catchment * rain + (site.mains_flow or 0.0)))
     before = received[:-1]
@@ -127,10 +101,10 @@ def _limits(run: Run, max_command: float) -> tuple[Values, RoofRange]:
     # The plant adds up in another order, so its last digits differ.
     slack = ROUNDING * (site.x2_star + roof.high.max())
     high = np.minimum(roof.high, supplied) + slack
-    return still, roof._replace(low=roof.low - slack, high=high)
+    return roof._replace(low=roof.low - slack, high=high)
 
 
-def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Values, float]:
+def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
     """Solve the program of :func:`clairvoyant_bound`.
 
     With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it minimises the
@@ -148,7 +122,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
         edges: first tick of each block, shape (B,).
 
     Returns:
-        Mean deviation in each block (m3), shape (B,); and a lower bound of the cost (m3).
+        A lower bound of the cost (m3).
 
     Raises:
         NoBoundError: the solver found no optimum.
@@ -187,12 +161,10 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> tuple[Value
     )
     if result.status != 0:
         raise NoBoundError(result.message)
-    deviation = unit * (result.x[:blocks] - result.x[blocks : 2 * blocks])
     prices = weights - balance.T @ result.eqlin.marginals
     cost = unit * float(ticks[0]) * float(np.minimum(prices * lower, prices * upper).sum())
     # Anything less is the rounding error of a sum of zeros.
-    cost = cost if cost > ROUNDING * unit * run.steps else 0.0
-    return deviation, cost
+    return cost if cost > ROUNDING * unit * run.steps else 0.0
 
 
 def _changes(
@@ -241,26 +213,3 @@ def _compose(
         low = following * low[:-1] + minimum[done:]
         high = following * high[:-1] + maximum[done:]
     return factor, low, high
-
-
-def _targets(
-    run: Run, still: Values, edges: NDArray[np.int64], deviation: Values
-) -> Values:
-    """Return the roof's volume (m3) that the plan aims at in each tick, shape (N+1,).
-
-    The sum of pumping and drainage is known in the middle of each block. While the roof is below
-    x2*, all that is added until the next middle is best added at once, but only up to x2*, or up to
-    the volume at the next middle if that is above. (Pumping stops at x2*, so a volume above it, as
-    before frost, can only be reached in one tick.) Otherwise the sum is interpolated. The weather's
-    part, which jumps from hour to hour, is added to it.
-    """
-    site = run.site
-    weather = _sums(run.x2, still)
-    ticks = np.diff(edges, append=run.steps + 1)
-    added = site.x2_star + deviation - np.add.reduceat(weather, edges) / ticks
-    middles, added = np.append(0, edges + (ticks - 1) / 2), np.append(0, added)
-    k = np.arange(run.steps + 1)
-    following = np.minimum(np.searchsorted(middles, k), len(edges))
-    limit = site.x2_star + np.maximum(np.append(0, deviation), 0)[following]
-    at_once = np.minimum(weather + added[following], limit)
-    return np.asarray(np.maximum(weather + np.interp(k, middles, added), at_once))

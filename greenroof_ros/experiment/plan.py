@@ -1,9 +1,8 @@
-"""Plans made with perfect knowledge of the weather, carried out by controllers."""
+"""The plan of ``lookahead`` with perfect knowledge of the weather, carried out."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
@@ -18,10 +17,8 @@ from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.model.plant import command_to, maximum_pump_flow
 from greenroof_ros.model.soil import soil_of
 
-TargetVolume = Callable[[int, float, float], float]
-
-# For the recursion: length of a step (s); maximum number of steps, since their levels need memory;
-# nodes below and above the target.
+# Length of a step (s); maximum number of steps, since their levels need memory; nodes below and
+# above the target.
 _STEP_S, _MAX_STEPS = 300.0, 10_000
 _NODES = 3000, 1000
 
@@ -36,15 +33,32 @@ class PlanResult(NamedTuple):
 
 
 class _PlanController:
-    """Brings the roof to the volume that a plan has for the end of each tick."""
+    """Fills the roof to the levels of a plan for the whole run."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
 
-    def __init__(self, run: Run, target: TargetVolume, max_command: float) -> None:
-        """Begin before tick 0; see :func:`run_plan`."""
-        self._site, self._soil, self._steps = run.site, soil_of(run.site), run.steps
-        self._target, self._max_command = target, max_command
+    def __init__(self, run: Run, max_command: float) -> None:
+        """Make the plan; see :func:`simulate_plan`."""
+        site, n = run.site, run.steps
+        self._site, self._soil, self._steps = site, soil_of(site), n
+        self._max_command = max_command
         self._tick = -1
+        self._block = max(1, round(_STEP_S / site.tau), -(-n // _MAX_STEPS))
+        starts = np.arange(0, n, self._block)
+        rain, evaporated, pumping = (
+            np.add.reduceat(values, starts) / np.diff(starts, append=n)
+            for values in (
+                np.frombuffer(run.series.precipitation[:n]),
+                np.frombuffer(run.series.evapotranspiration[:n]),
+                find_pumping_ticks(run).astype(float),
+            )
+        )
+        flow = max_command * maximum_pump_flow(site, run.x1) * pumping
+        self._program, edges = OrderUpTo(site, fine=_NODES), site.tau * np.append(starts, n)
+        together = np.zeros((1, len(starts)), dtype=np.intp)
+        self._policy = self._program.solve(
+            edges, run.x1, run.x2, rain[None], evaporated, flow, together
+        )
 
     def command(
         self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
@@ -54,12 +68,14 @@ class _PlanController:
         self._tick += 1
         if self._tick == self._steps:
             return 0.0
-        site = self._site
+        site, program = self._site, self._program
         x1, x2 = site.cistern_volume(cistern_level), site.roof_volume(roof_level)
-        command = command_to(
-            site, self._soil, x1, x2, self._target(self._tick, x1, x2), precipitation[0],
-            evapotranspiration[0],
-        )
+        step = self._tick // self._block
+        level = float(program.levels(self._policy, step, 0, program.usable(x1), x2))
+        if level < x2:
+            return 0.0
+        now = precipitation[0], evapotranspiration[0]
+        command = command_to(site, self._soil, x1, x2, level - BELOW_M3, *now)
         return min(command, self._max_command)
 
     def skip(self) -> None:
@@ -70,21 +86,23 @@ class _PlanController:
         """Return nothing: it has no solver."""
 
 
-def run_plan(run: Run, target: TargetVolume, max_command: float) -> PlanResult:
-    """Carry out a plan with an exact sensor and a perfect forecast.
+def simulate_plan(run: Run, max_command: float = 1.0) -> PlanResult:
+    """Carry out a plan for a whole run, with an exact sensor and a perfect forecast.
+
+    :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the run, after which nothing
+    counts, in steps of five minutes, or of a ten-thousandth of a long run. It does not simplify the
+    soil. Its total bounds the minimum possible total from above, on every site.
 
     Args:
         run: weather, site, pumps, initial state and length; its controller, its forecast and the
             errors of its sensor do not matter.
-        target: returns the volume that the roof shall have at the end of a tick (m3), given the
-            tick's index and the volumes in cistern and on roof (m3).
         max_command: maximum command (share of the maximum flow).
     """
     known = replace(
         run, forecast=PerfectForecast(run.series, 1),
         sensor_and_pump=replace(run.sensor_and_pump, roof_noise=0.0, roof_offset=0.0),
     )
-    simulation = Simulation(known, _PlanController(run, target, max_command))
+    simulation = Simulation(known, _PlanController(run, max_command))
     for _ in simulation.ticks():
         pass
     results = simulation.metrics.results()
@@ -99,36 +117,3 @@ def find_pumping_ticks(run: Run) -> NDArray[np.bool_]:
         times = range(run.time_ns(0), run.time_ns(n), run.time_ns(1) - run.time_ns(0))
         may_pump &= ~np.fromiter(map(hours.quiet_at, times), bool, n)
     return may_pump
-
-
-def recursion_plan(run: Run, max_command: float = 1.0) -> PlanResult:
-    """Carry out the plan of ``lookahead``'s recursion for a run with known weather.
-
-    :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the whole run, after which
-    nothing counts, in steps of five minutes, or of a ten-thousandth of a long run. It does not
-    simplify the soil. Its total bounds the minimum possible total from above, on every site.
-
-    Args:
-        run: as for :func:`run_plan`.
-        max_command: maximum command (share of the maximum flow).
-    """
-    site, n = run.site, run.steps
-    block = max(1, round(_STEP_S / site.tau), -(-n // _MAX_STEPS))
-    starts = np.arange(0, n, block)
-    rain, evaporated, pumping = (
-        np.add.reduceat(values, starts) / np.diff(starts, append=n)
-        for values in (
-            np.frombuffer(run.series.precipitation[:n]),
-            np.frombuffer(run.series.evapotranspiration[:n]), find_pumping_ticks(run).astype(float),
-        )
-    )
-    flow = max_command * maximum_pump_flow(site, run.x1) * pumping
-    program, edges = OrderUpTo(site, fine=_NODES), site.tau * np.append(starts, n)
-    together = np.zeros((1, len(starts)), dtype=np.intp)
-    policy = program.solve(edges, run.x1, run.x2, rain[None], evaporated, flow, together)
-
-    def target(k: int, x1: float, x2: float) -> float:
-        level = float(program.levels(policy, k // block, 0, program.usable(x1), x2))
-        return level - BELOW_M3 if level >= x2 else -math.inf
-
-    return run_plan(run, target, max_command)

@@ -68,7 +68,7 @@ def bound_case(directory: Path, case: Case) -> float:
     """
     run = case.find_inputs(directory).build()
     block = None if case.bound_block is None else round(case.bound_block / run.site.tau)
-    return clairvoyant_bound(run, block=block).bound_m3
+    return clairvoyant_bound(run, block=block)
 
 
 def _read_timings(result: Mapping[str, Any]) -> dict[str, float]:
