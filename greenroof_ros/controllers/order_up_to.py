@@ -49,28 +49,6 @@ class Policy:
     group_of: list[Indices]
     cost: float
 
-    def level(self, step: int, group: Any, x2: Any, water: Any) -> Any:
-        """Return the volume that the roof is filled to or held at (m3); a fuller one is left alone.
-
-        Between two nodes of the roof's volume the decision at the lower one applies. Between two
-        nodes of the water the volume is interpolated; if one of them leaves the roof alone, the
-        decision at the upper one applies. So the last water can be pumped, too, although there is
-        none at the node below.
-
-        Args:
-            step: index of a step.
-            group: index of a group in it.
-            x2: on the roof (m3).
-            water: s (m3).
-        """
-        table = self.fill_to[step]
-        node = self.nodes[1 : table.shape[2]].searchsorted(x2, side="right")
-        if len(self.water) == 1:
-            return table[group, 0, node]
-        row, part = _between(self.water, water)
-        low, high = table[group, row, node], table[group, row + 1, node]
-        return np.where(np.minimum(low, high) < 0, high, low + part * (high - low))
-
 
 class Cistern:
     """The usable water of a cistern (m3), which is above the suction level, from step to step."""
@@ -180,6 +158,11 @@ class OrderUpTo:
     def levels(self, policy: Policy, step: int, group: Any, usable: Any, x2: Any) -> Any:
         """Return the volumes that roofs are filled to or held at (m3); a fuller roof is left alone.
 
+        Between two nodes of the roof's volume the decision at the lower one applies. Between two
+        nodes of the water the volume is interpolated; if one of them leaves the roof alone, the
+        decision at the upper one applies. So the last water can be pumped, too, although there is
+        none at the node below.
+
         Args:
             policy: from :meth:`solve`.
             step: index of a step of the policy.
@@ -187,8 +170,13 @@ class OrderUpTo:
             usable: water in the cistern (m3), likewise.
             x2: on each roof (m3).
         """
-        water = usable + self._content(x2) if len(policy.water) > 1 else 0.0
-        return policy.level(step, group, x2, water)
+        table = policy.fill_to[step]
+        node = policy.nodes[1 : table.shape[2]].searchsorted(x2, side="right")
+        if len(policy.water) == 1:
+            return table[group, 0, node]
+        row, part = _between(policy.water, usable + self._content(x2))
+        low, high = table[group, row, node], table[group, row + 1, node]
+        return np.where(np.minimum(low, high) < 0, high, low + part * (high - low))
 
     def usable(self, x1: float) -> float:
         """Return the volume that can be pumped from a cistern that holds x1 (m3)."""
