@@ -81,8 +81,7 @@ def check_volumes(site: Site, cistern: float, roof: float) -> None:
         ConfigurationError: no rain can lead to such a state; a unit is wrong. The error's key is
             ``cistern`` or ``roof``.
     """
-    for place, expected in find_unheld(site, cistern, roof):
-        key, value = (("cistern", cistern), ("roof", roof))[place]
+    for key, value, expected in find_unheld(site, cistern, roof):
         raise ConfigurationError(expected, key=key, value=value)
 
 

@@ -345,27 +345,27 @@ def _product(name: str, values: Mapping[str, float | None]) -> float:
     return math.prod(factor for factor in factors if factor is not None)
 
 
-def find_unheld(site: Site, *volumes: float) -> Iterator[tuple[int, str]]:
-    """Yield which of two volumes a site cannot hold, and what would be right.
+def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, str]]:
+    """Yield ``cistern`` and ``roof`` if the site cannot hold its volume, and what would be right.
 
     No rain can lead to such a state; a unit is wrong.
 
     Args:
         site: the site.
-        volumes: x1 and x2 (m3), numbered 0 and 1 in the result.
+        x1: volume in the cistern (m3).
+        x2: volume on the roof (m3).
     """
     full = site.roof_level(site.z_cap)
     cistern = f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base"
     roof = (
         f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MAX_PONDED:g} m stand on it"
     )
-    limits = (
-        (site.a1, max(site.d, _ABOVE_OUTLET * site.z_o), cistern),
-        (site.a2, full + _MAX_PONDED, roof),
-    )
-    for place, (volume, (area, level, why)) in enumerate(zip(volumes, limits, strict=True)):
+    for name, volume, area, level, why in (
+        ("cistern", x1, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o), cistern),
+        ("roof", x2, site.a2, full + _MAX_PONDED, roof),
+    ):
         if volume > level * area:
-            yield place, (
+            yield name, volume, (
                 f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a unit "
                 f"wrong? It is a volume in m3; a level of {volume:g} mm is "
                 f"{volume / 1000 * area:g} m3"
@@ -674,8 +674,8 @@ def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, 
             f"{site.layer_storage:g} m3"
         )
     if site.initial_cistern is not None and site.initial_roof is not None:
-        for place, expected in find_unheld(site, site.initial_cistern, site.initial_roof):
-            yield ("initial_cistern", "initial_roof")[place], expected
+        for name, _, expected in find_unheld(site, site.initial_cistern, site.initial_roof):
+            yield f"initial_{name}", expected
     if site.field_capacity is not None:
         soil_volume = site.a2 * site.z_soil
         if site.wilting_volume >= soil_volume * site.field_capacity:

@@ -45,19 +45,6 @@ class SoilSlopes(NamedTuple):
     drained_2: float
 
 
-class RoofSeries(NamedTuple):
-    """What left a roof, and what its drainage layer held, for each sample."""
-
-    evaporated: Values
-    """m3/s, shape (n,)"""
-    drained: Values
-    """off the roof (m3/s), shape (n,)"""
-    layer: Values
-    """at the beginning of each sample (m3), shape (n,)"""
-    remaining: float
-    """in the layer at the end (m3)"""
-
-
 class PaperSoil:
     """Table I's soil: it keeps all water below its capacity, and drains above it by Eq. (4).
 
@@ -197,8 +184,8 @@ class PaperSoil:
 
     def reconstruct_losses(
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
-        drainage: Values | None, durations: Values,
-    ) -> RoofSeries:
+        drainage: Values, durations: Values,
+    ) -> tuple[Values, Values]:
         """Compute the unmeasured quantities of a roof with known volumes.
 
         Args:
@@ -208,15 +195,16 @@ class PaperSoil:
             pump: from the cistern (m3/s), shape (n,).
             potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water,
                 shape (n,).
-            drainage: off the roof (m3/s), shape (n,); None if unknown.
+            drainage: off the roof (m3/s), shape (n,).
             durations: of the samples (s), shape (n,).
+
+        Returns:
+            Evapotranspiration (m3/s), and what the drainage layer holds at the beginning of each
+            sample (m3), both of shape (n,).
         """
-        if drainage is None:
-            drainage = np.where(x2 >= self.retains_all_below, self._darcy(x2), 0.0)
         # As in Plant.flows: at most the available water evaporates.
         available = x2 / durations + rain * self._site.a2 + pump - drainage
-        evaporated = np.fmin(potential, np.maximum(available, 0.0))
-        return RoofSeries(evaporated, drainage, np.full_like(x2, layer), layer)
+        return np.fmin(potential, np.maximum(available, 0.0)), np.full_like(x2, layer)
 
     def _darcy(self, x2: Any) -> Any:
         """Return the drainage (m3/s) of a soil that holds x2 (m3), at least its capacity."""
@@ -423,23 +411,21 @@ class MeasuredSoil:
 
     def reconstruct_losses(
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
-        drainage: Values | None, durations: Values,
-    ) -> RoofSeries:
-        """Compute what the substrate lost, and the drainage even if ``drainage`` is given."""
+        drainage: Values, durations: Values,
+    ) -> tuple[Values, Values]:
+        """Compute what the substrate lost and percolated; ``drainage`` does not matter."""
         samples = np.nan_to_num(x2), rain * self._a2 + pump, potential, durations
-        evaporated, drained, layers = array("d"), array("d"), array("d")
+        evaporated, layers = array("d"), array("d")
         for volume, arriving, demand, seconds in zip(
             *(array("d", column) for column in samples), strict=True
         ):
             percolated = self.drained(volume, arriving, seconds)
             available = volume / seconds + arriving - percolated
             evaporated.append(max(0.0, min(demand * self.water_stress(volume), available)))
-            drained.append(self.layer_outflow(layer, percolated, seconds))
             layers.append(layer)
-            layer = max(0.0, layer + seconds * (percolated - drained[-1]))
-        return RoofSeries(
-            np.frombuffer(evaporated), np.frombuffer(drained), np.frombuffer(layers), layer
-        )
+            drained = self.layer_outflow(layer, percolated, seconds)
+            layer = max(0.0, layer + seconds * (percolated - drained))
+        return np.frombuffer(evaporated), np.frombuffer(layers)
 
 
 Soil: TypeAlias = PaperSoil | MeasuredSoil

@@ -192,11 +192,11 @@ def samples_of(site: Site, trajectory: Trajectory) -> Samples:
     }
     # The run ends at the last sample: nothing flows after it.
     flows: dict[str, Any] = {name: np.append(flow[:-1], 0.0) for name, flow in values.items()}
-    followed = soil_of(site).reconstruct_losses(
+    evaporated, layer = soil_of(site).reconstruct_losses(
         site.initial_layer, trajectory.roof, flows["precipitation"], flows["pump"],
         flows["potential"], flows["drainage"], dt,
     )
     return Samples(
         **flows, duration=dt, cistern=trajectory.cistern, roof=trajectory.roof,
-        evapotranspiration=followed.evaporated, layer=followed.layer, time=trajectory.time,
+        evapotranspiration=evaporated, layer=layer, time=trajectory.time,
     )
