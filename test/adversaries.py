@@ -21,7 +21,7 @@ TOGETHER = "all of them, a member each"
 class Adversary:
     """Hourly forecasts of one kind; the forecast replaces the first hour by the observed one."""
 
-    longest = None  # they have no end
+    max_issue_h = None  # they have no end
     notes = ()
 
     def __init__(self, kind: str, weather: Weather) -> None:
