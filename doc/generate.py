@@ -20,7 +20,7 @@ import os
 import re
 import sys
 import types
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Union, get_args, get_origin
 from unittest import mock
@@ -37,7 +37,7 @@ from greenroof_ros.__main__ import COMMANDS, GROUPS
 from greenroof_ros.common.alarms import Alarm
 from greenroof_ros.common.conditions import LATCHED, Interlock, read_conditions, read_interlocks
 from greenroof_ros.common.files import read_yaml, shared_directory
-from greenroof_ros.common.interface import Topic, describe_roles, read_topics
+from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.forecast.skill import Climate, Errors
@@ -130,7 +130,7 @@ def quantity(value: object, unit: str) -> str:
 
 
 def topics() -> str:
-    """Return the content of each topic, which the command ``topics`` prints as a table."""
+    """Return the content of each topic."""
     return entries(
         (
             f"`{topic.name}`", ", ".join(filter(None, (topic.unit, kind))),
@@ -144,6 +144,12 @@ def topics() -> str:
         for kind in [topic.type.replace("/msg/", "/")]
         for readers in [describe_roles(topic.subscribers, topic.live_subscribers)]
     )
+
+
+def describe_roles(simulated: Collection[str], live: Collection[str]) -> str:
+    """Return who publishes or subscribes, first in a simulation, then in a live graph."""
+    words = [", ".join(simulated)] if simulated else []
+    return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)
 
 
 def quality() -> str:

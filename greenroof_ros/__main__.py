@@ -65,7 +65,6 @@ GROUPS = {
         "check-controller": Command("check_controller", "check a controller: a class or a node"),
         "check-pump": Command("check_pump", "check whether a pump driver keeps to the interface"),
         "simulators site": Command("simulators", "simulate a site's sensors, and drive or relay"),
-        "topics": Command("common.interface", "list the topics of the graph, and their content"),
     },
 }
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}

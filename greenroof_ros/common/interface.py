@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from greenroof_ros.common.command_line import Parser, command
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.ranges import Range
@@ -222,32 +221,3 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
             file=bag,
         )
     return namespaces[0] if namespaces else ""
-
-
-def describe_roles(simulated: Collection[str], live: Collection[str]) -> str:
-    """Return who publishes or subscribes, first in a simulation, then in a live graph."""
-    words = [", ".join(simulated)] if simulated else []
-    return "; ".join([*words, f"live: {', '.join(live)}"] if live else words)
-
-
-def make_parser() -> Parser:
-    """Return the parser of the command ``topics``."""
-    return Parser(
-        prog="greenroof topics",
-        description="Print the topics of the node graph (msg_defs/topics.yaml) as a table.",
-    )
-
-
-@command
-def main() -> None:
-    """Print the interface as a Markdown table."""
-    make_parser().parse_args()
-    print("| topic | unit | meaning | published by | subscribed to by | type |")
-    print("|" + "---|" * 6)
-    for topic in read_topics().values():
-        print(
-            f"| `{topic.name}` | {topic.unit} | {topic.meaning} "
-            f"| {describe_roles(topic.publishers, topic.live_publishers)} "
-            f"| {describe_roles(topic.subscribers, topic.live_subscribers)} "
-            f"| {topic.type.replace('/msg/', '/')} |"
-        )
