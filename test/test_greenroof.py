@@ -89,7 +89,7 @@ def test_version_is_printed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("words", "meant"), [
     ("run --hour 0.01", "--hours"),
     ("live --controller=lookahead --waiting-b 3", "--waiting-budget"),
-    ("topics --hlep", "--help"),
+    ("bound --hlep", "--help"),
 ])
 def test_an_unknown_option_is_refused_with_what_it_means(
     tmp_path: Path, words: str, meant: str
