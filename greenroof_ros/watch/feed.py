@@ -11,10 +11,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
@@ -28,8 +30,8 @@ from greenroof_ros.watch.store import GraphStore
 # The fastest run, in times real time, whose numbers are received: 60 and some jitter.
 FASTEST = 66.0
 _CATCHING_UP = 2.0
-# How often the watcher receives new messages, and how often it updates the state of the graph (s).
-_POLL_S, _REPORT_S = 0.05, 0.25
+# How often the watcher receives new messages, and updates the state of the graph (s).
+_POLL_S = 0.1
 # If this process pauses for longer than this (s), the silence of other nodes means nothing.
 _OWN_PAUSE_S = 0.5
 # How long an error of the watcher itself is shown, and how long it rests after one (s).
@@ -37,6 +39,8 @@ _SHOWN_S, _REST_S = 60.0, 1.0
 _STOP_S = 3.0
 # How often the past of a live site is saved (s).
 _SAVE_S = 600.0
+# How long the end waits for that at most (s).
+_SAVED_S = 10.0
 
 _CLOCK = "/clock"
 
@@ -59,9 +63,7 @@ class Feed:
         self._subscribed = False
         self._site: tuple[Path, int] | None = None  # file, and when it was written (ns)
         self._awake = time.monotonic()
-        self._reported_at = 0.0
         self._saved_at = time.monotonic()
-        self._saving: threading.Thread | None = None
         self._problem, self._problem_until = "", 0.0
         self._requesting = threading.Lock()  # held by the thread that makes a request
         self._requesting.acquire()  # until the graph is joined
@@ -89,11 +91,8 @@ class Feed:
         """Leave the graph."""
         self._closing.set()
         self._thread.join(2.0)
-        if self._saving is not None:
-            self._saving.join()
         self._save()
-        if self._saving is not None:
-            self._saving.join()
+        DISK.wait(_SAVED_S)
 
     def request_action(self, action: str, **request: Any) -> str:
         """Request a hold, a release, a cleared fault or a dose; callable from any thread.
@@ -139,10 +138,8 @@ class Feed:
 
     def _run_cycle(self) -> None:
         """Receive new messages and show them; if a step fails, the others are done all the same."""
-        failed = [act for act in (
-            self._receive, self._find_pumps, self._update_graph, self._report,
-        ) if self._fails(act)]
-        if failed:  # it may fail again at once
+        steps = self._receive, self._find_pumps, self._update_graph
+        if sum(map(self._fails, steps)):  # it may fail again at once
             self._closing.wait(_REST_S)
 
     def _fails(self, act: Callable[[], None]) -> bool:
@@ -163,21 +160,29 @@ class Feed:
         self._excuse_own_pause()
 
     def _update_graph(self) -> None:
-        store, was_live = self._store, self._times.live
-        if self._times.update(time.monotonic()):
+        store, was_live, now = self._store, self._times.live, time.monotonic()
+        if self._times.update(now):
             store.reset()
             store.add_event("Another run began.")
         if self._times.live and not was_live:
             self._load()
         mode = self._times.mode
-        if mode != store.mode:
-            if mode == "ended" and store.mode != "none":
-                store.add_event("The run ended.")
-            with store.lock:
-                store.mode = mode
-            self._report_now()
+        if mode == "ended" and store.mode not in ("none", "ended"):
+            store.add_event("The run ended.")
         self._set_site()
-        self._choose_topics()
+        # Simulated time per wall time.
+        factor = self._graph.factor(store.site.tau) if mode == "simulated" else None
+        note = self._problem if now < self._problem_until else ""
+        if not self._subscribed and (factor or 0.0) > FASTEST:
+            note = (
+                "This run is too fast to be shown: more than 60 times real time. See its report "
+                "afterwards."
+            )
+        store.set_present(mode=mode, factor=factor, note=note)
+        store.update(now, time.time())
+        self._choose_topics(mode, factor)
+        if now - self._saved_at >= _SAVE_S:
+            self._save()
 
     def _set_site(self) -> None:
         """Set the site by which levels are judged: the graph's, or the paper's."""
@@ -198,14 +203,16 @@ class Feed:
             site = read_site(default_site_file())
         self._store.set_site(site, note)
 
-    def _choose_topics(self) -> None:
-        """Subscribe to as much as the graph can bear."""
+    def _choose_topics(self, mode: str, factor: float | None) -> None:
+        """Subscribe to as much as a graph of this kind and speed can bear."""
         assert self._client is not None
-        live, factor = self._store.mode == "live", self._factor
+        live = mode == "live"
         # The speed of a run that has not begun, or that stands still, is unknown. A run that was
         # held up on a busy machine is faster for a while.
         fastest = _CATCHING_UP * FASTEST if self._subscribed else FASTEST
-        wanted = live or (self._running and (factor <= fastest if factor else self._subscribed))
+        wanted = live or (
+            mode == "simulated" and (factor <= fastest if factor else self._subscribed)
+        )
         if wanted == self._subscribed:
             return
         self._client.subscribe([
@@ -214,15 +221,6 @@ class Feed:
         ] if wanted else ())
         self._subscribed = wanted
         self._times.forget_clock()
-
-    @property
-    def _factor(self) -> float | None:
-        """Simulated time per wall time; None if unknown."""
-        return self._graph.factor(self._store.site.tau) if self._running else None
-
-    @property
-    def _running(self) -> bool:
-        return self._store.mode == "simulated"
 
     # --- incoming messages ----------------------------------------------------------------------
 
@@ -251,27 +249,6 @@ class Feed:
         elif time_ns := self._times.time_of(self._topics[name], number, arrived_ns):
             self._store.receive(name, time_ns, message)
 
-    # --- state of the graph ---------------------------------------------------------------------
-
-    def _report(self) -> None:
-        now = time.monotonic()
-        if now - self._reported_at >= _REPORT_S:
-            self._report_now()
-        if now - self._saved_at >= _SAVE_S:
-            self._save()
-
-    def _report_now(self) -> None:
-        now, factor = time.monotonic(), self._factor
-        self._reported_at = now
-        note = self._problem if now < self._problem_until else ""
-        if not self._subscribed and (factor or 0.0) > FASTEST:
-            note = (
-                "This run is too fast to be shown: more than 60 times real time. See its report "
-                "afterwards."
-            )
-        self._store.set_present(mode=self._store.mode, factor=factor, note=note)
-        self._store.update(now, time.time())
-
     # --- the past of a live site ----------------------------------------------------------------
 
     def _load(self) -> None:
@@ -288,15 +265,14 @@ class Feed:
             store.past |= past
 
     def _save(self) -> None:
-        """Save the past of a live site in a thread of its own: a stop must not wait for a disk."""
+        """Save the past of a live site, without waiting for the disk."""
         self._saved_at = time.monotonic()
-        busy = self._saving is not None and self._saving.is_alive()
-        if self._past_file is None or not self._times.live or busy:
+        if self._past_file is None or not self._times.live:
             return
         with self._store.lock:
             rows = {name: past.rows.copy() for name, past in self._store.past.items()}
-        self._saving = threading.Thread(target=_write, args=(self._past_file, rows), daemon=True)
-        self._saving.start()
+        size = sum(each.nbytes for each in rows.values())
+        DISK.do(partial(_write, self._past_file, rows), size)
 
     def _find_pumps(self) -> None:
         assert self._client is not None
