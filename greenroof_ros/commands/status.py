@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_namespace, command
-from greenroof_ros.watch.document import make_document
+from greenroof_ros.watch.document import list_present, make_document, summarize
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import SPACE, UNKNOWN
@@ -113,17 +113,15 @@ def _judge(shown: Mapping[str, Any]) -> int:
         or (unknown and mode == "live")
     ):
         return ALARM
-    return WARNING if unknown or _present(shown) else EXIT_DONE
+    return WARNING if unknown or list_present(shown) else EXIT_DONE
 
 
 def _lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str]:
-    tiles = shown["tiles"]
-    summary = tiles["summary"]
-    summary_line = f"{summary['word']} {summary['sentence']}"
+    tiles, told = shown["tiles"], summarize(shown)
     if code == NOTHING:
-        return [f"{summary_line} {shown['advice']}"]
+        return [f"{told['summary']} {told['advice']}"]
     where = filter(None, (shown["heading"], shown["namespace"], shown["time"]["text"]))
-    lines = [summary_line, f"What to do: {shown['advice']}", "; ".join(where)]
+    lines = [told["summary"], f"What to do: {told['advice']}", "; ".join(where)]
     for name in _TILES:
         tile = tiles[name]
         why = tile.get("why", "")
@@ -134,14 +132,10 @@ def _lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str
         )))
         lines.append(f"{tile['label']:14} {tile['value']:14} {sentence}".rstrip())
     warning = filter(None, [shown["stop"]["warning"]])
-    lines += [*warning, *map(_alarm, _present(shown)), *shown["notes"]]
+    lines += [*warning, *map(_alarm, told["alarms"]), *shown["notes"]]
     if (hidden := len(lines) - _MAX_LINES + 1) > 1:
         lines[-hidden:] = [f"and {hidden} more: see 'greenroof watch', or --json"]
     return lines
-
-
-def _present(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
-    return [row for row in shown["alarms"] if row["over"] is None]
 
 
 def _alarm(row: Mapping[str, Any]) -> str:
@@ -161,8 +155,7 @@ def _values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str,
     return {
         "status": _STATES[code],
         "exit_code": code,
-        "summary": f"{tiles['summary']['word']} {tiles['summary']['sentence']}",
-        "advice": shown["advice"],
+        **summarize(shown),
         "mode": shown["mode"],
         "namespace": shown["namespace"],
         "time": None if now is None
@@ -179,9 +172,4 @@ def _values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str,
         "rain_m_s": tiles["rain"]["number"],
         "forecast_rain_m": None if amount is None else amount.mean,
         "forecast_reach_s": None if amount is None else amount.reach_s,
-        "alarms": [
-            {key: row[key] for key in ("code", "level", "id", "what", "do", "follows")}
-            for row in _present(shown)
-        ],
-        "notes": [*filter(None, [shown["stop"]["warning"]]), *shown["notes"]],
     }

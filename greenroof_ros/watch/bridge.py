@@ -14,7 +14,7 @@ from typing import Any
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.common.processes import Signals
 from greenroof_ros.common.standard_error import print_line
-from greenroof_ros.watch.document import make_document
+from greenroof_ros.watch.document import list_present, make_document, summarize
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.home_assistant import (
@@ -205,7 +205,7 @@ def state_of(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
         "command": store.present_value("/pump/command"),
     }
     frost, serious = store.present_value("/weather/frost"), tiles["summary"]["level"] == "error"
-    present = [row for row in shown["alarms"] if row["over"] is None]
+    present = list_present(shown)
     return {
         "mode": store.mode,
         **{key: _number(topic, numbers[key] if here else None)
@@ -230,13 +230,5 @@ def _number(topic: str, value: float | None) -> float | None:
 
 def alarms_of(shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the summary, what to do, and the present alarms, as in the document."""
-    summary = shown["tiles"]["summary"]
-    return {
-        "summary": f"{summary['word']} {summary['sentence']}",
-        "advice": shown["advice"],
-        "alarms": [
-            {key: row[key] for key in ("code", "level", "id", "what", "do", "follows", "since")}
-            for row in shown["alarms"] if row["over"] is None
-        ][:_MAX_ALARMS],
-        "notes": [*filter(None, [shown["stop"]["warning"]]), *shown["notes"]],
-    }
+    told = summarize(shown, "since")
+    return told | {"alarms": told["alarms"][:_MAX_ALARMS]}

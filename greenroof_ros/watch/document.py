@@ -9,6 +9,7 @@ The entries of a document: ``heading``, ``mode``, ``namespace``, ``time``, ``not
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
 from itertools import accumulate
@@ -106,6 +107,30 @@ def _document(store: GraphStore, wall: float) -> dict[str, Any]:
     if parts.failed and summary["level"] == "ok":
         summary["level"] = "warn"
     return result | {"notes": [*parts.notes, *notes]}
+
+
+def list_present(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the alarms of a document that are not over."""
+    return [row for row in shown["alarms"] if row["over"] is None]
+
+
+def summarize(shown: Mapping[str, Any], *more: str) -> dict[str, Any]:
+    """Return what people must know of a document: summary, advice, present alarms and notes.
+
+    Args:
+        shown: the document.
+        more: further entries of each alarm.
+    """
+    summary = shown["tiles"]["summary"]
+    return {
+        "summary": f"{summary['word']} {summary['sentence']}",
+        "advice": shown["advice"],
+        "alarms": [
+            {key: row[key] for key in ("code", "level", "id", "what", "do", "follows", *more)}
+            for row in list_present(shown)
+        ],
+        "notes": [*filter(None, [shown["stop"]["warning"]]), *shown["notes"]],
+    }
 
 
 def _heading(store: GraphStore) -> str:
