@@ -64,7 +64,7 @@ class StatusDiagnosis:
         fault: a device's own fault or warning; with another one it is another alarm.
         since: when it began (s since 1970); None if that is not reported.
         age_s: how long it had lasted when it was reported (steady clock, s).
-        was_good: for a part: whether it was good before.
+        was_good: for a part: whether it was ever good.
     """
 
     level: int
@@ -182,41 +182,38 @@ class PartReport:
     """A part of a node, or another device, as last received.
 
     Attributes:
-        level: OK, WARN, ERROR or STALE.
-        sentence: for people.
-        values: with the code, its beginning and its age, and what the sentence is made of.
+        diagnosis: what it reports; also if it is OK.
         received_at: steady clock (s).
-        was_good: whether it was ever OK.
         again: whether it was received more than once.
     """
 
-    level: int
-    sentence: str
-    values: Mapping[str, str]
+    diagnosis: StatusDiagnosis
     received_at: float
-    was_good: bool
     again: bool
 
     @classmethod
     def receive(
-        cls, before: PartReport | None, level: int, sentence: str, values: Mapping[str, str],
-        wall: float,
+        cls, before: PartReport | None, wall: float, level: int, sentence: str,
+        values: Mapping[str, str], role: str = "", namespace: str = "",
     ) -> PartReport:
-        """Return the report that follows one; see the attributes."""
-        good = level == OK or (before is not None and before.was_good)
-        return cls(level, sentence, values, wall, good, before is not None)
+        """Return the report that follows one; the topics in it lose the namespace.
 
-    def diagnosis(self, role: str = "", namespace: str = "") -> StatusDiagnosis:
-        """Return its diagnosis; the topics in it lose the namespace."""
-        text = self.values.get
-        about = text("topics") or text("topic", "")
-        code, fault = identity_of(self.values)
-        return StatusDiagnosis(
-            self.level, self.sentence, code, role,
-            tuple(topic.removeprefix(namespace) for topic in about.split()[:_MAX_ABOUT]),
-            fault, _time(text("since", "")),
-            _number(text("age_s", "")), self.was_good,
-        )
+        Args:
+            before: the report before; None for the first.
+            wall: now (steady clock, s).
+            level: OK, WARN, ERROR or STALE.
+            sentence: for people.
+            values: with the code, its beginning and its age, and what the sentence is made of.
+            role: role of the node in the interface; empty for another device.
+            namespace: of the node.
+        """
+        about = (values.get("topics") or values.get("topic", "")).split()[:_MAX_ABOUT]
+        code, fault = identity_of(values)
+        return cls(StatusDiagnosis(
+            level, sentence, code, role, tuple(topic.removeprefix(namespace) for topic in about),
+            fault, _time(values.get("since", "")), _number(values.get("age_s", "")),
+            level == OK or (before is not None and before.diagnosis.was_good),
+        ), wall, before is not None)
 
 
 @dataclass
@@ -284,8 +281,11 @@ class NodeReport:
     def receive_part(
         self, part: str, wall: float, level: int, sentence: str, values: Mapping[str, str]
     ) -> None:
-        """Receive the status of a part."""
-        self.parts[part] = PartReport.receive(self.parts.get(part), level, sentence, values, wall)
+        """Receive the status of a part; see :meth:`PartReport.receive`."""
+        self.parts[part] = PartReport.receive(
+            self.parts.get(part), wall, level, sentence, values, self.role,
+            self.name.rpartition("/")[0],
+        )
 
     def diagnoses(self, wall: float) -> Iterator[tuple[str, StatusDiagnosis]]:
         """Yield what is wrong with it and its parts, each by the name of its status."""
@@ -318,13 +318,12 @@ class NodeReport:
             topics = ", ".join(self.refused)
             refused = make_diagnosis(WARN, self.role, "values_refused", topics=topics)
             yield f"{self.name}: refused", replace(refused, about=self.refused)
-        namespace = self.name.rpartition("/")[0]
         for part, report in self.parts.items():
             # What was wrong when a silent node last reported stays.
             if online and self.received_at - report.received_at > SILENT_S:
                 yield f"{self.name}: {part}", lost
-            elif report.level != OK:
-                yield f"{self.name}: {part}", report.diagnosis(self.role, namespace)
+            elif report.diagnosis.level != OK:
+                yield f"{self.name}: {part}", report.diagnosis
 
 
 def _counts(values: Mapping[str, Any]) -> dict[str, int]:
@@ -449,7 +448,7 @@ class Judge:
             if name not in self.missing:
                 changes += self._judge(wall, name, diagnoses[name], self.causes.get(name, ""))
         for alarm in self.over[_MAX_OVER:]:
-            del self.alarms[alarm.name], self._ended[alarm.name]
+            del self.alarms[alarm.name], self._ended[alarm.name], self._began[alarm.name]
         return changes
 
     def _may_come(self, name: str, diagnosis: StatusDiagnosis) -> bool:

@@ -120,7 +120,7 @@ class Diagnosis:
         code: of the condition.
         text: a sentence from elsewhere, such as a record; empty if the table's is the one.
         values: what the table's sentence is made of, for programs: ``case`` has the names of its
-            sentences, if it has several; a value can be another problem.
+            sentences, if it has several; a value can be another diagnosis.
     """
 
     code: str
@@ -178,20 +178,20 @@ def identity_of(values: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def join_diagnoses(
-    problems: Sequence[Diagnosis], worst: Diagnosis | None = None
+    diagnoses: Sequence[Diagnosis], worst: Diagnosis | None = None
 ) -> Diagnosis | None:
-    """Return problems as one, with the code and the values of the worst; None if there is none.
+    """Return diagnoses as one, with the code and the values of the worst; None if there is none.
 
     Args:
-        problems: the problems, in the order of their sentences.
+        diagnoses: in the order of their sentences.
         worst: by default the first.
     """
-    if not problems:
+    if not diagnoses:
         return None
-    topics = {str(topic): None for each in problems if (topic := each.values.get("topic"))}
-    worst = worst or problems[0]
+    topics = {str(topic): None for each in diagnoses if (topic := each.values.get("topic"))}
+    worst = worst or diagnoses[0]
     return replace(
-        worst, text="; ".join(each.sentence for each in problems),
+        worst, text="; ".join(each.sentence for each in diagnoses),
         values={**worst.values, **({"topics": " ".join(topics)} if topics else {})},
     )
 

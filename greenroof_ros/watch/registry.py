@@ -21,7 +21,6 @@ from greenroof_ros.common.alarms import (
     OK,
     SILENT_S,
     STALE,
-    WARN,
     NodeReport,
     PartReport,
     StatusDiagnosis,
@@ -73,7 +72,7 @@ class Node(NodeReport):
 
     def code_of(self, part: str) -> str:
         """Return the code that a part reports; empty for none."""
-        return self.parts[part].values.get("code", "") if part in self.parts else ""
+        return self.parts[part].diagnosis.code if part in self.parts else ""
 
     def text(self, key: str) -> str:
         """Return a text that it reports; empty if it does not."""
@@ -149,16 +148,14 @@ class Registry:
         """Receive a status of a part of a node, or of another device."""
         node_name, _, part = name.partition(": ")
         node = self._latest.get(node_name) if part else None
-        known, key, maximum = (
-            (self._foreign, name, _FOREIGN) if node is None else (node.parts, part, _PARTS)
+        report = (
+            wall, status.level, clean_sentence(status.message) or "reports nothing",
+            {key: clean_text(text) for key, text in status.values.items()},
         )
-        if key in known or len(known) < maximum:
-            # An unknown level is an error.
-            level = status.level if status.level in (OK, WARN, ERROR, STALE) else ERROR
-            known[key] = PartReport.receive(
-                known.get(key), level, clean_sentence(status.message) or "reports nothing",
-                {key: clean_text(text) for key, text in status.values.items()}, wall,
-            )
+        if node is None and (name in self._foreign or len(self._foreign) < _FOREIGN):
+            self._foreign[name] = PartReport.receive(self._foreign.get(name), *report)
+        elif node is not None and (part in node.parts or len(node.parts) < _PARTS):
+            node.receive_part(part, *report)
 
     def _values_of(self, name: str, status: WireStatus) -> dict[str, Any] | None:
         """Return the values that a node of this graph reports; None for any other status."""
@@ -371,8 +368,8 @@ class Registry:
             if silent and part.again and not self._has_ended(name, part):
                 silence = make_diagnosis(STALE, "", "not_heard", "silent", time=_FOREIGN_SILENT_S)
                 diagnoses[name] = replace(silence, code="")
-            elif part.level != OK and not silent:
-                diagnoses[name] = part.diagnosis()
+            elif part.diagnosis.level != OK and not silent:
+                diagnoses[name] = part.diagnosis
         for node in self._latest.values():
             diagnoses.update(node.diagnoses(wall))
             twin = self._rival(node, wall, "name")
@@ -386,7 +383,7 @@ class Registry:
     def _has_ended(self, name: str, part: PartReport) -> bool:
         """Return whether a node outside this graph, or a node with this part, reported its end."""
         node = self._foreign.get(name.partition(": ")[0])
-        if node is None or node.sentence not in (FINISHED, ENDED):
+        if node is None or node.diagnosis.sentence not in (FINISHED, ENDED):
             return False
         return part.received_at <= node.received_at
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from page_inputs import ERROR, HELD, HOLD, OK, WARN, node
+from page_inputs import ERROR, HELD, HOLD, OK, STALE, WARN, node
 
 from greenroof_ros.common.alarms import advise
 from greenroof_ros.common.conditions import read_conditions
@@ -250,7 +250,7 @@ _TEXTS = st.one_of(
     ]),
 )
 _STATUSES = st.builds(
-    WireStatus, _TEXTS, st.integers(-(2**70), 2**70) | st.sampled_from([0, 1, 2, 3]), _TEXTS,
+    WireStatus, _TEXTS, st.sampled_from([OK, WARN, ERROR, STALE]), _TEXTS,
     st.dictionaries(
         st.sampled_from([
             "role", "refused", "hold", "fault", "warnings", "waiting", "parameter_changes",
