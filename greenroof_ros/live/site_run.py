@@ -31,7 +31,7 @@ from greenroof_ros.common.processes import (
     scratch_directory,
 )
 from greenroof_ros.common.standard_error import print_line
-from greenroof_ros.common.states import PUMP, DriveState
+from greenroof_ros.common.states import PUMP, DriveState, PumpState
 from greenroof_ros.common.times import iso
 from greenroof_ros.controllers.registry import EXTERNAL, controller_names
 from greenroof_ros.experiment import summary
@@ -133,7 +133,7 @@ def _supervise(
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
                 notified = now
-                status = unready or levels_of(supervisor.last)
+                status = unready or describe_site(supervisor.last)
                 notify("WATCHDOG=1", f"STATUS={status}", *([] if ready else [_STILL_STARTING]))
     finally:
         notify("STOPPING=1")
@@ -202,7 +202,7 @@ class _StartReport:
         pump, levels = reports.get(PUMP, {}), levels_of(reports)
         why = unready or (
             pump.get("drive_state") in _NOT_READY
-            and f"the pump is kept off: {pump.get('pump_why', '')}"
+            and f"the pump is kept off: {_pump_of(pump)}"
         )
         stopped = any(diagnosis.stops_pump for diagnosis in wrong.values())
         if why and not stopped:
@@ -312,6 +312,21 @@ class _SiteRecord:
         self._warn(self._warnings)
 
 
+def describe_site(reports: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return both levels as text, with command and pump state if they are reported."""
+    values = _merge_values(reports)
+    parts = [levels_of(reports)]
+    if values.get("command") is not None:
+        parts.append(f"command {values['command']:.3f}")
+    if "pump_state" in values:
+        parts.append(f"pump {_pump_of(values)}")
+    return ", ".join(parts)
+
+
+def _pump_of(values: Mapping[str, Any]) -> PumpState:
+    return PumpState(values.get("pump_state", "unknown"), values.get("pump_why", ""))
+
+
 def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
     """Return both levels as text; ``unknown`` if no node has reported one."""
     return ", ".join(
@@ -322,8 +337,13 @@ def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _levels(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
     """Return both levels (m); None if no node has reported one."""
-    values = {name: value for report in reports.values() for name, value in report.items()}
+    values = _merge_values(reports)
     return {name: values.get(f"{name}_level") for name in _PLACES}
+
+
+def _merge_values(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the entries of all nodes' last reports."""
+    return {name: value for report in reports.values() for name, value in report.items()}
 
 
 def _last_time(state: Path) -> dict[str, Any] | None:

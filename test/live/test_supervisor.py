@@ -23,7 +23,7 @@ from places import CHECKOUT
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.live import supervisor
 from greenroof_ros.live.site_alarms import SiteAlarms
-from greenroof_ros.live.site_run import levels_of
+from greenroof_ros.live.site_run import _StartReport, describe_site
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.live.supervisor_socket import SOCKET, SupervisorSocket, read_report
 
@@ -379,8 +379,8 @@ _STRANGE = [
     [], 7, "ready", {}, {"state": "flying"}, {"state": ["ready"]},
     *(
         {"state": "ready", key: value}
-        for key in ("diagnoses", "warnings", "waiting", "refused", "pump", "stands", "command",
-                    "cistern_level", "roof_level", "tick", "failure")
+        for key in ("diagnoses", "warnings", "waiting", "refused", "pump_state", "pump_why",
+                    "stands", "command", "cistern_level", "roof_level", "tick", "failure")
         for value in (None, 7, "x", [1], {"x": [1]}, {"x": ["OK"]}, {"x": "y"}, [["OK", "well"]],
                       {"drive": {"level": 2, "message": "x", "values": {"code": 7}}})
     ),
@@ -391,15 +391,33 @@ def test_what_a_node_of_another_version_reports(tmp_path: Path) -> None:
     """Readers continue, and show what can be read."""
     shown: list[str] = []
     alarms = SiteAlarms(tmp_path, "", [NodeStart("pump", "small_node")], shown.append)
+    start = _StartReport()
     for strange in _STRANGE:
         report = read_report(json.dumps(strange).encode())
         last = {} if report is None else {"pump": report}
         assert bool(last) == (isinstance(strange, dict) and strange.get("state") == "ready")
         alarms.update(last)
-        levels_of(last)
+        start.update(alarms.judge, last, "")
+        describe_site(last)
     for line in (b"", b"{", b"\xff", b"[" * 100_000):
         assert read_report(line) is None
     assert not shown
+
+
+def test_what_systemd_and_the_start_say_of_the_pump(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The state and its reason, of a pump that is held and of one that reports only its drive."""
+    held = {"pump_state": "held", "pump_why": "a hold by the page"}
+    reports = {"controller": {"command": 0.5}, "pump": {"cistern_level": 2.0, **held}}
+    levels = "cistern 2.000 m, roof unknown"
+    assert describe_site(reports) == f"{levels}, command 0.500, pump held: a hold by the page"
+    alarms = SiteAlarms(tmp_path, "", [NodeStart("pump", "small_node")], str)
+    printed: list[str] = []
+    monkeypatch.setattr("greenroof_ros.live.site_run.print_line", printed.append)
+    for pump, reason in (held, "held: a hold by the page"), ({}, "unknown"):
+        _StartReport().update(alarms.judge, {"pump": {"drive_state": "refused", **pump}}, "")
+        assert printed.pop() == f"missing:\n  the pump is kept off: {reason}"
 
 
 def test_a_report_of_any_size_arrives_whole_and_the_newest_of_each_node_waits(
