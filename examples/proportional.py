@@ -1,12 +1,8 @@
 """Your own controller: the command grows with the water that is missing on the roof.
 
-    greenroof simulate --controller examples.proportional:Proportional
-    greenroof run --controller examples.proportional:Proportional --gain 40
-    greenroof check-controller examples.proportional:Proportional
-
-To register it under a name, your own package has in its setup.py:
-
-    entry_points={"greenroof_ros.controllers": ["proportional = my_package:Proportional"]}
+greenroof simulate --controller examples.proportional:Proportional
+greenroof run --controller examples.proportional:Proportional --gain 40
+greenroof check-controller examples.proportional:Proportional
 """
 
 from __future__ import annotations

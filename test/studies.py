@@ -64,7 +64,7 @@ def run_here(directory: Path, text: str) -> StudyStore:
         store.write_outcome(case, run_case(inputs, case, store.trajectory_every))
         if case.bound_block != 0 and case.bound_identity not in store.bounds:
             store.write_bound(case, bound_case(inputs, case))
-    store.write_tables()
+    store.write_table()
     return store
 
 

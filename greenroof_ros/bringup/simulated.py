@@ -20,7 +20,7 @@ from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.progress import RunProgress
 from greenroof_ros.common.standard_error import LINES, print_line
 from greenroof_ros.common.states import RECORDER
-from greenroof_ros.controllers.registry import EXTERNAL, controller_names
+from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.options import (
     add_output_arguments,
@@ -100,7 +100,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     with lock_namespace(arguments.namespace):
         refuse_other_nodes(
             arguments.namespace,
-            {*modules, RECORDER, *([] if is_external else controller_names())}, signals.check,
+            {*modules, RECORDER, *([] if is_external else BUILT_IN)}, signals.check,
         )
         directory = make_run_directory(arguments.output, run.controller.name)
         parameters = write_configuration(directory, run, {

@@ -13,7 +13,7 @@ from greenroof_ros.common.command_line import (
     print_check_results,
 )
 from greenroof_ros.controllers.check import check_controller
-from greenroof_ros.controllers.registry import controller_names, find_controller
+from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.experiment.options import add_output_arguments, add_run_arguments
 from greenroof_ros.graph.domain import importing_ros
 from greenroof_ros.model.look_ahead import MAX_HORIZON
@@ -61,7 +61,7 @@ def make_parser() -> Parser:
     subject = parser.add_mutually_exclusive_group(required=True)
     subject.add_argument(
         "controller", nargs="?", metavar="CONTROLLER",
-        help=f"package.module:Class, or one of {', '.join(controller_names())}",
+        help=f"package.module:Class, or one of {', '.join(BUILT_IN)}",
     )
     subject.add_argument(
         "--node", metavar="NAME",

@@ -153,7 +153,7 @@ def main() -> int:
         )
         return code
     finally:
-        rows = store.write_tables()
+        rows = store.write_table()
     show(rows, store.directory)
     return EXIT_FAILED if store.failures else EXIT_DONE
 

@@ -1,4 +1,4 @@
-"""Finds controllers: by name, of this and other packages, and any class by its path."""
+"""Finds controllers: this package's by their names, and any class by its path."""
 
 from __future__ import annotations
 
@@ -26,8 +26,6 @@ from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
-# Other packages register controllers as entry points of this group: NAME = package.module:Class.
-GROUP = "greenroof_ros.controllers"
 _HERE = "greenroof_ros.controllers"
 BUILT_IN = {
     "mpc": f"{_HERE}.mpc:Mpc",
@@ -59,7 +57,7 @@ class ControllerChoice:
 
     Attributes:
         name: of its node, of its section in a parameter file, and in results.
-        reference: what the user gave: a registered name, or ``package.module:Class``.
+        reference: what the user gave: the name of one of these, or ``package.module:Class``.
         path: ``package.module:Class``.
         given: the class itself, if a program gave it; None if it is to be imported.
     """
@@ -214,16 +212,11 @@ class ControllerChoice:
         return values
 
 
-def controller_names() -> list[str]:
-    """Return the names of the registered controllers, this package's first."""
-    return [*BUILT_IN, *(name for name in _of_other_packages() if name not in BUILT_IN)]
-
-
 def find_controller(reference: str) -> ControllerChoice:
     """Find a controller.
 
     Args:
-        reference: a registered name, or ``package.module:Class``.
+        reference: a name of :data:`BUILT_IN`, or ``package.module:Class``.
 
     Raises:
         ConfigurationError: there is no such controller, or its node's name is in use by another.
@@ -231,9 +224,9 @@ def find_controller(reference: str) -> ControllerChoice:
     if reference == EXTERNAL:
         return ControllerChoice(EXTERNAL, EXTERNAL, f"{_HERE}.external:External")
     if ":" not in reference:
-        path = BUILT_IN.get(reference) or _of_other_packages().get(reference)
+        path = BUILT_IN.get(reference)
         if path is None:
-            expected = describe_choices(controller_names(), reference, ", or package.module:Class")
+            expected = describe_choices(BUILT_IN, reference, ", or package.module:Class")
             raise ConfigurationError(expected, key="controller", value=reference)
         return ControllerChoice(reference, reference, path)
     if not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", reference):
@@ -256,14 +249,6 @@ def choose_class(kind: Any) -> ControllerChoice:
         if path == own:
             return ControllerChoice(name, name, own)
     return ControllerChoice(_node_name(kind.__name__), path, path, kind)
-
-
-@functools.cache
-def _of_other_packages() -> dict[str, str]:
-    """Return the path of each controller that an installed package registers, by name."""
-    from importlib import metadata  # a tenth of a node's import time, and seldom needed
-
-    return {entry.name: entry.value for entry in metadata.entry_points(group=GROUP)}
 
 
 def _node_name(class_name: str) -> str:

@@ -12,9 +12,9 @@ from greenroof_ros.common.command_line import Parser, add_site, make_number_type
 from greenroof_ros.common.errors import rename_keys
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import (
+    BUILT_IN,
     DEFAULT,
     ControllerChoice,
-    controller_names,
     find_controller,
 )
 from greenroof_ros.experiment.inputs import INPUTS, make_inputs
@@ -66,7 +66,7 @@ def add_controller_arguments(
     """
     group.add_argument(
         "--controller", default=default, metavar="NAME",
-        help=f"{', '.join(controller_names())}, or package.module:Class for your own; in a graph "
+        help=f"{', '.join(BUILT_IN)}, or package.module:Class for your own; in a graph "
         "also external, a node that you run yourself (default: %(default)s)",
     )
     # Its parameters are options, so its name is needed before the rest is parsed.

@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.failure import locate_error
-from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
+from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
 from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.model.site import Site
@@ -100,7 +100,7 @@ def controller_help(
     """Return the help of a controller's node.
 
     Args:
-        controller: a registered name, or ``package.module:Class``; None if it is missing.
+        controller: a name, or ``package.module:Class``; None if it is missing.
         module: the node's module in this package.
         purpose: what the node does.
         common: the node's own parameters, without the controller's.
@@ -110,6 +110,6 @@ def controller_help(
     start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
     return node_help(
         f"{module} --controller {name}",
-        f"{purpose}\nRegistered controllers: {', '.join(controller_names())}.",
+        f"{purpose}\nControllers: {', '.join(BUILT_IN)}.",
         lambda _: [*common, *declared], f"--ros-args {start}",
     )

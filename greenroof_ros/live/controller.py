@@ -2,8 +2,8 @@
 
 On/off replaces a controller that fails, or that needs a forecast, while it has none.
 
-``python -m greenroof_ros.live.controller --controller NAME`` runs a registered controller, or any
-class as ``package.module:Class``; the node is named after it.
+``python -m greenroof_ros.live.controller --controller NAME`` runs a controller of this package,
+or any class as ``package.module:Class``; the node is named after it.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class LiveControllerNode(LiveNode):
         """Declare the controller's parameters and open the topics.
 
         Args:
-            controller: a registered name, or ``package.module:Class``.
+            controller: a name, or ``package.module:Class``.
 
         Raises:
             ConfigurationError: there is no such controller.

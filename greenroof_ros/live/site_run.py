@@ -33,7 +33,7 @@ from greenroof_ros.common.processes import (
 from greenroof_ros.common.standard_error import print_line
 from greenroof_ros.common.states import PUMP, DriveState, PumpState
 from greenroof_ros.common.times import iso
-from greenroof_ros.controllers.registry import EXTERNAL, controller_names
+from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
@@ -86,7 +86,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         record = _SiteRecord(site, state, arguments.namespace, nodes)
         start = _StartReport()
         start.update(record.alarms.judge, {}, "the nodes are starting")
-        names = modules.keys() | {"plant", *controller_names()}
+        names = modules.keys() | {"plant", *BUILT_IN}
         refuse_other_nodes(arguments.namespace, names, signals.check)
         DISK.do(partial(configuration.keep, state / "configuration"))
         supervisor = LiveSupervisor(

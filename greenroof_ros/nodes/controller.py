@@ -1,7 +1,7 @@
 """The controller node, for any controller: levels and forecasts in, one command out.
 
-``python -m greenroof_ros.nodes.controller --controller NAME`` runs a registered controller, or any
-class as ``package.module:Class``; the node is named after it.
+``python -m greenroof_ros.nodes.controller --controller NAME`` runs a controller of this package,
+or any class as ``package.module:Class``; the node is named after it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class ControllerNode(SimulationNode):
         """Declare the controller's parameters and open the topics.
 
         Args:
-            controller: a registered name, or ``package.module:Class``.
+            controller: a name, or ``package.module:Class``.
 
         Raises:
             ConfigurationError: there is no such controller.

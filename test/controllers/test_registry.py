@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 from paper import PAPER_SITE, paper_run
-from places import CHECKOUT, CONFIG
+from places import CONFIG
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.controllers import registry
-from greenroof_ros.controllers.registry import BUILT_IN, controller_names, find_controller
+from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.model.site import read_site
 
 
@@ -106,31 +105,6 @@ def test_classes_that_are_no_controllers(
     monkeypatch.delitem(sys.modules, "mine", raising=False)
     with pytest.raises(ConfigurationError, match=f"controller = 'mine:Mine': {message}"):
         _ = find_controller("mine:Mine").kind
-
-
-def test_a_controller_that_a_package_registers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """An entry point gives it a name next to this package's controllers."""
-    example = (CHECKOUT / "examples" / "proportional.py").read_text()
-    (tmp_path / "gentle_roofs.py").write_text(example)
-    about = tmp_path / "roofs-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: roofs\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(
-        "[greenroof_ros.controllers]\ngentle = gentle_roofs:Proportional\n"
-    )
-    (tmp_path / "gentle.yaml").write_text("/**/gentle: {ros__parameters: {gain: 10.0}}\n")
-    assert "gentle" not in controller_names()
-    monkeypatch.syspath_prepend(tmp_path)
-    registry._of_other_packages.cache_clear()
-    try:
-        choice = find_controller("gentle")
-        assert controller_names() == [*BUILT_IN, "gentle"]
-    finally:
-        registry._of_other_packages.cache_clear()
-    values = choice.read_parameters(tmp_path / "gentle.yaml")
-    assert (choice.name, values) == ("gentle", {"gain": 10.0})
 
 
 @pytest.mark.parametrize("name", ["lookahead", "anticipating_onoff"])

@@ -106,7 +106,7 @@ def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | N
     """Return the choice of a controller, and the instance if it is one.
 
     Args:
-        controller: a registered name, ``package.module:Class``, a class, an instance, or a function
+        controller: a name, ``package.module:Class``, a class, an instance, or a function
             of a :class:`SiteState` and :class:`ForecastSteps`.
 
     Raises:

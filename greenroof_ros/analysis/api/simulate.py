@@ -159,8 +159,8 @@ def simulate(
     """Simulate a run, with the numbers of ``greenroof simulate``; without ROS.
 
     Args:
-        controller: ``"mpc"``, ``"onoff"``, ``"anticipating_onoff"``, ``"lookahead"`` or another
-            registered name, ``"package.module:Class"``; a class as "Your controller" in the
+        controller: ``"mpc"``, ``"onoff"``, ``"anticipating_onoff"``, ``"lookahead"`` or
+            ``"package.module:Class"``; a class as "Your controller" in the
             documentation describes it; an instance, which goes on with what it has learned; or a
             function of (state, forecast) that returns the command, the share of the pumps' maximum
             flow. ``state`` has time, cistern_level and roof_level (m), cistern and roof (m3), and
@@ -210,7 +210,10 @@ def simulate(
         2
     """
     choice, instance = choose_controller(controller)
-    if instance is not None:
+    if instance is None:
+        run = build_run(choice, inputs)
+        instance = run.make_controller()
+    else:
         given = inputs.keys() & choice.parameters.keys()
         if given:
             raise ConfigurationError(
@@ -221,11 +224,6 @@ def simulate(
         run = build_run(choice, {**inputs, **own})
         # Not the defaults: of its other parameters nothing is known.
         run = replace(run, parameters={name: run.parameters[name] for name in own})
-    else:
-        run = build_run(choice, inputs)
-    if instance is None:
-        instance = run.make_controller()
-    else:
         ends = look_ahead_ends(run.site, run.parameters.get("horizon", 0.0))
         set_optional(instance, forecast_ends=ends)
     if isinstance(instance, FunctionController):

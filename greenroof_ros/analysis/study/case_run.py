@@ -21,12 +21,10 @@ class Outcome:
 
     Attributes:
         results: columns of the table; the same in every repetition.
-        timings: wall-clock times (s), which differ.
         files: content of the files that are kept, by name.
     """
 
     results: dict[str, Any]
-    timings: dict[str, float]
     files: dict[str, bytes]
 
 
@@ -57,8 +55,7 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
     else:
         every = max(1, round(trajectory_every / run.site.tau))
         files[TRAJECTORY] = record(run, simulation.ticks(), every).to_parquet()
-    result = simulation.summary()
-    return Outcome(summary_columns(result), _read_timings(result), files)
+    return Outcome(summary_columns(simulation.summary()), files)
 
 
 def bound_case(directory: Path, case: Case) -> float:
@@ -69,11 +66,3 @@ def bound_case(directory: Path, case: Case) -> float:
     run = case.find_inputs(directory).build()
     block = None if case.bound_block is None else round(case.bound_block / run.site.tau)
     return clairvoyant_bound(run, block=block)
-
-
-def _read_timings(result: Mapping[str, Any]) -> dict[str, float]:
-    solver = result["solver"] or {}
-    return {
-        "wall_s": result["wall_s"],
-        **{key: solver[key] for key in ("mean_s", "p99_s", "max_s") if key in solver},
-    }

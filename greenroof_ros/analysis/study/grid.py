@@ -20,7 +20,7 @@ from greenroof_ros.common.files import (
     unique_name,
 )
 from greenroof_ros.common.ranges import Range
-from greenroof_ros.controllers.registry import ControllerChoice, controller_names, find_controller
+from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
 from greenroof_ros.experiment.inputs import RunInputs, make_inputs
 from greenroof_ros.experiment.run import Run, count_ticks
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, PERFECT, ForecastChoice
@@ -42,7 +42,7 @@ _BLOCKS = {
     "initial": f"one of {', '.join(INITIAL_STATES)}, {{name: dry, cistern: 60.0, roof: 1.0}} in "
     "m3, or a list of these",
     "controllers": "controllers, each with its parameters: "
-    f"{', '.join(controller_names())}, or package.module:Class",
+    f"{', '.join(BUILT_IN)}, or package.module:Class",
     "forecast": f"one of {', '.join(MODELS)}, a file or directory of forecasts, "
     "{model: errors, skill: real, seed: [1, 2]}, or a list of these",
     "sensor_and_pump": "{roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of "
@@ -80,8 +80,8 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
         weather: directory of weather files that are not next to the grid.
 
     Returns:
-        The runs, in the order of the file: sites, windows, methods, forecasts, initial states,
-        sensor_and_pump, controllers with their parameters.
+        The runs, in the order of the file: sites, windows, methods, initial states,
+        sensor_and_pump, controllers with their parameters, forecasts.
 
     Raises:
         ConfigurationError: the grid, or a file that it names, is wrong. Nothing has run yet.
@@ -122,38 +122,21 @@ class _Grid:
         self._carry = functools.cache(self._carry_forecast)
 
     def cases(self) -> Iterator[Case]:
-        settings = list(self._expand_controllers())
+        further = list(self._expand_sensor_and_pump()), list(self._expand_controllers())
         for site, file in self._expand_sites():
-            for window, forecasts in self._expand_windows():
-                yield from self._combine(site, file, window, forecasts, settings)
-
-    def _combine(
-        self, site: Site, file: InputFile, window: _Inputs, usual: list[_Inputs],
-        settings: list[_Setting],
-    ) -> Iterator[Case]:
-        """Yield the cases of a window, with the grid's forecasts or a controller's own."""
-        runs: dict[tuple[object, ...], Run] = {}
-        own = [forecast for setting in settings for forecast in setting.forecasts]
-        # Duplicates in `usual` are kept, so that read_grid() refuses the second run.
-        forecasts = [*usual, *(
-            forecast for place, forecast in enumerate(own)
-            if forecast not in usual and forecast not in own[:place]
-        )]
-        for forecast in forecasts:
-            theirs = [
-                setting for setting in settings if forecast in (setting.forecasts or usual)
-            ]
-            for state, sensor_and_pump, setting in itertools.product(
-                list(self._expand_states(site)), list(self._expand_sensor_and_pump()), theirs
-            ):
-                given, lines = dict[str, Any](), dict[str, int]()
-                for part in (window, forecast, state, sensor_and_pump, setting.parameters):
-                    given |= part
-                    lines |= part.lines
-                with self._at(lines, "start"):
-                    inputs = replace(make_inputs(setting.controller, given), site=site)
-                    case = self._complete(inputs, site, file, runs)
-                yield case
+            states = list(self._expand_states(site))
+            for window, usual in self._expand_windows():
+                runs: dict[tuple[object, ...], Run] = {}
+                for state, sensor_and_pump, setting in itertools.product(states, *further):
+                    for forecast in setting.forecasts or usual:
+                        given, lines = dict[str, Any](), dict[str, int]()
+                        for part in (window, forecast, state, sensor_and_pump, setting.parameters):
+                            given |= part
+                            lines |= part.lines
+                        with self._at(lines, "start"):
+                            inputs = replace(make_inputs(setting.controller, given), site=site)
+                            case = self._complete(inputs, site, file, runs)
+                        yield case
 
     def _complete(
         self, inputs: RunInputs, site: Site, file: InputFile, runs: dict[tuple[object, ...], Run]

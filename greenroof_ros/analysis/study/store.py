@@ -145,7 +145,7 @@ class StudyStore:
             OSError: for instance on a full disk.
         """
         part, whole = self._runs / f"{case.identity}.part", self._runs / case.identity
-        about = _with_digest({"results": outcome.results, "timings": outcome.timings})
+        about = _with_digest({"results": outcome.results})
         part.mkdir(exist_ok=True)
         for name, content in {**outcome.files, _OUTCOME: about.encode()}.items():
             with add_path_to_errors(part / name):
@@ -160,22 +160,18 @@ class StudyStore:
         self.bounds[case.bound_identity] = bound
         replace_text(self._bounds, _with_digest(self.bounds))
 
-    def write_tables(self) -> list[dict[str, Any]]:
-        """Write ``results.csv``, and separately ``timings.csv``, because times never repeat.
-
-        Returns:
-            The rows of ``results.csv``.
-        """
+    def write_table(self) -> list[dict[str, Any]]:
+        """Write ``results.csv``, and return its rows."""
         parameters = dict.fromkeys(name for case in self.cases for name in case.inputs.parameters)
         imperfect = any(case.inputs.sensor_and_pump != SensorAndPump() for case in self.cases)
-        rows, timings, names = [], [], Names(self.cases)
+        rows, names = [], Names(self.cases)
         for case in self.cases:
             inputs = case.inputs
-            run, error = {"run": case.identity}, self.failures.get(case.identity)
+            error = self.failures.get(case.identity)
             outcome, bound = self.outcomes.get(case.identity), self.bounds.get(case.bound_identity)
             results = {} if outcome is None else outcome.results
             rows.append({
-                **run,
+                "run": case.identity,
                 **names.columns(case),
                 **case.columns(),
                 **(inputs.sensor_and_pump.values() if imperfect else {}),
@@ -187,10 +183,12 @@ class StudyStore:
                 "ratio_to_bound": results["total_deviation_m3"] / bound if results and bound
                 else None,
             })
-            if outcome:
-                timings.append({**run, **outcome.timings})
-        _write_csv(self.directory / "results.csv", rows)
-        _write_csv(self.directory / "timings.csv", timings)
+        text = io.StringIO()
+        columns = list(dict.fromkeys(column for row in rows for column in row))
+        writer = csv.DictWriter(text, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)  # floats keep all their digits
+        replace_text(self.directory / "results.csv", text.getvalue())
         return rows
 
 
@@ -218,13 +216,3 @@ def _read(file: Path) -> dict[str, Any]:
         raise ConfigurationError(
             f"cannot be read: {error.strerror}; the study was not changed", file=file
         ) from error
-
-
-def _write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows, with every column that any of them has; floats keep all their digits."""
-    text = io.StringIO()
-    columns = list(dict.fromkeys(column for row in rows for column in row))
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    replace_text(path, text.getvalue())

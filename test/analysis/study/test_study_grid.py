@@ -253,7 +253,7 @@ def test_weather_is_shared_by_sites_only_if_it_is_the_same(tmp_path: Path) -> No
     text = file.read_text().replace("there.yaml", "{file: here.yaml, crop_coefficient: 2}")
     store = run_here(tmp_path, text)
     # 7 mm/day in July.
-    taken = [row["evapotranspiration_m3"] for row in store.write_tables()]
+    taken = [row["evapotranspiration_m3"] for row in store.write_table()]
     assert taken == pytest.approx([68.8 * 0.007 / 240, 2 * 68.8 * 0.007 / 240])
 
 
@@ -322,7 +322,7 @@ def test_gaps_of_a_window(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     refusal(read_grid, file, match="is missing at 2022-07-21T11:00-05:00")
     july = july.replace("hours: 0.25", "hours: 0.02\n    gaps: fill")
     done = run_here(tmp_path, f"{july}bound_block: 0\n")
-    rows = done.write_tables()
+    rows = done.write_table()
     show(rows, done.directory)
     assert "NOTE: 6 of 6 runs had missing hours of weather filled in" in capsys.readouterr().out
     for row in rows:
