@@ -34,27 +34,15 @@ def _result(
         "pumped_m3": plan.pumped_m3,
         "max_command": max_command,
         "block_s": block_s,
-        "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2},
         **describe_setting(run),
-        "evapotranspiration_method": run.weather.method,
     }
 
 
 def _table(result: dict[str, Any]) -> Table:
-    initial, gap = result["initial"], result["gap"]
+    gap = result["gap"]
     rows = (
         *setting_rows(result),
-        (
-            "from",
-            f"{initial['cistern_m3']:.3f} / {initial['roof_m3']:.3f}",
-            f"m3 in cistern / on roof ({initial['name']}), {result['start']}, "
-            f"{result['steps']} ticks of {result['tau_s']:g} s",
-        ),
-        (
-            "bound", f"{result['bound_m3']:.2f}",
-            "m3, total deviation that no controller can beat "
-            f"({result['evapotranspiration_method']} evapotranspiration)",
-        ),
+        ("bound", f"{result['bound_m3']:.2f}", "m3, total deviation that no controller can beat"),
         (
             "plan", f"{result['plan_m3']:.2f}",
             "m3, of lookahead with all weather known, run through the exact plant",
@@ -106,16 +94,16 @@ def main() -> int:
     """Compute the bound of the run on the command line."""
     arguments = make_parser().parse_args()
     run = build_run(arguments)
-    block = max(1, round(BLOCK_S / run.site.tau))
+    block_s = max(1, round(BLOCK_S / run.site.tau)) * run.site.tau
     if arguments.block is not None:
-        block = count_ticks(run.site, arguments.block, "--block", unit_s=1.0)
+        block_s = count_ticks(run.site, arguments.block, "--block", unit_s=1.0) * run.site.tau
     try:
-        bound_m3 = clairvoyant_bound(run, arguments.max_command, block)
+        bound_m3 = clairvoyant_bound(run, block_s, arguments.max_command)
     except NoBoundError as error:
         print(f"error: no bound found; the solver reports: {error}", file=sys.stderr)
         return EXIT_FAILED
     plan = simulate_plan(run, arguments.max_command)
-    result = _result(run, arguments.max_command, bound_m3, plan, block * run.site.tau)
+    result = _result(run, arguments.max_command, bound_m3, plan, block_s)
     if arguments.json:
         print(json.dumps(result, indent=2, allow_nan=False))
     else:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, command, make_number_type, refuse_unwritable
-from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.command_line import Parser, command, make_number_type
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment import summary, summary_table
-from greenroof_ros.experiment.closed_loop import Simulation, Tick, record
+from greenroof_ros.experiment.closed_loop import Simulation, Tick
 from greenroof_ros.experiment.options import (
     add_output_arguments,
     add_run_arguments,
@@ -22,10 +22,7 @@ from greenroof_ros.experiment.options import (
 )
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.recording.trajectory import COLUMNS, CSV, LAYER, Trajectory
-
-_PAGE = ".html"
-_PICTURES = (".png", ".svg", _PAGE)
+from greenroof_ros.recording.trajectory import COLUMNS, CSV, LAYER
 
 
 def make_parser() -> Parser:
@@ -37,7 +34,7 @@ def make_parser() -> Parser:
         "without ROS. The numbers equal the node graph's (greenroof run), bit for bit.",
         epilog="examples:\n"
         "  greenroof simulate --controller lookahead --horizon 12 --trajectory run.csv\n"
-        "  greenroof simulate --start 2021-07-08T05:00 --hours 6 --plot run.png\n"
+        "  greenroof simulate --start 2021-07-08T05:00 --hours 6 --trajectory\n"
         "  greenroof simulate --controller lookahead --horizon 24 \\\n"
         "      --forecast errors --forecast-skill real --forecast-seed 3\n"
         "  greenroof simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
@@ -55,10 +52,6 @@ def make_parser() -> Parser:
         help="write a tick every S seconds, and the last, instead of all: at a hundred bytes per "
         "tick a year takes gigabytes",
     )
-    group.add_argument(
-        "--plot", type=Path, metavar="FILE",
-        help="draw rain, roof, cistern and pump over time to a new .png, .svg or .html file",
-    )
     return parser
 
 
@@ -67,10 +60,9 @@ def main() -> None:
     """Simulate the run that the command line asks for."""
     arguments = make_parser().parse_args()
     run = build_run(arguments)
-    if arguments.trajectory_every and not (arguments.trajectory or arguments.plot):
-        raise ConfigurationError("needs --trajectory or --plot", key="--trajectory-every")
+    if arguments.trajectory_every and not arguments.trajectory:
+        raise ConfigurationError("needs --trajectory", key="--trajectory-every")
     every = max(1, round(arguments.trajectory_every / run.site.tau))
-    plot = None if arguments.plot is None else _plotter(arguments.plot, run)
     simulation = Simulation(run)  # a controller that cannot be made leaves no directory
     directory = make_run_directory(arguments.output, run.controller.name)
     write_configuration(directory, run, {})
@@ -79,8 +71,6 @@ def main() -> None:
         if arguments.trajectory:
             own = arguments.trajectory is True
             ticks = _written(run, ticks, every, directory / CSV if own else arguments.trajectory)
-        if plot is not None:
-            plot(record(run, ticks, every))
         for _ in ticks:
             pass
     result = simulation.summary()
@@ -123,25 +113,3 @@ def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterato
                 time_of = run.start + timedelta(seconds=seconds)
                 rows.writerow((time_of.isoformat(), seconds, *values(tick)))
             yield tick
-
-
-def _plotter(file: Path, run: Run) -> Callable[[Trajectory], None]:
-    """Return what draws a run's trajectory to a new file.
-
-    Raises:
-        ConfigurationError: it is not a file for a picture, exists or cannot be written, or Altair
-            is not installed.
-    """
-    refuse_unwritable(file, _PICTURES, "--plot")
-    with require_extra("study"):
-        from greenroof_ros.analysis.report.trajectories import overlay_simulations
-
-    def draw(trajectory: Trajectory) -> None:
-        chart = overlay_simulations({run.controller.name: (run.site, trajectory)})
-        with add_path_to_errors(file):
-            if file.suffix == _PAGE:
-                chart.save(file, inline=True)
-            else:  # of inline Altair warns here
-                chart.save(file, scale_factor=2)
-
-    return draw

@@ -16,14 +16,14 @@ Values = NDArray[np.float64]
 _TOLERANCES = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 
 BLOCK_S = 60.0
-"""length of a block, or a tick if that is longer (s)"""
+"""time that usually shares a variable (s)"""
 
 
 class NoBoundError(Exception):
     """The solver found no optimum; its own message states why."""
 
 
-def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = None) -> float:
+def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> float:
     r"""Bound the total deviation sum_{k=0..N} \|x_{k,2} - x2*\| of a run from below.
 
     The bound is the optimum of a linear program in the roof's volume x2 alone. Every run that the
@@ -61,8 +61,8 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
 
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
+        block_s: time (s), rounded to whole ticks, that shares one variable; a tick if it is less.
         max_command: maximum command (share of the maximum flow), from 1e-9 to 100.
-        block: number of ticks that share one variable, at least 1; by default a minute's.
 
     Returns:
         No run with these inputs has a smaller total deviation (m3, summed over the ticks), unless a
@@ -71,8 +71,7 @@ def clairvoyant_bound(run: Run, max_command: float = 1.0, block: int | None = No
     Raises:
         NoBoundError: the solver found no optimum.
     """
-    if block is None:
-        block = max(1, round(BLOCK_S / run.site.tau))
+    block = max(1, round(block_s / run.site.tau))
     return _solve(run, _limits(run, max_command), np.arange(0, run.steps + 1, block))
 
 

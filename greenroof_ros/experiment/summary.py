@@ -81,7 +81,6 @@ def make_unfinished_summary(
     """
     repeats_from = run.forecast.repeats_from
     choice = run.forecast_choice
-    layer = {} if run.site.drainage_storage is None else {"layer_m3": run.site.initial_layer}
     return {
         "status": status,
         "reason": reason,
@@ -89,10 +88,8 @@ def make_unfinished_summary(
         "controller": run.controller.name,
         "controller_reference": run.controller.reference,
         "parameters": replace_infinity(run.parameters),
-        "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2, **layer},
         **describe_setting(run),
         "gaps": run.weather.gaps,
-        "evapotranspiration_method": run.weather.method,
         "forecast": {
             "model": choice.model,
             **choice.options(),
@@ -114,7 +111,9 @@ def make_unfinished_summary(
 def describe_setting(run: Run) -> dict[str, Any]:
     """Return where and when a run takes place, and what a reader must know before its results."""
     weather = run.weather
+    layer = {} if run.site.drainage_storage is None else {"layer_m3": run.site.initial_layer}
     return {
+        "initial": {"name": run.initial, "cistern_m3": run.x1, "roof_m3": run.x2, **layer},
         "start": run.start.isoformat(),
         "steps": run.steps,
         "tau_s": run.site.tau,
@@ -124,8 +123,9 @@ def describe_setting(run: Run) -> dict[str, Any]:
         "weather_places": [list(place) for place in dict.fromkeys(weather.places.values())],
         "weather_from": weather.first.isoformat(),
         "weather_until": weather.end.isoformat(),
+        "evapotranspiration_method": weather.method,
         "notes": run.notes(),
-        "weather_notes": [*run.weather.notes, *run.forecast.notes],
+        "weather_notes": [*weather.notes, *run.forecast.notes],
     }
 
 

@@ -59,11 +59,6 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     parameters = {key: value for key, value in summary["parameters"].items() if value is not None}
     yield from setting_rows(summary)
     yield "controller", summary["controller"], _listed(parameters)
-    yield "from", *_initial(summary["initial"])
-    yield (
-        "length", f"{summary['steps']} ticks",
-        f"of {summary['tau_s']:g} s, {summary['evapotranspiration_method']} evapotranspiration",
-    )
     yield from _metric_rows(summary)
     solver = summary["solver"]
     if solver is not None:
@@ -119,7 +114,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield site and weather of a run: places, the records' period and the run's, and notes."""
+    """Yield site and weather of a run, its initial state and its length."""
     start = datetime.fromisoformat(summary["start"])
     end = start + timedelta(seconds=summary["steps"] * summary["tau_s"])
     places = [format_place(*place) for place in summary["weather_places"]]
@@ -131,6 +126,11 @@ def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     )
     for note in summary["weather_notes"]:
         yield "weather", "note", note
+    yield "from", *_initial(summary["initial"])
+    yield (
+        "length", f"{summary['steps']} ticks",
+        f"of {summary['tau_s']:g} s, {summary['evapotranspiration_method']} evapotranspiration",
+    )
 
 
 def print_notes(console: Console, summary: Mapping[str, Any]) -> None:

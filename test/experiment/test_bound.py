@@ -26,7 +26,7 @@ from paper import (
 
 from greenroof_ros.commands import bound as module
 from greenroof_ros.commands.bound import main
-from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
+from greenroof_ros.experiment.clairvoyant import BLOCK_S, clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.experiment.plan import simulate_plan
 from greenroof_ros.model.sensor_and_pump import SensorAndPump
@@ -89,8 +89,8 @@ def test_no_run_is_below(
     """
     site = replace(site, tau=tau)
     run = run_of_hours(hours, cistern * site.a1, roof * site.z_cap, site)
-    fine = clairvoyant_bound(run, max_command, 1)
-    coarse = clairvoyant_bound(run, max_command, 7)
+    fine = clairvoyant_bound(run, site.tau, max_command)
+    coarse = clairvoyant_bound(run, 7 * site.tau, max_command)
     slack = 1e-6 * (fine + site.x2_star)
     if run.steps >= 7:
         assert coarse <= fine + slack
@@ -121,7 +121,7 @@ def test_without_pumping_the_bound_is_the_run(
     site = replace(site, tau=30.0, quiet_hours=None if frost else ALWAYS, time_zone=TORONTO)
     still = [(rain, evapotranspiration, frost) for rain, evapotranspiration, _ in hours]
     run = run_of_hours(still, cistern * site.a1, roof * site.z_cap, site)
-    bound = clairvoyant_bound(run, block=1)
+    bound = clairvoyant_bound(run, site.tau)
     simulation = Simulation(run, Commands([1.0]))
     roofs = [tick.x2 for tick in simulation.ticks()]
     if site.field_capacity is None:
@@ -148,7 +148,7 @@ def test_bound_and_plan_are_close(
         "--controller", "lookahead", "--horizon", "12", "--days-after", "0", "--site", str(site),
         "--start", start, "--hours", "12",
     )
-    bound, plan = clairvoyant_bound(run), simulate_plan(run)
+    bound, plan = clairvoyant_bound(run, BLOCK_S), simulate_plan(run)
     assert bound <= plan.total_m3 < (1 + gap) * bound
     assert plan.pumped_m3 > 0
     assert bound <= metrics_of(run)["total_deviation_m3"] < 1.001 * plan.total_m3
@@ -185,7 +185,7 @@ def test_eight_ticks_without_weather(
     site = replace(SLOW, tau=20.0, quiet_hours=(quiet,), time_zone=TORONTO)
     run = run_of_hours(DRY_HOUR, x1, site.x2_star - x2 * FULL, site, steps=8)
     run = replace(run, sensor_and_pump=SensorAndPump(pump_min_off=min_off, roof_offset=0.1))
-    found = clairvoyant_bound(run, max_command, block=1)
+    found = clairvoyant_bound(run, site.tau, max_command)
     assert found == pytest.approx(bound * FULL, rel=1e-6)
     total = simulate_plan(run, max_command).total_m3
     assert plan * FULL * (1 - 1e-6) <= total < plan * FULL * (1 + 1e-3)
@@ -198,13 +198,14 @@ def test_before_frost_the_roof_is_filled_above_the_target() -> None:
     last = round(2 * 3600 / run.site.tau) - 1
     # A thousandth of the flow replaces what evaporates.
     filled = metrics_of(run, Commands([0.001] * last + [1.0]))["total_deviation_m3"]
-    assert 0 < clairvoyant_bound(run, block=6) < filled < 1.01 * clairvoyant_bound(run)
+    bound = clairvoyant_bound(run, 6 * run.site.tau)
+    assert 0 < bound < filled < 1.01 * bound
 
 
 def test_a_bound_of_zero_has_no_gap() -> None:
     """A roof at its target, and no weather."""
     run = run_of_hours(DRY_HOUR, 75.0, PAPER_SITE.x2_star)
-    assert clairvoyant_bound(run) == 0
+    assert clairvoyant_bound(run, BLOCK_S) == 0
     assert module._result(run, 1.0, 0.0, simulate_plan(run), 60.0)["gap"] is None
 
 

@@ -51,7 +51,7 @@ class Case:
         weather_name: one name for them, unique in the study.
         forecast_files: files of forecasts, by the attribute of the choice that names them.
         bound_block: time (s) that shares a variable when the minimum possible deviation is
-            computed; None for the default, 0 to compute no bound.
+            computed; 0 to compute no bound.
     """
 
     inputs: RunInputs
@@ -59,7 +59,7 @@ class Case:
     weather: tuple[InputFile, ...]
     weather_name: str
     forecast_files: Mapping[str, InputFile]
-    bound_block: float | None = None
+    bound_block: float
 
     @property
     def controller(self) -> str:
@@ -104,7 +104,7 @@ class Case:
             self.inputs, controller=find_controller("onoff"), parameters={},
             forecast=ForecastChoice(), sensor_and_pump=SensorAndPump(),
         )).identity
-        return alike if self.bound_block is None else f"{alike}-{format_exactly(self.bound_block)}"
+        return f"{alike}-{format_exactly(self.bound_block)}"
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the table that describe the case.

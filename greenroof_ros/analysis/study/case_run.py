@@ -64,5 +64,4 @@ def bound_case(directory: Path, case: Case) -> float:
     See :func:`greenroof_ros.experiment.clairvoyant.clairvoyant_bound`.
     """
     run = case.find_inputs(directory).build()
-    block = None if case.bound_block is None else round(case.bound_block / run.site.tau)
-    return clairvoyant_bound(run, block=block)
+    return clairvoyant_bound(run, case.bound_block)

@@ -21,6 +21,7 @@ from greenroof_ros.common.files import (
 )
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
+from greenroof_ros.experiment.clairvoyant import BLOCK_S
 from greenroof_ros.experiment.inputs import RunInputs, make_inputs
 from greenroof_ros.experiment.run import Run, count_ticks
 from greenroof_ros.forecast.choice import MODELS, OPTIONS, PERFECT, ForecastChoice
@@ -274,10 +275,10 @@ class _Grid:
                 parameters = {key: value for key, value in block.items() if key != "forecast"}
                 yield _Setting(controller, _Inputs(parameters, block.lines), forecasts)
 
-    def _bound_block(self, site: Site) -> float | None:
-        """Return ``bound_block:`` (s), whole ticks of a site or 0; None if there is no such key."""
+    def _bound_block(self, site: Site) -> float:
+        """Return ``bound_block:`` (s), whole ticks of a site or 0; a minute without such a key."""
         if "bound_block" not in self._mapping:
-            return None
+            return BLOCK_S
         seconds = self._number(self._mapping, "bound_block")
         if seconds:
             with self._at(self._mapping.lines, "bound_block"):

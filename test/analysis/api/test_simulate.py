@@ -329,23 +329,6 @@ def test_the_commands_run_is_read_by_the_report(tmp_path: Path) -> None:
     assert gr.read_bag(tmp_path / "out").equals(expected.trajectory[::10])
 
 
-def test_the_commands_picture(tmp_path: Path) -> None:
-    """As a page, which needs no network; if there is one already, nothing runs."""
-    drawn = run_command(
-        "simulate", "--hours", "0.3", "--controller", "onoff", "--plot", "run.html",
-        cwd=tmp_path, env=environment(0),
-    )
-    assert (drawn.returncode, drawn.stderr) == (0, "")
-    content = (tmp_path / "run.html").read_text()
-    assert content.startswith("<!DOCTYPE html>")
-    assert "roof level (mm)" in content
-    assert "<script src" not in content
-    before = sorted(tmp_path.rglob("*"))
-    done = run_command("simulate", "--plot", "run.html", cwd=tmp_path, env=environment(0))
-    assert (done.returncode, "exists; name another file" in done.stderr) == (2, True)
-    assert sorted(tmp_path.rglob("*")) == before
-
-
 def test_a_run_that_failed_has_no_trajectory(tmp_path: Path) -> None:
     """It is refused, with its reason."""
     directory = gr.simulate("onoff", hours=0.1).save(tmp_path / "mine")
