@@ -83,9 +83,9 @@ def compare(own: Deviations, other: Deviations) -> SeasonComparison | None:
     means, others = (
         np.array([deviations.totals[year].mean() for year in years]) for deviations in (own, other)
     )
-    if len(years) < 2 or not others.any():
-        return None
     counts = np.vstack((np.ones(len(years)), _draws(len(years))))
+    if len(years) < 2 or not (counts @ others).all():
+        return None
     return SeasonComparison(
         difference=float(np.mean(means - others)),
         mean=_ratio(counts @ means / (counts @ others), len(years)),

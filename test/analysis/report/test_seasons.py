@@ -88,8 +88,10 @@ def test_ratios_and_what_is_reported_of_them() -> None:
     two = {2015: 1.0, 2016: 200.0}
     comparison = compare(deviations(two), deviations(dict.fromkeys(two, 100.0)))
     assert comparison is not None and comparison.mean.low == 0.0
-    # If on/off never leaves its target, or for a single year, there is no ratio.
+    # If on/off never leaves its target, or in all years of a resample, or for a single year, there
+    # is no ratio.
     assert compare(deviations(ONOFF), deviations(dict.fromkeys(YEARS, 0.0))) is None
+    assert compare(deviations(ONOFF), deviations({2015: 0.0, 2016: 5.0, 2017: 4.0})) is None
     assert compare(deviations({2015: 1.0}), deviations(ONOFF)) is None
     # Seeds with the same mean in every year leave no uncertainty, however different they are.
     apart = [{year: total + more for year, total in ONOFF.items()} for more in (-40, 40)]
