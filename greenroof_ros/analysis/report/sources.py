@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import math
+import sys
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cache
@@ -32,11 +34,24 @@ _NUMBERS = (
     "hours", "cistern_m3", "roof_m3", "fallbacks", "filled_hours", "frost_hours", "bound_m3",
     *PARAMETERS, *(metric.name for metric in METRICS),
 )
+
+
+def _read_number(cell: str, low: float = -sys.float_info.max) -> float:
+    """Return a number that is finite and not below another."""
+    if not low <= (number := float(cell)) < math.inf:
+        raise ValueError
+    return number
+
+
 # How a column of a study's table is read; the others are text.
 _READ: dict[str, Callable[[str], object]] = {
-    **dict.fromkeys(_NUMBERS, lambda cell: float(cell) if cell else None),
+    **dict.fromkeys(_NUMBERS, lambda cell: _read_number(cell) if cell else None),
+    **dict.fromkeys(
+        ("hours", "total_deviation_m3", "bound_m3"),
+        lambda cell: _read_number(cell, 0.0) if cell else None,
+    ),
     "start": lambda cell: datetime.fromisoformat(cell).isoformat() if cell else "",
-    "weekly_deviation_m3": lambda cell: list(map(float, cell.split())),
+    "weekly_deviation_m3": lambda cell: list(map(_read_number, cell.split())),
 }
 
 
@@ -167,16 +182,22 @@ def _read_results(file: Path) -> list[Row]:
     """Return the rows of a study's table; an empty cell of a number is None.
 
     Raises:
-        ConfigurationError: it is not a study's table, or a row was cut short or has a wrong value.
+        ConfigurationError: it is not a study's table, or was cut short or has a wrong value.
     """
-    table = csv.DictReader(io.StringIO(read_text(file)), restkey="", restval=None)
+    text = read_text(file)
+    table = csv.DictReader(io.StringIO(text), restkey="", restval=None)
     missing = _NEEDED - set(table.fieldnames or ())
     if missing:
         raise ConfigurationError(
             f"has no column {', '.join(sorted(missing))}; is it the results.csv of a study? Then "
             "repeat the command greenroof study, which writes the table again", file=file, line=1,
         )
-    rows = list[Row]()
+    if not text.endswith("\n"):
+        raise ConfigurationError(
+            "ends in the middle of a line; copy the table again", file=file,
+            line=text.count("\n") + 1,
+        )
+    rows = dict[str, Row]()
     for cells in table:
         for column, cell in cells.items():
             try:
@@ -185,10 +206,29 @@ def _read_results(file: Path) -> list[Row]:
                 cells[column] = _READ.get(column, str)(cell)
             except ValueError as error:
                 raise ConfigurationError(
-                    "cannot be read; copy the table again", file=file, line=table.line_num,
+                    "is not a possible value; copy the table again", file=file, line=table.line_num,
                     key=column, value=cell,
                 ) from error
-        rows.append(cells)
+        for column, damage in _find_damage(cells, rows):
+            raise ConfigurationError(
+                f"{damage}; copy the table again", file=file, line=table.line_num, key=column,
+                value=cells[column],
+            )
+        rows[cells["run"]] = cells
     if not rows:
         raise ConfigurationError("has a header but no runs", file=file)
-    return rows
+    return list(rows.values())
+
+
+def _find_damage(row: Row, earlier: Container[str]) -> Iterable[tuple[str, str]]:
+    """Yield the columns in which a row is not as a study writes it, each with what is wrong."""
+    if not row["run"].strip(".") or "/" in row["run"] or row["run"] in earlier:
+        yield "run", "must be the name of a directory under runs/, in one row"
+    if row["status"] not in ("done", "failed", "not run"):
+        yield "status", "must be done, failed or not run"
+    if row["status"] == "done":
+        empty = [column for column in row if row[column] in ("", None)]
+        for column in (_NEEDED - {"error", "season"}).intersection(empty):
+            yield column, "must be given, because the run is done"
+        if row["season"] and len(row.get("weekly_deviation_m3", ())) < row["hours"] // 168:
+            yield "season", "must be empty, or weekly_deviation_m3 must have all weeks"

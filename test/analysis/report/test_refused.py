@@ -45,6 +45,13 @@ def replaced(old: str, new: str) -> Callable[[Path], Any]:
     return study(lambda text: text.replace(old, new))
 
 
+def with_cells(**cells: object) -> Callable[[Path], Any]:
+    """Return what writes a study whose only run has other values."""
+    return lambda at: write_study(
+        at, [({**simulate("onoff", "0.5", "low-low", "0.01").row, **cells}, None)]
+    )
+
+
 def unfinished_bag(at: Path) -> None:
     """Write a bag as it is while it is recorded."""
     (small_bag(at) / "metadata.yaml").unlink()
@@ -68,7 +75,21 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
         "results.csv, line 1: has no column season.* repeat the command greenroof study",
     ),
     "no-finished-run": (replaced(",done,", ",failed,"), "no finished run; 1 failed or did not run"),
-    "row-too-short": (study(lambda text: text[:-20] + "\n"), "line 2: .*cannot be read"),
+    "row-too-short": (study(lambda text: text[:-20] + "\n"), "line 2: .*not a possible value"),
+    "row-cut": (study(lambda text: text[:-2]), "results.csv, line 2: ends in the middle of a line"),
+    "a-row-twice": (
+        study(lambda text: text + text.splitlines()[1] + "\n"), "results.csv, line 3: run = '001'"
+    ),
+    "run-outside": (replaced("\n001,", "\n../001,"), "line 2: run = '../001': must be the name"),
+    "status": (replaced(",done,", ",lost,"), "line 2: status = 'lost': must be done, failed or"),
+    "no-total": (with_cells(total_deviation_m3=""), "total_deviation_m3: must be given"),
+    "total-nan": (with_cells(total_deviation_m3="nan"), "total_deviation_m3 = 'nan': is not a"),
+    "bound-below-0": (with_cells(bound_m3="-1"), "bound_m3 = '-1': is not a possible value"),
+    "a-week": (with_cells(weekly_deviation_m3="1 inf"), "weekly_deviation_m3 = '1 inf': is not a"),
+    "a-season-without-weeks": (
+        with_cells(hours=384.0, season="May", weekly_deviation_m3="1.5"),
+        "season = 'May': must be empty, or weekly_deviation_m3 must have all weeks",
+    ),
     "volume-a-word-after-an-error-of-two-lines": (
         study(
             lambda text: text.replace(",done,,", ',done,"a\nb",')
