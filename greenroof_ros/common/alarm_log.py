@@ -117,8 +117,8 @@ class AlarmLog:
             print_line(f"warning: {error}; the alarms of earlier starts are not shown")
 
     def _resume(self) -> None:
-        if self._file.exists():
-            _drop_cut_line(self._file)
+        if self._file.exists():  # a crash may have cut its last line
+            os.truncate(self._file, self._file.read_bytes().rfind(b"\n") + 1)
         began = time.time()
         for alarm in read_alarms(self._file.parent):
             self.last_number = alarm.number
@@ -169,11 +169,6 @@ class AlarmLog:
                 stream.writelines(f"{json.dumps(to_record(entry))}\n" for entry in written)
         except OSError as error:
             self._print_line(f"warning: {self._file}: {error.strerror}")
-
-
-def _drop_cut_line(file: Path) -> None:
-    """Remove the end of a file after its last complete line, which a crash has cut."""
-    os.truncate(file, file.read_bytes().rfind(b"\n") + 1)
 
 
 def add_alarm_count(text: str, count: int) -> str:

@@ -79,7 +79,8 @@ def _document(store: GraphStore, wall: float) -> dict[str, Any]:
     )
     summary = parts.make("The summary", lambda: {
         "word": "Nothing received yet:" if store.mode == "none"
-        else _word(serious, warnings, following) + _starts(store),
+        else _word(serious, warnings, following)
+        + (" The site is starting." if store.judge.missing else ""),
         "sentence": _sentence(store, shown, waits),
         "level": "error" if serious or stop["warning"]
         else "warn" if warnings or store.mode == "none"
@@ -167,10 +168,6 @@ def _word(alarms: int, warnings: int, following: int) -> str:
     ]
     more = f" ({following} more caused by these)" if following else ""
     return f"{', '.join(counts) or 'No alarms'}{more}."
-
-
-def _starts(store: GraphStore) -> str:
-    return " The site is starting." if store.judge.missing else ""
 
 
 def _level(shown: dict[str, Tile]) -> str:

@@ -130,17 +130,14 @@ class Feed:
     # --- the graph ------------------------------------------------------------------------------
 
     def _watch_graph(self) -> None:
+        """Receive new messages and show them; if a step fails, the others are done all the same."""
+        steps = self._receive, self._find_pumps, self._update_graph
         while not self._closing.is_set():
-            self._run_cycle()
+            if sum(map(self._fails, steps)):  # it may fail again at once
+                self._closing.wait(_REST_S)
         assert self._client is not None
         self._requesting.acquire()
         self._client.close()
-
-    def _run_cycle(self) -> None:
-        """Receive new messages and show them; if a step fails, the others are done all the same."""
-        steps = self._receive, self._find_pumps, self._update_graph
-        if sum(map(self._fails, steps)):  # it may fail again at once
-            self._closing.wait(_REST_S)
 
     def _fails(self, act: Callable[[], None]) -> bool:
         """Do a step; if it fails, show the error and return True."""

@@ -200,7 +200,7 @@ class GraphClient:
             self._executor.spin_once(timeout_sec=_SPIN_S)
             now = time.monotonic()
             waiting = now < until and (now < settled or bool(twice) or not (
-                self._pumps.keys() <= sent.keys() and all(map(_is_done, sent.values()))
+                self._pumps.keys() <= sent.keys() and all(future.done() for future in sent.values())
             ))
         if not self._pumps:
             raise PumpRequestError("There is no pump node that could be stopped from here.")
@@ -220,7 +220,8 @@ class GraphClient:
             said = [f"{name}: {text}" for name, text in zip(answers, said, strict=True)]
         if not all(ok for ok, _ in answers.values()):
             # A hold with this answer may be in force, but would not survive a restart.
-            raise PumpRequestError("; ".join(said), answered=any(map(_is_done, sent.values())))
+            answered = any(future.done() for future in sent.values())
+            raise PumpRequestError("; ".join(said), answered=answered)
         return "; ".join(said)
 
     def close(self) -> None:
@@ -240,10 +241,6 @@ def _parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
     return {"parameters": [
         Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
     ]} if values else {}
-
-
-def _is_done(future: Any) -> bool:
-    return bool(future.done())
 
 
 def _answer(name: str, service: str, future: Any, timeout_s: float) -> tuple[bool, str]:
