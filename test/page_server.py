@@ -13,7 +13,7 @@ from typing import Any
 
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.listening import LOOPBACK, listen
-from greenroof_ros.watch.server import serving
+from greenroof_ros.watch.server import run_server
 from greenroof_ros.watch.store import GraphStore
 
 
@@ -29,7 +29,7 @@ def served(store: GraphStore, token: str | None = None, port: int = 0) -> Iterat
         return asyncio.run_coroutine_threadsafe(call(), loop).result(20)
 
     place = listen(LOOPBACK, port)
-    context = serving(store, feed, place, token)
+    context = run_server(store, feed, place, token)
     run(context.__aenter__)
     try:
         yield place.socket.getsockname()[1]

@@ -30,7 +30,7 @@ from greenroof_ros.experiment.options import (
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.arguments import add_graph_arguments
-from greenroof_ros.graph.domain import importing_ros, lock_namespace, refuse_other_nodes
+from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
 from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.recording.bag_reader import count_ticks
 
@@ -87,7 +87,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
             directory cannot be created.
         OSError: the summary cannot be written.
     """
-    with importing_ros():
+    with require_ros():
         from greenroof_ros.bringup.composition import Composition
     is_external = run.controller.reference == EXTERNAL
     modules = {

@@ -15,7 +15,7 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.controllers.check import check_controller
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.experiment.options import add_output_arguments, add_run_arguments
-from greenroof_ros.graph.domain import importing_ros
+from greenroof_ros.graph.domain import require_ros
 from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import read_site
 
@@ -91,7 +91,7 @@ def main() -> int:
     arguments = make_parser().parse_args()
     site = read_site(arguments.site)
     if arguments.node is not None:
-        with importing_ros():
+        with require_ros():
             from greenroof_ros.commands.checks.controller import ControllerCheck
             from greenroof_ros.commands.checks.node import check_node
         results = check_node("check_controller", arguments.node, lambda node, name: ControllerCheck(

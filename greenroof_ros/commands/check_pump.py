@@ -9,7 +9,7 @@ from greenroof_ros.common.command_line import (
     make_number_type,
     print_check_results,
 )
-from greenroof_ros.graph.domain import importing_ros
+from greenroof_ros.graph.domain import require_ros
 from greenroof_ros.model.site import read_site
 
 _INVENTED = (
@@ -87,7 +87,7 @@ def make_parser() -> Parser:
 def main() -> int:
     """Check the driver named on the command line."""
     arguments = make_parser().parse_args()
-    with importing_ros():
+    with require_ros():
         from greenroof_ros.commands.checks.node import check_node
         from greenroof_ros.commands.checks.pump_driver import DriverLimits, PumpCheck
     site = read_site(arguments.site)

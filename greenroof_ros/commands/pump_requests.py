@@ -20,7 +20,7 @@ from greenroof_ros.common.command_line import (
 )
 from greenroof_ros.common.states import PUMP
 from greenroof_ros.common.times import parse_time, to_people
-from greenroof_ros.graph.domain import importing_ros
+from greenroof_ros.graph.domain import require_ros
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
 from greenroof_ros.watch.registry import Registry
@@ -83,7 +83,7 @@ class PumpRequest:
                 reports.receive(time.monotonic(), received[1])
 
         try:
-            with importing_ros(), closing(GraphClient(arguments.namespace, receive)) as client:
+            with require_ros(), closing(GraphClient(arguments.namespace, receive)) as client:
                 client.find_pumps([f"{arguments.namespace}/pump"])
                 print(self.request(client, arguments, reports))
         except PumpRequestError as failure:
@@ -95,7 +95,7 @@ class PumpRequest:
 def _add_hold_options(parser: Parser) -> None:
     end = parser.add_mutually_exclusive_group()
     end.add_argument(
-        "--until", type=_future, metavar="TIME",
+        "--until", type=_parse_future_time, metavar="TIME",
         help="its end, a future time (ISO 8601), by this machine's clock unless it has an offset "
         "from UTC: 2026-12-24T08:00-05:00 (default: no end)",
     )
@@ -109,7 +109,7 @@ def _add_hold_options(parser: Parser) -> None:
     )
 
 
-def _future(text: str) -> float:
+def _parse_future_time(text: str) -> float:
     """Return a future time (s since 1970)."""
     try:
         end = parse_time(text).astimezone()
@@ -123,7 +123,7 @@ def _future(text: str) -> float:
     return end.timestamp()
 
 
-_future.__name__ = "TIME"  # argparse and the documentation show this
+_parse_future_time.__name__ = "TIME"  # argparse and the documentation show this
 
 
 def _hold(client: GraphClient, arguments: argparse.Namespace, _: Registry) -> str:
@@ -182,12 +182,12 @@ def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Registry
             client.receive(_POLL_S)
         if pump is not None and (fault := pump.text("fault") or pump.text("unknown")):
             print(f"The fault: {fault}", file=sys.stderr)
-        if not _confirmed():
+        if not _ask_to_confirm():
             raise PumpRequestError("not cleared: it was not confirmed")
     return client.request("reset", _PATIENCE_S)
 
 
-def _confirmed() -> bool:
+def _ask_to_confirm() -> bool:
     """Ask on the terminal; no answer is a no."""
     try:
         return input(_QUESTION).strip().lower() in ("y", "yes")

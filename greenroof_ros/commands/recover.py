@@ -16,10 +16,10 @@ from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.times import from_epoch_ns, to_people
 from greenroof_ros.recording.bag_writer import (
     METADATA,
-    bag_files,
-    next_file,
+    find_files,
+    name_next_file,
+    name_recovered_bag,
     read_index,
-    recovered_bag,
     write_metadata,
 )
 from greenroof_ros.recording.mcap_writer import McapWriter
@@ -51,12 +51,12 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
         ConfigurationError: no bag, nothing whole in it, or the output exists or is unwritable.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
-    files = bag_files(bag) or sorted(bag.glob("*.mcap"))  # other recorders may not number them
+    files = find_files(bag) or sorted(bag.glob("*.mcap"))  # other recorders may not number them
     if not files:
         raise ConfigurationError(
             "must be the directory of a run or its bag, but has no .mcap file", file=directory
         )
-    target = output or recovered_bag(bag)
+    target = output or name_recovered_bag(bag)
     if target.exists():
         raise ConfigurationError("already exists; nothing was written", file=target)
     copies: list[Path] = []
@@ -65,7 +65,7 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
     try:
         target.mkdir(parents=True)
         for file in files:
-            copy = next_file(copies, target)
+            copy = name_next_file(copies, target)
             counts[file.name], lost = _copy_file(file, copy)
             losses += lost
             if counts[file.name]:
@@ -81,13 +81,13 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
     if not copies:
         target.rmdir()
         raise ConfigurationError("does not hold a single whole chunk of messages", file=bag)
-    for name, had in _recorded(bag).items():
+    for name, had in _count_recorded(bag).items():
         if (missing := had - counts.get(name, 0)) > 0:
             losses.append(f"{name}: {missing} of its {had} messages are lost")
     return Recovered(target, sum(counts.values()), losses)
 
 
-def _recorded(bag: Path) -> dict[str, int]:
+def _count_recorded(bag: Path) -> dict[str, int]:
     """Return the number of messages of each closed file, by the bag's metadata if it is whole."""
     with suppress(ConfigurationError, KeyError, TypeError, ValueError):
         about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
@@ -125,7 +125,7 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
                     lost += len(record.data)  # its topic was defined in what is lost
                 elif isinstance(record, Message):
                     if lost:
-                        losses.append(_loss(file, lost, last, record.log_time))
+                        losses.append(_describe_loss(file, lost, last, record.log_time))
                     last, lost = record.log_time, 0
                     messages += 1
                     writer.add_message(
@@ -134,10 +134,10 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
                     )
             writer.flush()
         writer.finish()
-    return messages, losses + ([_loss(file, lost, last, None)] if lost else [])
+    return messages, losses + ([_describe_loss(file, lost, last, None)] if lost else [])
 
 
-def _loss(file: Path, size: int, before: int | None, after: int | None) -> str:
+def _describe_loss(file: Path, size: int, before: int | None, after: int | None) -> str:
     """Return a loss in words, by the times of the messages around it (ns)."""
     start = "the beginning" if before is None else to_people(from_epoch_ns(before))
     end = "the end" if after is None else to_people(from_epoch_ns(after))

@@ -69,11 +69,11 @@ def main() -> int:
     with Feed(store):
         shown = _read_status(store)
         code = _judge(shown)
-        values = _values(store, shown, code)
+        values = _list_values(store, shown, code)
     if arguments.json:
         text = json.dumps(values, indent=2, ensure_ascii=False)
     else:
-        text = "\n".join(_lines(shown, code, values["pump_stands"]))
+        text = "\n".join(_write_lines(shown, code, values["pump_stands"]))
     print(text.replace(SPACE, " "))
     return code
 
@@ -87,12 +87,12 @@ def _read_status(store: GraphStore) -> dict[str, Any]:
         shown = make_document(store, now)
         if shown["mode"] != "none" and first is None:
             first = now
-        settled = first is not None and now - first >= _SETTLED_S and not _unknown(shown)
+        settled = first is not None and now - first >= _SETTLED_S and not _find_unknown(shown)
         if settled or now - began >= _MAX_S:
             return shown
 
 
-def _unknown(shown: Mapping[str, Any]) -> set[str]:
+def _find_unknown(shown: Mapping[str, Any]) -> set[str]:
     """Return the names of the tiles whose values are unknown."""
     return {name for name in _TILES if shown["tiles"][name]["state"] == "unknown"}
 
@@ -105,7 +105,7 @@ def _judge(shown: Mapping[str, Any]) -> int:
     controller that waits for rain lets the roof dry.
     """
     mode, tiles = shown["mode"], shown["tiles"]
-    unknown = _unknown(shown) - {"rain"}
+    unknown = _find_unknown(shown) - {"rain"}
     if mode in ("none", "ended"):
         return NOTHING
     if (
@@ -116,7 +116,7 @@ def _judge(shown: Mapping[str, Any]) -> int:
     return WARNING if unknown or list_present(shown) else EXIT_DONE
 
 
-def _lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str]:
+def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str]:
     tiles, told = shown["tiles"], summarize(shown)
     if code == NOTHING:
         return [f"{told['summary']} {told['advice']}"]
@@ -132,18 +132,18 @@ def _lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str
         )))
         lines.append(f"{tile['label']:14} {tile['value']:14} {sentence}".rstrip())
     warning = filter(None, [shown["stop"]["warning"]])
-    lines += [*warning, *map(_alarm, told["alarms"]), *shown["notes"]]
+    lines += [*warning, *map(_write_alarm, told["alarms"]), *shown["notes"]]
     if (hidden := len(lines) - _MAX_LINES + 1) > 1:
         lines[-hidden:] = [f"and {hidden} more: see 'greenroof watch', or --json"]
     return lines
 
 
-def _alarm(row: Mapping[str, Any]) -> str:
+def _write_alarm(row: Mapping[str, Any]) -> str:
     follows = f"; follows from {row['follows']}" if row["follows"] else ""
     return f"{_LEVELS[row['level']]}: {row['id']}: {row['what']}{follows}"
 
 
-def _values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str, Any]:
+def _list_values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str, Any]:
     """Return the status as data; None is *unknown*."""
     tiles, now = shown["tiles"], shown["time"]["now"]
     controller = tiles["controller"]["value"]

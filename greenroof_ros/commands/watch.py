@@ -110,7 +110,7 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
             )
 
 
-def _past_file(namespace: str) -> Path:
+def _find_past_file(namespace: str) -> Path:
     """Return the file that keeps the past of this domain and namespace; no name has a dot."""
     place = [os.environ.get("ROS_DOMAIN_ID") or "0", *filter(None, namespace.split("/"))]
     return state_directory() / f"watch_{'.'.join(place)}.npz"
@@ -160,7 +160,7 @@ def main() -> None:
     signals = Signals()
     with (
         suppress(InterruptedRun),
-        Feed(store, _past_file(arguments.namespace)) as feed,
+        Feed(store, _find_past_file(arguments.namespace)) as feed,
     ):
         serve(
             store, feed, host=host, port=port, token=token, signals=signals,

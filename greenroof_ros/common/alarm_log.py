@@ -36,7 +36,7 @@ def to_record(alarm: Alarm) -> dict[str, Any]:
     return record
 
 
-def _from_record(record: Mapping[str, Any]) -> Alarm:
+def _read_record(record: Mapping[str, Any]) -> Alarm:
     """Return the alarm of a record.
 
     Raises:
@@ -68,25 +68,25 @@ def read_alarms(directory: Path) -> list[Alarm]:
     alarms: dict[int, Alarm] = {}
     for path in (directory / _OLDER, directory / ALARMS):
         if path.exists():
-            alarms |= {alarm.number: alarm for alarm in _read(path)}
+            alarms |= {alarm.number: alarm for alarm in _read_file(path)}
     if not alarms:
         try:
             records = json.loads((directory / _SUMMARY).read_bytes())["alarms"]
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return []
         try:
-            alarms = {alarm.number: alarm for alarm in map(_from_record, records)}
+            alarms = {alarm.number: alarm for alarm in map(_read_record, records)}
         except (AttributeError, TypeError, ValueError) as error:
             raise ValueError(f"{directory / _SUMMARY}: not all are alarms ({error})") from error
     return sorted(alarms.values(), key=lambda alarm: alarm.number)
 
 
-def _read(path: Path) -> Iterator[Alarm]:
+def _read_file(path: Path) -> Iterator[Alarm]:
     """Yield the alarm of each complete line of a file."""
     *lines, _cut = path.read_bytes().split(b"\n")
     for index, line in enumerate(lines, start=1):
         try:
-            yield _from_record(json.loads(line))
+            yield _read_record(json.loads(line))
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"{path}, line {index}: is not an alarm ({error})") from error
 

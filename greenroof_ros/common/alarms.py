@@ -211,7 +211,7 @@ class PartReport:
         code, fault = identity_of(values)
         return cls(StatusDiagnosis(
             level, sentence, code, role, tuple(topic.removeprefix(namespace) for topic in about),
-            fault, _time(values.get("since", "")), _number(values.get("age_s", "")),
+            fault, _parse_time(values.get("since", "")), _parse_number(values.get("age_s", "")),
             level == OK or (before is not None and before.diagnosis.was_good),
         ), wall, before is not None)
 
@@ -265,7 +265,7 @@ class NodeReport:
         """Receive its own status; see the attributes."""
         if state != self.state:
             self.since = wall
-        known, counts = _counts(self.values), _counts(values)
+        known, counts = _read_counts(self.values), _read_counts(values)
         if grown := [topic for topic, n in counts.items() if n > known.get(topic, 0)]:
             self.refused_at, self.refused = wall, tuple(grown[:_MAX_ABOUT])
         self.state, self.values, self.received_at, self.heard = state, values, wall, now
@@ -326,14 +326,14 @@ class NodeReport:
                 yield f"{self.name}: {part}", report.diagnosis
 
 
-def _counts(values: Mapping[str, Any]) -> dict[str, int]:
+def _read_counts(values: Mapping[str, Any]) -> dict[str, int]:
     """Return how many values of each topic a node has refused so far."""
     refused = values.get("refused")
     counts = refused.items() if isinstance(refused, dict) else ()
     return {topic: count for topic, count in counts if isinstance(count, int)}
 
 
-def _time(text: str) -> float | None:
+def _parse_time(text: str) -> float | None:
     """Return a time in ISO 8601 (s since 1970); None if it is none."""
     try:
         return datetime.fromisoformat(text).timestamp()
@@ -341,7 +341,7 @@ def _time(text: str) -> float | None:
         return None
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
     """Return a number of seconds; 0 if it is none."""
     try:
         seconds = float(text)
@@ -524,7 +524,7 @@ def find_causes(diagnoses: Mapping[str, StatusDiagnosis]) -> dict[str, str]:
     """
     causes: dict[str, str] = {}
     for name, diagnosis in diagnoses.items():
-        for other in _candidates(name, diagnosis, diagnoses):
+        for other in _find_candidates(name, diagnosis, diagnoses):
             first = causes.get(other, other)
             group = [name, *(follower for follower, cause in causes.items() if cause == name)]
             worse = diagnoses[first].level == WARN and any(
@@ -536,7 +536,7 @@ def find_causes(diagnoses: Mapping[str, StatusDiagnosis]) -> dict[str, str]:
     return causes
 
 
-def _candidates(
+def _find_candidates(
     name: str, diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
 ) -> Iterator[str]:
     """Yield the diagnoses that may cause this one, the likeliest first."""
@@ -549,9 +549,9 @@ def _candidates(
     if condition is None:
         return
     if not part:
-        yield from _awaited(node, diagnosis, diagnoses)
+        yield from _find_awaited(node, diagnosis, diagnoses)
     elif condition.no_data:
-        yield from _publishers(diagnosis, diagnoses)
+        yield from _find_publishers(diagnosis, diagnoses)
     more: Sequence[str] = condition.explained_by
     if condition.interlock is not None:
         more = condition.interlock.parts if part == PUMP else ()
@@ -565,7 +565,7 @@ def _candidates(
         )
 
 
-def _awaited(
+def _find_awaited(
     node: str, diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
 ) -> Iterator[str]:
     """Yield nodes wrong as a whole that are waited for."""
@@ -575,7 +575,7 @@ def _awaited(
             yield name
 
 
-def _publishers(
+def _find_publishers(
     diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
 ) -> Iterator[str]:
     """Yield what is wrong with the nodes that publish the topics: first as a whole, then parts."""

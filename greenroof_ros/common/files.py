@@ -162,7 +162,7 @@ class YamlMapping(dict[str, Any]):
     lines: dict[str, int]
 
 
-def _plain(text: str) -> Any:
+def _parse_plain(text: str) -> Any:
     """Return the value of an unquoted text, with the numbers of YAML 1.2.
 
     PyYAML follows YAML 1.1, which reads 5.78e5 as a text, 016 as 14 and 3:0 as 180.
@@ -178,7 +178,7 @@ def _plain(text: str) -> Any:
     return None if text in _NOTHING else text
 
 
-def _plain_to_rcl(text: str) -> bool | int | float | str | None:
+def _parse_as_rcl(text: str) -> bool | int | float | str | None:
     """Return a value as rcl reads it (rcl_yaml_param_parser, parse.c): 010 is 8, 1e-5 a number."""
     if text in _TRUE | _FALSE | {"Y", "y", "N", "n"}:
         return text in _TRUE | {"Y", "y"}
@@ -193,7 +193,7 @@ def _plain_to_rcl(text: str) -> bool | int | float | str | None:
     return text or None
 
 
-def _nesting(text: str) -> int:
+def _measure_nesting(text: str) -> int:
     """Return the maximum depth to which a YAML text can be nested, by brackets and indentation."""
     depth = deepest = 0
     for bracket in re.findall(r"[][{}]", text):
@@ -233,7 +233,7 @@ def read_ros_parameters(path: Path) -> YamlMapping:
                     "refuses this file", file=path, line=mapping.lines[key], key=key, value=value,
                 )
 
-    content = read_yaml(path, _plain_to_rcl)
+    content = read_yaml(path, _parse_as_rcl)
     check(content)
     return content
 
@@ -252,7 +252,7 @@ def check_private(file: Path) -> None:
             )
 
 
-def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
+def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMapping:
     """Read a YAML file whose top level is a mapping.
 
     Args:
@@ -264,7 +264,7 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _plain) -> YamlMapping:
             a key twice, or holds no mapping.
     """
     text = read_text(path)
-    if _nesting(text) > _DEEPEST:  # libyaml would crash the process
+    if _measure_nesting(text) > _DEEPEST:  # libyaml would crash the process
         raise ConfigurationError(f"is nested more than {_DEEPEST} levels deep", file=path)
 
     def refuse(node: yaml.Node, problem: str) -> ConfigurationError:

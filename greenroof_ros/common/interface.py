@@ -112,7 +112,7 @@ def _topics() -> dict[str, Topic]:
     profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
     ages = {name: Age(parameter=name, **age) for name, age in interface["max_ages"].items()}
     return {
-        name: _topic(
+        name: _make_topic(
             name, profiles[entry.pop("qos")],
             max_age=ages.get(entry.pop("max_age", "")), **entry,
         )
@@ -120,7 +120,7 @@ def _topics() -> dict[str, Topic]:
     }
 
 
-def _topic(
+def _make_topic(
     name: str, qos: Qos, *, range: Sequence[float] = (-math.inf, math.inf),
     undecided: float | list[float] = math.nan, display: Mapping[str, Any] | None = None,
     **entry: Any,
@@ -148,15 +148,15 @@ def read_live_topics() -> dict[str, Topic]:
     return {
         name: replace(
             topic,
-            publishers=topic.live_publishers or _but_plant(topic.publishers),
-            subscribers=_but_plant(topic.subscribers) + topic.live_subscribers,
+            publishers=topic.live_publishers or _drop_plant(topic.publishers),
+            subscribers=_drop_plant(topic.subscribers) + topic.live_subscribers,
         )
         for name, topic in read_topics().items()
         if topic.live
     }
 
 
-def _but_plant(roles: tuple[str, ...]) -> tuple[str, ...]:
+def _drop_plant(roles: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(role for role in roles if role != "plant")
 
 

@@ -108,11 +108,11 @@ def acquire_name_lock(name: str) -> socket.socket:
         lock.close()
         if error.errno != errno.EADDRINUSE:
             raise
-        raise LockedError(name, _listener(address)) from None
+        raise LockedError(name, _find_listener(address)) from None
     return lock
 
 
-def _listener(address: str) -> int | None:
+def _find_listener(address: str) -> int | None:
     """Return the process that listens at an address; None if it is unknown."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as visitor:
         visitor.setblocking(False)
@@ -172,7 +172,7 @@ def scratch_directory(place: str | None = None) -> Iterator[Path]:
         place: where; by default the system's directory for temporary files.
     """
     for stale in Path(place or tempfile.gettempdir()).glob(f"{_SCRATCH}*"):
-        with contextlib.suppress(OSError), _locked(stale):  # another user's, or in use
+        with contextlib.suppress(OSError), _lock_directory(stale):  # another user's, or in use
             shutil.rmtree(stale)
     with contextlib.ExitStack() as ends:
         directory, locked = Path(), False
@@ -180,14 +180,14 @@ def scratch_directory(place: str | None = None) -> Iterator[Path]:
             directory, locked = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=place)), False
             # Until it is locked, another process may think it stale, and remove it.
             with contextlib.suppress(FileNotFoundError, BlockingIOError):
-                ends.enter_context(_locked(directory))
+                ends.enter_context(_lock_directory(directory))
                 locked = True
         ends.callback(shutil.rmtree, directory, ignore_errors=True)
         yield directory
 
 
 @contextlib.contextmanager
-def _locked(directory: Path) -> Iterator[None]:
+def _lock_directory(directory: Path) -> Iterator[None]:
     """Lock a directory.
 
     Raises:

@@ -41,7 +41,7 @@ _LAST_DOMAIN = 101
 
 
 @contextmanager
-def importing_ros() -> Iterator[None]:
+def require_ros() -> Iterator[None]:
     """Guard imports that need ROS 2.
 
     Raises:
@@ -93,7 +93,7 @@ def join() -> Any:
     Raises:
         ConfigurationError: ROS 2 is not installed.
     """
-    with importing_ros():
+    with require_ros():
         import rclpy
         from rclpy.signals import SignalHandlerOptions
     choose_transport()

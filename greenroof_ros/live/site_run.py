@@ -37,7 +37,7 @@ from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run_directory import writable, write_parameters
 from greenroof_ros.experiment.summary import versions
-from greenroof_ros.graph.domain import importing_ros, lock_namespace, refuse_other_nodes
+from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
 from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.site_alarms import SiteAlarms
@@ -72,7 +72,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
     modules = {
         name: node.module for node in site.nodes(state) for name in node.nodes
     }
-    with importing_ros():
+    with require_ros():
         user_files = node_parameter_files(arguments, modules, site.controller)
     with (
         lock_namespace(arguments.namespace),

@@ -103,13 +103,13 @@ def load_bag(
     notes = [
         f"{topic} is not in the bag; assumed 0" for topic in _ATTRIBUTES if topic not in recorded
     ]
-    interface, highest = read_topics(), _highest_of_site(site)
+    interface, highest = read_topics(), _compute_maxima(site)
     series = {}
     for topic, of_topic in recorded.items():
         if own:
-            of_topic, note = _as_used_by_plant(interface[topic], of_topic, external_pump)
+            of_topic, note = _replace_refused(interface[topic], of_topic, external_pump)
         else:
-            of_topic, note = _without_outliers(bag, interface[topic], highest.get(topic), of_topic)
+            of_topic, note = _drop_outliers(bag, interface[topic], highest.get(topic), of_topic)
         notes += note
         if len(of_topic.times):  # otherwise never known
             series[topic] = of_topic
@@ -135,7 +135,7 @@ def load_bag(
     columns["roof"] = columns["roof"] * site.a2
     columns["cistern"] = columns["cistern"] * site.a1
     if len(gaps):
-        notes.append(_gap_note(samples, gaps, zone))
+        notes.append(_describe_gaps(samples, gaps, zone))
     time = (samples - samples[0]) / 1e9
     start = from_epoch_ns(int(samples[0])).astimezone(zone)
     return RecordedTrajectory(Trajectory(start=start, time=time, **columns), tuple(notes))
@@ -224,11 +224,11 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
         raise ConfigurationError(f"holds no message of {', '.join(silent)}", file=bag)
     arrived = {topic: np.array(stamps) for topic, stamps in times.items()}
     if _CLOCK in arrived:
-        arrived = _by_clock(bag, arrived, np.array(values[_CLOCK]))
+        arrived = _convert_to_clock(bag, arrived, np.array(values[_CLOCK]))
     return {topic: _Series(stamps, np.array(values[topic])) for topic, stamps in arrived.items()}
 
 
-def _by_clock(bag: Path, arrived: Mapping[str, Stamps], clock: Stamps) -> dict[str, Stamps]:
+def _convert_to_clock(bag: Path, arrived: Mapping[str, Stamps], clock: Stamps) -> dict[str, Stamps]:
     """Return the simulated times of the messages of each topic but the clock (ns).
 
     A topic with as many messages as the clock has one for each tick. Otherwise a message belongs to
@@ -283,7 +283,7 @@ def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str])
             )
 
 
-def _highest_of_site(site: Site) -> dict[str, tuple[float, str]]:
+def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
     """Return the highest plausible values of topics at a site, each with its explanation."""
     full = maximum_pump_flow(site, site.a1 * site.z_o)
     rain, evaporation = (QUANTITIES[name].high for name in (PRECIPITATION, EVAPOTRANSPIRATION))
@@ -302,7 +302,7 @@ def _highest_of_site(site: Site) -> dict[str, tuple[float, str]]:
     }
 
 
-def _as_used_by_plant(
+def _replace_refused(
     topic: Topic, series: _Series, external_pump: bool
 ) -> tuple[_Series, list[str]]:
     """Return the values of a topic as the plant of the run used them: refused values acted as 0.
@@ -319,7 +319,7 @@ def _as_used_by_plant(
     ]
 
 
-def _without_outliers(
+def _drop_outliers(
     bag: Path, topic: Topic, of_site: tuple[float, str] | None, series: _Series
 ) -> tuple[_Series, list[str]]:
     """Return the values of a topic without implausible ones.
@@ -354,7 +354,7 @@ def _without_outliers(
     ]
 
 
-def _gap_note(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
+def _describe_gaps(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str:
     hours = (samples[gaps + 1] - samples[gaps]) / 3.6e12
     named = [
         " to ".join(

@@ -93,7 +93,7 @@ class LiveBag:
         self._file_bytes = file_bytes
         self._total_bytes = total_bytes
         # All files, the oldest first, with their indices; None if a file was not closed.
-        self._files = {path: read_index(path) for path in bag_files(directory)}
+        self._files = {path: read_index(path) for path in find_files(directory)}
         self._file: BagFile | None = None  # being written: the last of these files
         self._day = 0  # on which it was begun (days since 1970)
         self._before = 0  # messages recorded before it
@@ -152,7 +152,7 @@ class LiveBag:
 
     def _open(self) -> BagFile:
         self.directory.mkdir(parents=True, exist_ok=True)
-        path = next_file(list(self._files), self.directory)
+        path = name_next_file(list(self._files), self.directory)
         self._files[path] = None
         self._before = self.recorded
         return BagFile(path, self._topics)
@@ -222,15 +222,15 @@ class BagFile:
         self._stream: BinaryIO = path.open("xb")
         self._writer = McapWriter(self._stream)
         self._add = self._writer.add_message
-        types = _types()
+        types = _read_types()
         kinds: list[str] = []
         for number, topic in enumerate(topics, start=1):
             kind = topic.type
             if kind not in kinds:
                 kinds.append(kind)
-                definition = message_definition(kind).encode()
+                definition = read_definition(kind).encode()
                 self._writer.add_schema(Schema(len(kinds), definition, "ros2msg", kind))
-            about = {_PROFILES: _yaml([_qos_profile(topic.qos)]), _HASH: types[kind]["hash"]}
+            about = {_PROFILES: _write_yaml([_describe_qos(topic.qos)]), _HASH: types[kind]["hash"]}
             self._writer.add_channel(
                 Channel(number, topic.name, "cdr", about, kinds.index(kind) + 1)
             )
@@ -310,7 +310,7 @@ class BagWriter(BagFile):
         """
         self.directory = directory
         directory.mkdir(parents=True)
-        super().__init__(next_file([], directory), topics)
+        super().__init__(name_next_file([], directory), topics)
 
     def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
         """Write one tick.
@@ -337,25 +337,25 @@ class BagWriter(BagFile):
         write_metadata(self.directory, [read_index(self.path)])
 
 
-def bag_files(bag: Path) -> list[Path]:
+def find_files(bag: Path) -> list[Path]:
     """Return the files of a bag, the oldest first."""
-    numbered = (path for path in bag.glob("*_*.mcap") if _number(path).isdecimal())
-    return sorted(numbered, key=lambda path: int(_number(path)))
+    numbered = (path for path in bag.glob("*_*.mcap") if _read_number(path).isdecimal())
+    return sorted(numbered, key=lambda path: int(_read_number(path)))
 
 
-def next_file(files: Sequence[Path], bag: Path) -> Path:
+def name_next_file(files: Sequence[Path], bag: Path) -> Path:
     """Return the path of the next file after these, which must be sorted, oldest first."""
-    number = int(_number(files[-1])) + 1 if files else 0
+    number = int(_read_number(files[-1])) + 1 if files else 0
     return bag / f"{bag.name}_{number}.mcap"
 
 
-def recovered_bag(bag: Path) -> Path:
+def name_recovered_bag(bag: Path) -> Path:
     """Return the default path of a damaged bag's recovery, next to it."""
     place = bag.resolve()
     return place.parent / f"{place.name}-recovered"
 
 
-def _number(file: Path) -> str:
+def _read_number(file: Path) -> str:
     return file.stem.rpartition("_")[2]
 
 
@@ -411,10 +411,10 @@ def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
     if not files:
         (bag / METADATA).unlink(missing_ok=True)
         return
-    replace_text(bag / METADATA, _metadata(files))
+    replace_text(bag / METADATA, _make_metadata(files))
 
 
-def _metadata(files: Sequence[FileIndex]) -> str:
+def _make_metadata(files: Sequence[FileIndex]) -> str:
     topics: dict[str, dict[str, Any]] = {}
     for file in files:
         for channel in file.channels:
@@ -424,7 +424,7 @@ def _metadata(files: Sequence[FileIndex]) -> str:
                         "name": channel.topic,
                         "type": file.types.get(channel.schema_id, ""),
                         "serialization_format": channel.message_encoding,
-                        "offered_qos_profiles": _parsed(channel.metadata.get(_PROFILES, "")),
+                        "offered_qos_profiles": _read_profiles(channel.metadata.get(_PROFILES, "")),
                         "type_description_hash": channel.metadata.get(_HASH, ""),
                     },
                     "message_count": 0,
@@ -434,7 +434,7 @@ def _metadata(files: Sequence[FileIndex]) -> str:
     statistics = [file.statistics for file in files]
     start = min(of_file.message_start_time for of_file in statistics)
     end = max(of_file.message_end_time for of_file in statistics)
-    return _yaml({
+    return _write_yaml({
         "rosbag2_bagfile_information": {
             "version": _METADATA_VERSION,
             "storage_identifier": "mcap",
@@ -463,7 +463,7 @@ def _metadata(files: Sequence[FileIndex]) -> str:
     })
 
 
-def _qos_profile(qos: Qos) -> dict[str, Any]:
+def _describe_qos(qos: Qos) -> dict[str, Any]:
     lease = dict(_INFINITE)
     if qos.lease_s != float("inf"):
         lease = {"sec": int(qos.lease_s), "nsec": round(qos.lease_s % 1 * 1e9)}
@@ -481,14 +481,14 @@ def _qos_profile(qos: Qos) -> dict[str, Any]:
 
 
 @functools.cache
-def _types() -> dict[str, Any]:
+def _read_types() -> dict[str, Any]:
     types: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "types.yaml")
     return types
 
 
-def message_definition(name: str) -> str:
+def read_definition(name: str) -> str:
     """Return a message type's definition, followed by the types that it uses, as in bags."""
-    types = _types()
+    types = _read_types()
     parts = [types[name]["definition"]]
     for used in types[name].get("uses", ()):
         short = used.replace("/msg/", "/")
@@ -496,11 +496,11 @@ def message_definition(name: str) -> str:
     return "\n".join(parts) + "\n"
 
 
-def _yaml(content: object) -> str:
+def _write_yaml(content: object) -> str:
     return yaml.safe_dump(content, sort_keys=False, default_flow_style=False, width=10_000)
 
 
-def _parsed(profiles: str) -> list[Any]:
+def _read_profiles(profiles: str) -> list[Any]:
     """Return the QoS profiles in a channel's metadata; empty if they are not valid YAML."""
     with suppress(yaml.YAMLError):
         return yaml.safe_load(profiles) or []

@@ -44,17 +44,17 @@ class McapWriter:
         self._chunk = bytearray()  # the records of the present chunk
         # By channel: time (ns) and position in the chunk of each message, one after the other.
         self._index: defaultdict[int, list[int]] = defaultdict(list)
-        self._write(MCAP0_MAGIC + _packed(records.Header("ros2", "greenroof_ros")))
+        self._write(MCAP0_MAGIC + _pack(records.Header("ros2", "greenroof_ros")))
 
     def add_schema(self, schema: records.Schema) -> None:
         """Add a message type."""
         self._schemas.append(schema)
-        self._chunk += _packed(schema)
+        self._chunk += _pack(schema)
 
     def add_channel(self, channel: records.Channel) -> None:
         """Add a topic."""
         self._channels.append(channel)
-        self._chunk += _packed(channel)
+        self._chunk += _pack(channel)
 
     def add_message(
         self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int
@@ -77,7 +77,7 @@ class McapWriter:
     def finish(self) -> None:
         """Write the summary and the end of the file; the stream stays open."""
         self._end_chunk()
-        self._write(_packed(records.DataEnd(self._crc)))
+        self._write(_pack(records.DataEnd(self._crc)))
         first, last = self._times or (0, 0)
         statistics = records.Statistics(
             message_count=self._counts.total(), channel_message_counts=self._counts,
@@ -87,16 +87,16 @@ class McapWriter:
         )
         start, summary, offsets = self._stream.tell(), b"", b""
         groups = {
-            Opcode.SCHEMA: _packed(*self._schemas),
-            Opcode.CHANNEL: _packed(*self._channels),
-            Opcode.STATISTICS: _packed(statistics),
+            Opcode.SCHEMA: _pack(*self._schemas),
+            Opcode.CHANNEL: _pack(*self._channels),
+            Opcode.STATISTICS: _pack(statistics),
             Opcode.CHUNK_INDEX: self._chunk_indexes.end(),
             Opcode.ATTACHMENT_INDEX: b"", Opcode.METADATA_INDEX: b"",
         }
         for opcode, group in groups.items():
-            offsets += _packed(records.SummaryOffset(opcode, start + len(summary), len(group)))
+            offsets += _pack(records.SummaryOffset(opcode, start + len(summary), len(group)))
             summary += group
-        footer = _packed(records.Footer(start, start + len(summary), summary_crc=0))
+        footer = _pack(records.Footer(start, start + len(summary), summary_crc=0))
         end = summary + offsets + footer[:-4]
         self._write(end + struct.pack("<I", crc32(end)) + MCAP0_MAGIC)
 
@@ -107,7 +107,7 @@ class McapWriter:
         times = [time for entries in self._index.values() for time in entries[::2]]
         start, first, last = self._stream.tell(), min(times), max(times)
         data = self._compress(self._chunk)
-        chunk = _packed(records.Chunk(
+        chunk = _pack(records.Chunk(
             compression="zstd", data=data, message_start_time=first, message_end_time=last,
             uncompressed_crc=crc32(self._chunk), uncompressed_size=len(self._chunk),
         ))
@@ -136,7 +136,7 @@ class McapWriter:
         self._stream.write(data)
 
 
-def _packed(*parts: records.McapRecord) -> bytes:
+def _pack(*parts: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     for part in parts:
         part.write(builder)

@@ -25,12 +25,12 @@ from greenroof_ros.watch.home_assistant import (
     ONLINE,
     PREFIX,
     STOP,
-    base_of,
-    discovery,
+    make_discovery,
+    make_prefix,
 )
 from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.words import UNKNOWN, display_of
+from greenroof_ros.watch.words import UNKNOWN, find_display
 
 # How often the state is checked, and how often it is sent even if unchanged (s): three times before
 # it expires in Home Assistant.
@@ -68,8 +68,8 @@ class Bridge:
         """
         site = store.namespace.strip("/").replace("/", "_") or "roof"
         self._store, self._feed, self._broker = store, feed, broker
-        self._base, self._status = base_of(site), f"{PREFIX}/status"
-        self._discovery = discovery(site)
+        self._base, self._status = make_prefix(site), f"{PREFIX}/status"
+        self._discovery = make_discovery(site)
         self._stop, self._again = threading.Event(), threading.Event()
         self._why, self._ending = "", False  # why there is no connection
         self._availability = threading.Lock()  # in the order in which it is published
@@ -124,8 +124,8 @@ class Bridge:
         shown = parts.make("The site", lambda: make_document(self._store, time.monotonic()), {})
         with self._store.lock:
             messages = {
-                "state": parts.make("The state", lambda: state_of(self._store, shown), None),
-                "alarms": parts.make("The alarms", lambda: alarms_of(shown), None),
+                "state": parts.make("The state", lambda: make_state(self._store, shown), None),
+                "alarms": parts.make("The alarms", lambda: make_alarms(shown), None),
             }
         now = time.monotonic()
         if self._again.is_set() or now - self._sent_at >= _RENEW_S:
@@ -184,7 +184,7 @@ class Bridge:
             self._stop.set()
 
 
-def state_of(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
+def make_state(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of the state, in the page's units; None means *unknown*.
 
     Args:
@@ -208,7 +208,7 @@ def state_of(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
     present = list_present(shown)
     return {
         "mode": store.mode,
-        **{key: _number(topic, numbers[key] if here else None)
+        **{key: _round_number(topic, numbers[key] if here else None)
            for key, (topic, _) in NUMBERS.items()},
         "pump": pump["value"] if here else UNKNOWN,
         "plan": tiles["controller"]["sentence"][:_MAX_TEXT] if here else UNKNOWN,
@@ -223,12 +223,12 @@ def state_of(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _number(topic: str, value: float | None) -> float | None:
-    display = display_of(topic)
+def _round_number(topic: str, value: float | None) -> float | None:
+    display = find_display(topic)
     return None if value is None else round(value * display.factor, display.decimals or None)
 
 
-def alarms_of(shown: Mapping[str, Any]) -> dict[str, Any]:
+def make_alarms(shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the summary, what to do, and the present alarms, as in the document."""
     told = summarize(shown, "since")
     return told | {"alarms": told["alarms"][:_MAX_ALARMS]}

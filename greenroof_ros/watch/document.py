@@ -17,12 +17,12 @@ from typing import Any
 
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.watch import alarms, tiles, words
-from greenroof_ros.watch.history import stretch_of
+from greenroof_ros.watch.history import choose_stretch
 from greenroof_ros.watch.outlook import AHEAD_S
 from greenroof_ros.watch.parts import Parts
-from greenroof_ros.watch.stopping import bare_stop, stop_of
+from greenroof_ros.watch.stopping import describe_stop, make_bare_stop
 from greenroof_ros.watch.store import INTERVALS, LINES, GraphStore
-from greenroof_ros.watch.tiles import Tile, band_of
+from greenroof_ros.watch.tiles import Tile, find_band
 
 _LEVELS = "roof", "cistern"  # change slowly, all other lines in steps
 # A value of a line holds at most for this time (s), as in a report.
@@ -50,15 +50,15 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
         wall: now (steady clock, s).
     """
     with store.lock:
-        return _document(store, wall)
+        return _make_document(store, wall)
 
 
-def _document(store: GraphStore, wall: float) -> dict[str, Any]:
-    parts = Parts()
+def _make_document(store: GraphStore, wall: float) -> dict[str, Any]:
+    parts, bare = Parts(), make_bare_stop()
     parts.make("What is overdue", lambda: store.update(wall), None)
-    stop = parts.make("What may be done to the pump", lambda: stop_of(store), bare_stop())
+    stop = parts.make("What may be done to the pump", lambda: describe_stop(store), bare)
     rows = parts.make("Alarms", lambda: alarms.list_alarms(store), [])
-    listed, present = _within(rows, _MAX_ALARMS), [row for row in rows if row["over"] is None]
+    listed, present = _trim(rows, _MAX_ALARMS), [row for row in rows if row["over"] is None]
     shown = {
         name: parts.make(
             f"The tile of the {name}", partial(make, *given), tiles.make_unknown_tile(label)
@@ -79,15 +79,15 @@ def _document(store: GraphStore, wall: float) -> dict[str, Any]:
     )
     summary = parts.make("The summary", lambda: {
         "word": "Nothing received yet:" if store.mode == "none"
-        else _word(serious, warnings, following)
+        else _write_counts(serious, warnings, following)
         + (" The site is starting." if store.judge.missing else ""),
-        "sentence": _sentence(store, shown, waits),
+        "sentence": _write_sentence(store, shown, waits),
         "level": "error" if serious or stop["warning"]
         else "warn" if warnings or store.mode == "none"
-        else _level(shown),
+        else _judge_level(shown),
     }, {"word": "Alarms are unknown.", "sentence": "", "level": "stale"})
     result = {
-        "heading": parts.make("The heading", lambda: _heading(store), "Green roof"),
+        "heading": parts.make("The heading", lambda: _write_heading(store), "Green roof"),
         "mode": store.mode,
         "namespace": store.namespace,
         "time": parts.make(
@@ -96,13 +96,13 @@ def _document(store: GraphStore, wall: float) -> dict[str, Any]:
         "tiles": {**shown, "summary": summary},
         "advice": parts.make(
             "The advice",
-            lambda: alarms.choose_advice(present) if present else _advice(store, shown, waits), "",
+            lambda: alarms.choose_advice(present) if present else _advise(store, shown, waits), "",
         ),
         "alarms": listed,
-        "events": parts.make("Events", lambda: _within(alarms.list_events(store), _MAX_EVENTS), []),
+        "events": parts.make("Events", lambda: _trim(alarms.list_events(store), _MAX_EVENTS), []),
         "stop": stop,
     }
-    notes = parts.make("The notes", lambda: _notes(store, len(rows) - len(listed)), [])
+    notes = parts.make("The notes", lambda: _list_notes(store, len(rows) - len(listed)), [])
     if "Alarms" in parts.failed:
         summary["word"] = "Alarms are unknown."
     if parts.failed and summary["level"] == "ok":
@@ -134,7 +134,7 @@ def summarize(shown: Mapping[str, Any], *more: str) -> dict[str, Any]:
     }
 
 
-def _heading(store: GraphStore) -> str:
+def _write_heading(store: GraphStore) -> str:
     heading, factor = _HEADINGS[store.mode], store.factor
     if factor is None or store.mode != "simulated":
         return heading
@@ -142,7 +142,7 @@ def _heading(store: GraphStore) -> str:
     return f"{heading}, " + ("at real time" if times == "1" else f"{times} times real time")
 
 
-def _notes(store: GraphStore, hidden: int) -> list[str]:
+def _list_notes(store: GraphStore, hidden: int) -> list[str]:
     notes = [*store.notes]
     if missing := store.judge.missing:
         listed = [f"{name}: {diagnosis.sentence}." for name, diagnosis in missing.items()]
@@ -161,7 +161,7 @@ def _notes(store: GraphStore, hidden: int) -> list[str]:
 # --- the sentence above the tiles -----------------------------------------------------------------
 
 
-def _word(alarms: int, warnings: int, following: int) -> str:
+def _write_counts(alarms: int, warnings: int, following: int) -> str:
     counts = [
         f"{count} {name}" if count == 1 else f"{count} {name}s"
         for count, name in ((alarms, "alarm"), (warnings, "warning")) if count
@@ -170,7 +170,7 @@ def _word(alarms: int, warnings: int, following: int) -> str:
     return f"{', '.join(counts) or 'No alarms'}{more}."
 
 
-def _level(shown: dict[str, Tile]) -> str:
+def _judge_level(shown: dict[str, Tile]) -> str:
     """Return the level without alarms: ``ok`` or ``warn``.
 
     It is never ``ok`` next to a tile that reports otherwise, even if there is nothing to do.
@@ -182,12 +182,12 @@ def _level(shown: dict[str, Tile]) -> str:
     return "warn" if attention else "ok"
 
 
-def _sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
+def _write_sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     """Return how roof and pump are, and what is expected."""
     if store.mode == "none":
         return "no run or site is found."
     if store.ended:
-        doubt = f"; {_pump_clause(shown['pump'])}" if shown["pump"]["alarm"] else ""
+        doubt = f"; {_write_pump_clause(shown['pump'])}" if shown["pump"]["alarm"] else ""
         return f"The run has ended: this is its last state{doubt}."
     roof = shown["roof"]
     if roof["state"] in ("unknown", "alarm"):
@@ -197,11 +197,11 @@ def _sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     else:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")
         level_clause = f"The roof is {judged}{roof['sentence']}"
-    clause = f"the pump is {waits}" if waits else _pump_clause(shown["pump"])
+    clause = f"the pump is {waits}" if waits else _write_pump_clause(shown["pump"])
     return f"{level_clause}; {clause}."
 
 
-def _pump_clause(pump: Tile) -> str:
+def _write_pump_clause(pump: Tile) -> str:
     state, why = pump["state"], pump["why"]
     if pump["alarm"]:
         return "it is unknown whether the pump is stopped"
@@ -217,7 +217,7 @@ def _pump_clause(pump: Tile) -> str:
     return "the pump is off" + (f", since {why}" if why else "")
 
 
-def _advice(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
+def _advise(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     """Return what to do if there is no alarm; if something is not as wanted, what happens next."""
     if store.judge.missing:
         return "Nothing to do: the site is starting. What is still missing is listed below."
@@ -245,7 +245,7 @@ def _advice(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
     return f"The roof is not watered, since the pump is {pump['state']}{why}."
 
 
-def _within(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
+def _trim(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
     """Return the first rows that together have at most this many characters as JSON."""
     lengths = accumulate(len(json.dumps(row)) + 2 for row in rows)
     return [row for row, length in zip(rows, lengths, strict=True) if length <= max_length]
@@ -272,7 +272,7 @@ def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
         last = max(newest, round((now or 0.0) * 1e9))
         oldest = [past.first_ns for past in store.past.values() if past.first_ns is not None]
         first = max(last - round(hours * 3.6e12), min(oldest, default=last))
-        stretch = stretch_of(first, last, _POINTS)
+        stretch = choose_stretch(first, last, _POINTS)
         return {
             "now": now,
             "from": None if now is None else now - hours * 3600,
@@ -286,8 +286,8 @@ def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
             "forecast": [] if store.forecast is None else store.forecast.rows(),
             "plan": [] if store.plan is None or now is None else store.plan.rows(now),
             "marks": {  # m; None if there is none
-                "target": site.z_veg, "band": band_of(site), "suction": site.suction_level,
+                "target": site.z_veg, "band": find_band(site), "suction": site.suction_level,
                 "low_outlet": site.low_outlet_level, "outlet": site.z_o,
             },
-            "display": {name: asdict(words.display_of(topic)) for name, topic in LINES.items()},
+            "display": {name: asdict(words.find_display(topic)) for name, topic in LINES.items()},
         }

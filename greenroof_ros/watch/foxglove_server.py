@@ -14,7 +14,7 @@ import time
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.processes import Signals
-from greenroof_ros.recording.bag_writer import message_definition
+from greenroof_ros.recording.bag_writer import read_definition
 from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient
 from greenroof_ros.watch.listening import LOOPBACK
@@ -74,7 +74,7 @@ class FoxgloveServer:
                 name if topic.absolute else namespace + name, message_encoding="cdr",
                 schema=foxglove.Schema(
                     name=topic.type, encoding="ros2msg",
-                    data=message_definition(topic.type).encode(),
+                    data=read_definition(topic.type).encode(),
                 ),
             )
             for name, topic in self._topics.items()

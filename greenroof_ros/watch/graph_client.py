@@ -174,7 +174,7 @@ class GraphClient:
             PumpRequestError: the pump node did not confirm it.
         """
         service, to_all = _SERVICES[action], action == "stop"
-        request = {"data": False} if action == "release" else _parameters(parameters)
+        request = {"data": False} if action == "release" else _make_parameters(parameters)
         until, reported = time.monotonic() + timeout_s, tuple(self._pumps)
         settled = min(until, self._joined_at + _DISCOVERY_S)
         sent: dict[str, Any] = {}
@@ -205,7 +205,7 @@ class GraphClient:
         if not self._pumps:
             raise PumpRequestError("There is no pump node that could be stopped from here.")
         answers = {
-            name: _answer(name, service, sent.get(name), timeout_s) for name in sorted(self._pumps)
+            name: _explain(name, service, sent.get(name), timeout_s) for name in sorted(self._pumps)
         }
         for name in twice & answers.keys():
             answers[name] = False, (
@@ -234,7 +234,7 @@ class GraphClient:
         signal.alarm(before)
 
 
-def _parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
+def _make_parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
     """Return the fields of a request with these parameters; none without parameters."""
     from rclpy.parameter import Parameter
 
@@ -243,7 +243,7 @@ def _parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
     ]} if values else {}
 
 
-def _answer(name: str, service: str, future: Any, timeout_s: float) -> tuple[bool, str]:
+def _explain(name: str, service: str, future: Any, timeout_s: float) -> tuple[bool, str]:
     """Return whether a node did what it was asked, and its answer.
 
     Args:

@@ -90,7 +90,7 @@ class History:
         Args:
             first: begin (ns).
             last: end (ns).
-            stretch_ns: the time that a row covers, from :func:`stretch_of`.
+            stretch_ns: the time that a row covers, from :func:`choose_stretch`.
             steps: whether the value changes in steps, rather than slowly.
 
         Returns:
@@ -105,7 +105,7 @@ class History:
             return []
         # Whole stretches, which begin at the same times in each call: a line that is redrawn does
         # not jitter.
-        rows = _condensed(rows, stretch_ns)
+        rows = _condense(rows, stretch_ns)
         ended, value = rows["ended"], rows["last"]
         at = rows["changed"] if steps else ended
         lines = np.column_stack((at / 1e9, rows["low"], rows["high"], value))
@@ -118,7 +118,7 @@ class History:
         ]
 
 
-def _condensed(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:
+def _condense(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:
     """Return the rows of longer stretches; of equal changes, the first counts."""
     begins = np.flatnonzero(np.diff(rows["ended"] // stretch_ns, prepend=-1))
     ends = np.append(begins[1:], len(rows)) - 1
@@ -133,7 +133,7 @@ def _condensed(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:
     return condensed
 
 
-def stretch_of(first: int, last: int, points: int) -> int:
+def choose_stretch(first: int, last: int, points: int) -> int:
     """Return the time that a row of such a window covers (ns).
 
     Args:
@@ -186,14 +186,14 @@ def read_histories(file: Path, names: Iterable[str], until_ns: int) -> dict[str,
             if _FORMAT not in content or content[_FORMAT].tolist() != _VERSION:
                 raise ValueError("its format is unknown")
             for name in content.keys() & set(names):
-                rows = _checked(content[name])
+                rows = _check_rows(content[name])
                 histories[name] = History(rows[rows["ended"] <= until_ns])
     except Exception as error:  # NumPy's errors depend on what the file holds in its place
         raise ValueError(str(error) or "it is damaged") from error
     return histories
 
 
-def _checked(rows: NDArray[Any]) -> NDArray[np.void]:
+def _check_rows(rows: NDArray[Any]) -> NDArray[np.void]:
     if rows.dtype != ROW or rows.ndim != 1:
         raise ValueError("it has no such rows")
     times, values = rows["ended"], np.array([rows[name] for name in ("low", "high", "last")])

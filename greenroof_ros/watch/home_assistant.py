@@ -11,7 +11,7 @@ from typing import Any
 
 from greenroof_ros import __version__
 from greenroof_ros.common.states import PUMP_STATES
-from greenroof_ros.watch.words import display_of
+from greenroof_ros.watch.words import find_display
 
 PREFIX = "homeassistant"
 """Start of the discovery topics, as in Home Assistant's MQTT integration."""
@@ -33,21 +33,21 @@ NUMBERS = {
 """Fields with a number: the topic that gives label and unit, and Home Assistant's device class."""
 
 
-def base_of(site: str) -> str:
+def make_prefix(site: str) -> str:
     """Return the prefix of a site's topics."""
     return f"greenroof/{site}"
 
 
-def discovery(site: str) -> dict[str, str]:
+def make_discovery(site: str) -> dict[str, str]:
     """Return the discovery messages by their topics.
 
     Args:
         site: its name in topics and ids: letters, digits and _.
     """
-    base, node = base_of(site), f"greenroof_{site}"
+    base, node = make_prefix(site), f"greenroof_{site}"
     bridge = {"topic": f"{base}/availability"}
     messages = {}
-    for (component, key), own in _entities(base).items():
+    for (component, key), own in _list_entities(base).items():
         config = {
             "unique_id": f"{node}_{key}",
             "availability": [bridge],
@@ -74,11 +74,11 @@ def discovery(site: str) -> dict[str, str]:
     return messages
 
 
-def _entities(base: str) -> dict[tuple[str, str], dict[str, Any]]:
+def _list_entities(base: str) -> dict[tuple[str, str], dict[str, Any]]:
     """Return the settings that differ between entities, by component and field."""
     entities: dict[tuple[str, str], dict[str, Any]] = {}
     for key, (topic, kind) in NUMBERS.items():
-        display = display_of(topic)
+        display = find_display(topic)
         entities["sensor", key] = {
             "name": display.label, "unit_of_measurement": display.unit,
             "state_class": "measurement", **({"device_class": kind} if kind else {}),
@@ -93,7 +93,7 @@ def _entities(base: str) -> dict[tuple[str, str], dict[str, Any]]:
         },
         ("sensor", "planned_start"): {"name": "Next planned start", "device_class": "timestamp"},
         ("sensor", "condition"): {"name": "Condition"},
-        ("binary_sensor", "frost"): {"name": display_of("/weather/frost").label,
+        ("binary_sensor", "frost"): {"name": find_display("/weather/frost").label,
                                      "device_class": "cold"},
         ("binary_sensor", "problem"): {
             "name": "Alarm", "device_class": "problem", "json_attributes_topic": f"{base}/alarms",

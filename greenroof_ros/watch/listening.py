@@ -41,7 +41,7 @@ class Listener:
     names: frozenset[str] | None
 
 
-def _addresses(host: str) -> list[tuple[socket.AddressFamily, str]]:
+def _resolve(host: str) -> list[tuple[socket.AddressFamily, str]]:
     """Return the addresses of a host, in the order in which to try them.
 
     Raises:
@@ -63,7 +63,7 @@ def is_loopback(host: str) -> bool:
     Raises:
         ConfigurationError: it has none.
     """
-    return all(ipaddress.ip_address(text.split("%")[0]).is_loopback for _, text in _addresses(host))
+    return all(ipaddress.ip_address(text.split("%")[0]).is_loopback for _, text in _resolve(host))
 
 
 def listen(host: str, port: int | None) -> Listener:
@@ -76,7 +76,7 @@ def listen(host: str, port: int | None) -> Listener:
     Raises:
         ConfigurationError: the host is not this machine, or the port cannot be used.
     """
-    family, address = _addresses(host)[0]
+    family, address = _resolve(host)[0]
     ports = PORTS if port is None else [port]
     for number in ports:
         try:
@@ -94,7 +94,7 @@ def listen(host: str, port: int | None) -> Listener:
         break
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING)  # connections inherit it
     anywhere = ipaddress.ip_address(address.split("%")[0]).is_unspecified
-    shown = _own_address(address) if anywhere else host
+    shown = _find_own_address(address) if anywhere else host
     url = f"http://{f'[{shown}]' if ':' in shown else shown}:{listening.getsockname()[1]}/"
     names = None if anywhere else frozenset({host.lower(), address, LOOPBACK, "::1", "localhost"})
     return Listener(listening, url, names)
@@ -134,7 +134,7 @@ def read_token(file: Path) -> str:
     return token
 
 
-def _own_address(wildcard: str) -> str:
+def _find_own_address(wildcard: str) -> str:
     """Return this machine's address for others, or its name if that is unknown; sends nothing."""
     if ":" in wildcard:
         return socket.gethostname()

@@ -87,17 +87,17 @@ class Forecast(_Steps):
         fallen = np.cumsum(self.rain.mean(axis=0) * lengths)
         last = int(np.searchsorted(fallen, 0.9 * fallen[-1]))
         fallen_at = min(float(self.ends[last]), until)
-        low, high = (float(end[0]) for end in _ranges(amounts[:, None]))
+        low, high = (float(end[0]) for end in _compute_ranges(amounts[:, None]))
         return RainAmount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
 
     def rows(self) -> list[list[float]]:
         """Return begin and end (s since 1970), mean, low and high (m/s) of each step."""
-        columns = (self.begins, self.ends, self.rain.mean(axis=0), *_ranges(self.rain))
+        columns = (self.begins, self.ends, self.rain.mean(axis=0), *_compute_ranges(self.rain))
         rows: list[list[float]] = np.column_stack(columns).tolist()
         return rows
 
 
-def _ranges(values: Values) -> tuple[Values, Values]:
+def _compute_ranges(values: Values) -> tuple[Values, Values]:
     """Return the range of the members: 10 to 90 %; if they are few, the minimum to the maximum."""
     if len(values) < _TENTHS:
         return values.min(axis=0), values.max(axis=0)

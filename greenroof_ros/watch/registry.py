@@ -53,7 +53,7 @@ class Node(NodeReport):
     @property
     def hold(self) -> str:
         """Who holds the pump, until when and why; empty if no one does."""
-        return _hold_text(self.values)
+        return _read_hold(self.values)
 
     @property
     def lockstep(self) -> bool:
@@ -229,7 +229,7 @@ class Registry:
     def _report_changes(self, node: Node, before: Mapping[str, Any]) -> None:
         """Report changes in a node's values as events."""
         values, name = node.values, node.name
-        changes, left_out = _new_changes(before, values)
+        changes, left_out = _find_changes(before, values)
         if left_out:
             self._on_event(
                 f"{name}: {left_out} changes of parameters before the next are not listed"
@@ -244,7 +244,7 @@ class Registry:
                 if warning not in known:
                     self._on_event(f"{name} warns: {clean_sentence(str(warning))}")
         hold, fault = node.hold, node.text("fault")
-        if _hold_text(before) != hold:
+        if _read_hold(before) != hold:
             self._on_event(f"the pump is held: {hold}" if hold else "the hold has ended")
         if before.get("fault", "") != values.get("fault", ""):
             self._on_event(
@@ -388,7 +388,7 @@ class Registry:
         return part.received_at <= node.received_at
 
 
-def _hold_text(values: Mapping[str, Any]) -> str:
+def _read_hold(values: Mapping[str, Any]) -> str:
     """Return the hold of the pump in a node's values, in words; empty if there is none."""
     hold = values.get("hold")
     text = hold.get("said") if isinstance(hold, dict) else None
@@ -408,7 +408,7 @@ def _read_value(text: str) -> Any:
     )
 
 
-def _new_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[list[Any], int]:
+def _find_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[list[Any], int]:
     """Return the parameter changes since a node's last report, and how many more are not listed.
 
     The node keeps only the newest, and counts all.

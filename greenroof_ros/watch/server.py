@@ -251,7 +251,7 @@ class _PageApplication:
         for file in _PAGE.iterdir():
             if file.suffix in _TYPES:
                 path = "/" if file.name == "index.html" else f"/{file.name}"
-                self.app.router.add_get(path, _file_handler(file), allow_head=False)
+                self.app.router.add_get(path, _make_file_handler(file), allow_head=False)
         self.app.router.add_get("/events", self._events, allow_head=False)
         for action in ("stop", "release", "clear", "dose"):
             self.app.router.add_post(f"/{action}", self._act)
@@ -266,7 +266,7 @@ class _PageApplication:
         try:
             return await self.connections.answer(request, handler(request))
         except web.HTTPException as error:
-            answer = _json_response(False, error.reason, error.status)
+            answer = _make_response(False, error.reason, error.status)
             answer.force_close()
             return answer
 
@@ -279,7 +279,7 @@ class _PageApplication:
         If a foreign host name led to this address, a browser would count a page from that host as a
         page of this server (DNS rebinding).
         """
-        if self._names is not None and _host_of(request) not in self._names:
+        if self._names is not None and _read_host(request) not in self._names:
             raise web.HTTPForbidden(reason="this host name is unknown here; use localhost")
         if request.method == "POST" or request.path == "/events":
             given = request.headers.get("Authorization", "")
@@ -290,7 +290,7 @@ class _PageApplication:
                     reason="the address needs its token: open it exactly as printed"
                 )
             own = request.method == "GET" or request.headers.get("X-Greenroof") == "1"
-            if not own or _of_another_page(request):
+            if not own or _is_of_another_page(request):
                 raise web.HTTPForbidden(reason="only the page itself may ask for this")
         return await handler(request)
 
@@ -298,7 +298,7 @@ class _PageApplication:
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
         """Push events to one browser until it disconnects, or does not read."""
-        hours = _hours(request.query.get("hours", _HOURS))
+        hours = _read_hours(request.query.get("hours", _HOURS))
         if self.event_stream.readers >= _MAX_STREAMS:
             raise web.HTTPServiceUnavailable(reason="too many pages are open; close one")
         compressed = "gzip" in request.headers.get("Accept-Encoding", "")
@@ -324,26 +324,26 @@ class _PageApplication:
         return answer
 
     async def _acknowledge(self, request: web.Request) -> web.Response:
-        identity = (await _body(request)).get("id")
+        identity = (await _read_body(request)).get("id")
         if not isinstance(identity, str):
             raise web.HTTPBadRequest(reason="id must be text")
         known = await asyncio.to_thread(self._store.acknowledge, identity)
-        return _json_response(known, "" if known else "This alarm is no longer listed.")
+        return _make_response(known, "" if known else "This alarm is no longer listed.")
 
     async def _act(self, request: web.Request) -> web.Response:
         """Act on the pump; the same request, made again meanwhile, gets the same answer.
 
         Doses are an exception: of two requests only the first is carried out.
         """
-        body, action, given = await _body(request), request.path[1:], dict[str, float]()
+        body, action, given = await _read_body(request), request.path[1:], dict[str, float]()
         if action != "stop" and not (self._store.allow_release and self._token):
             raise web.HTTPForbidden(
                 reason="nothing is released here: see greenroof watch --allow-release"
             )
         if action == "dose":
             given = {
-                "volume": _number(body, "volume", "m3"),
-                "asked_at": _number(body, "asked_at", "s"),
+                "volume": _read_number(body, "volume", "m3"),
+                "asked_at": _read_number(body, "asked_at", "s"),
             }
         task = self._acting.get(action)
         # A request joins the one under way only if no other action was requested since.
@@ -351,8 +351,8 @@ class _PageApplication:
             task = asyncio.create_task(self._request_action(action, given, request.remote or ""))
             self._acting[action] = self._newest = task
         elif given:
-            return _json_response(False, "Another dose was asked for a moment ago.")
-        return _json_response(*await asyncio.shield(task))
+            return _make_response(False, "Another dose was asked for a moment ago.")
+        return _make_response(*await asyncio.shield(task))
 
     async def _request_action(
         self, action: str, given: dict[str, float], asker: str
@@ -377,7 +377,7 @@ class _PageApplication:
         return ok, sentence
 
 
-def _file_handler(file: Path) -> _Handler:
+def _make_file_handler(file: Path) -> _Handler:
     """Return a handler that sends a file of the page, as it is when the server starts."""
     content, kind = file.read_bytes(), _TYPES[file.suffix]
 
@@ -387,13 +387,13 @@ def _file_handler(file: Path) -> _Handler:
     return send
 
 
-def _json_response(ok: bool, sentence: str, status: int = 200) -> web.Response:
+def _make_response(ok: bool, sentence: str, status: int = 200) -> web.Response:
     return web.json_response(
         {"ok": ok, "sentence": sentence}, status=status, headers=_HEADERS
     )
 
 
-def _host_of(request: web.Request) -> str | None:
+def _read_host(request: web.Request) -> str | None:
     """Return the host that a request names, without its port: a tunnel has another port."""
     headers = request.headers.getall("Host", [])
     with suppress(ValueError):
@@ -401,7 +401,7 @@ def _host_of(request: web.Request) -> str | None:
     return None
 
 
-def _of_another_page(request: web.Request) -> bool:
+def _is_of_another_page(request: web.Request) -> bool:
     """Return whether the browser reports that a page of another site makes the request.
 
     Browsers report it in Sec-Fetch-Site; over plain HTTP to another machine only in Origin.
@@ -421,7 +421,7 @@ async def _send(
         await asyncio.sleep(_DRAIN_S)
 
 
-def _number(body: Mapping[str, object], name: str, unit: str) -> float:
+def _read_number(body: Mapping[str, object], name: str, unit: str) -> float:
     """Return a number from a request for a dose; the pump node checks its range."""
     try:
         return Range().check(body.get(name))
@@ -429,7 +429,7 @@ def _number(body: Mapping[str, object], name: str, unit: str) -> float:
         raise web.HTTPBadRequest(reason=f"{name} {error} ({unit})") from None
 
 
-def _hours(text: str) -> float:
+def _read_hours(text: str) -> float:
     """Return how much of the past is requested (h)."""
     with suppress(ValueError):
         hours = read_number(text)
@@ -438,7 +438,7 @@ def _hours(text: str) -> float:
     raise web.HTTPBadRequest(reason=f"hours {HOURS.expected()}")
 
 
-async def _body(request: web.Request) -> dict[str, Any]:
+async def _read_body(request: web.Request) -> dict[str, Any]:
     if (request.content_length or 0) > _MAX_BODY:
         raise web.HTTPRequestEntityTooLarge(_MAX_BODY)
     try:
@@ -453,7 +453,7 @@ async def _body(request: web.Request) -> dict[str, Any]:
 
 
 @asynccontextmanager
-async def serving(
+async def run_server(
     store: GraphStore, feed: Feed, listener: Listener, token: str | None
 ) -> AsyncIterator[None]:
     """Serve the page on a listener, in the running event loop."""
@@ -506,7 +506,7 @@ def serve(
     """
     async def run() -> None:
         listener = listen(host, port)
-        async with serving(store, feed, listener, token):
+        async with run_server(store, feed, listener, token):
             on_ready(listener.url + (f"#token={token}" if token else ""))
             while True:
                 signals.check()

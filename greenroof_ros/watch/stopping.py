@@ -23,7 +23,7 @@ _THEN = (
 )
 
 
-def stop_of(store: GraphStore) -> dict[str, Any]:
+def describe_stop(store: GraphStore) -> dict[str, Any]:
     """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
     It can be stopped if any node may control the pump, whatever nodes report. It is stopped if
@@ -59,11 +59,11 @@ def stop_of(store: GraphStore) -> dict[str, Any]:
         "hold": None if node is None or is_silent else hold and f"{hold[0].upper()}{hold[1:]}.",
         "clear_call": command_for(node.name, "reset")
         if node is not None and node.text("fault") else "",
-        **_allowed(None if is_silent or not store.allow_release else node, at_rest, store.site.a2),
+        **_allow(None if is_silent or not store.allow_release else node, at_rest, store.site.a2),
     }
 
 
-def _allowed(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, Any]:
+def _allow(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, Any]:
     """Return what may be done here besides a stop, and what happens then.
 
     Args:
@@ -82,13 +82,13 @@ def _allowed(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, A
     minimum = 0.0 if node is None else float(node.values.get("min_dose") or 0.0)
     return {
         "release_here": bool(hold) and at_rest,
-        "release_then": _then(fault, unknown) + LOCK_OUT,
+        "release_then": _write_then(fault, unknown) + LOCK_OUT,
         "clear_here": bool(fault) and not refusal and at_rest,
-        "clear_then": f"The fault is cleared: {fault}. " + _then(hold, unknown) + LOCK_OUT,
+        "clear_then": f"The fault is cleared: {fault}. " + _write_then(hold, unknown) + LOCK_OUT,
         "no_clear": refusal if fault else "",
         "max_dose": maximum if doses else None,
         "min_dose": minimum if doses else None,
-        "dose_limits": _limits(minimum, float(maximum or 0.0), area) if doses else "",
+        "dose_limits": _write_limits(minimum, float(maximum or 0.0), area) if doses else "",
         "dose": clean_sentence(str(dose.get("said", ""))) if isinstance(dose, dict) else "",
         "dose_here": doses and not no_dose,
         "asked_at": time.time() if doses and not no_dose else None,
@@ -99,24 +99,24 @@ def _allowed(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, A
     }
 
 
-def _limits(minimum: float, maximum: float, area: float) -> str:
+def _write_limits(minimum: float, maximum: float, area: float) -> str:
     """Return between which volumes (m3) a dose must be, and how much that is on the roof (m2)."""
     volumes = f"from {minimum:.3f} to {maximum:g} m³" if minimum else f"at most {maximum:g} m³"
     depths = [words.write_rain(volume / area) for volume in (minimum, maximum) if volume and area]
     return volumes + (f", which is {' to '.join(depths)} of water on the roof" if depths else "")
 
 
-def _then(*others: str) -> str:
+def _write_then(*others: str) -> str:
     """Return what the pump does then; the others are what else keeps it off, empty if it is not."""
     remain = "; ".join(filter(None, others))
     return f"It stays off all the same: {remain}. " if remain else _THEN
 
 
-def bare_stop() -> dict[str, Any]:
+def make_bare_stop() -> dict[str, Any]:
     """Return a stop that needs nothing to be known: the pump node is asked, if there is one."""
     return {
         "possible": True, "stopped": False, "label": "Stop the pump",
         "sentence": "Holds the pump off until someone releases it. " + LOCK_OUT,
         "warning": "", "release": "", "hold": None, "clear_call": "",
-        **_allowed(None, at_rest=False),
+        **_allow(None, at_rest=False),
     }

@@ -326,7 +326,7 @@ class GraphStore:
             return
         with self.lock:
             if np.size(rows) and (self.plan is None or at > self.plan.at):
-                self.plan = _plan_of(at, rows)
+                self.plan = _read_plan(at, rows)
 
     def add_statuses(
         self, wall: float, statuses: Sequence[WireStatus], stamp_ns: int = 0,
@@ -427,7 +427,7 @@ class GraphStore:
         return words.write_coming_time(at, self.site.zone, self.now or at)
 
 
-def _plan_of(at: float, rows: Values) -> Plan | None:
+def _read_plan(at: float, rows: Values) -> Plan | None:
     """Return the plan made at a time (s since 1970); None if one of its numbers is impossible."""
     plan = np.asarray(rows, dtype=np.float64)
     if plan.ndim != 2 or plan.shape[1] != 4 or len(plan) > _MAX_STEPS:

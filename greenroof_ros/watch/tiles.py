@@ -33,7 +33,7 @@ write_flow = partial(words.write_value, _FLOW)
 Tile = dict[str, Any]
 
 
-def _tile(
+def _make_tile(
     store: GraphStore, label: str, topic: str, judged: Callable[[float], tuple[str, str]],
     **more: Any,
 ) -> Tile:
@@ -68,7 +68,7 @@ def make_unknown_tile(label: str) -> Tile:
     }
 
 
-def band_of(site: Site) -> list[float]:
+def find_band(site: Site) -> list[float]:
     """Return the levels between which the roof is near its target (m)."""
     return [site.z_veg * (1 - NEAR_TARGET), site.z_veg * (1 + NEAR_TARGET)]
 
@@ -78,7 +78,7 @@ def make_roof_tile(store: GraphStore) -> Tile:
     site, newest = store.site, store.newest.get(_ROOF)
     # The paper's soil is ten times as deep as the target level. Only if the level is above twice
     # the target, the whole soil is shown.
-    full, (low, high) = site.roof_level(site.z_cap), band_of(site)
+    full, (low, high) = site.roof_level(site.z_cap), find_band(site)
     shown = 0.0 if newest is None else newest.value or 0.0
     top = max(full, shown) if shown > 2 * site.z_veg else 2 * site.z_veg
     marks = [{"at": site.z_veg, "label": f"target {write_level(site.z_veg)}"}]
@@ -88,14 +88,14 @@ def make_roof_tile(store: GraphStore) -> Tile:
     def judged(level: float) -> tuple[str, str]:
         state = "low" if level < low else "high" if level > high else "good"
         drains = "; the soil is full, and water drains off" if level >= full else ""
-        return state, _versus_target(level - site.z_veg) + drains
+        return state, _write_difference(level - site.z_veg) + drains
 
-    return _tile(
+    return _make_tile(
         store, "Roof level", _ROOF, judged, low=0.0, high=top, marks=marks, band=[low, high]
     )
 
 
-def _versus_target(difference: float) -> str:
+def _write_difference(difference: float) -> str:
     """Write how far the roof's level is from its target (m): ``0.4 mm below its target``."""
     text = write_level(abs(difference))
     if text == write_level(0.0):
@@ -125,7 +125,7 @@ def make_cistern_tile(store: GraphStore) -> Tile:
         return "good", f"{usable_text} above the suction level can be pumped{drains}"
 
     shown = 0.0 if newest is None else newest.value or 0.0
-    return _tile(
+    return _make_tile(
         store, "Cistern level", _CISTERN, judged, low=0.0, high=max(1.1 * site.z_o, shown),
         marks=marks, band=[site.suction_level, site.z_o],
     )
@@ -150,7 +150,7 @@ def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Til
     speed_known = values.get("speed", 0.0) is not None  # also if its node never reports a speed
     pumped = store.newest.get(_FLOW) if flow_known and (speed_known or may_turn) else None
     command = store.newest.get(_COMMAND)
-    state, why = _state(store, report)
+    state, why = _read_pump_state(store, report)
     parts = []
     if may_turn:
         parts.append("it is unknown whether it is stopped")
@@ -162,7 +162,7 @@ def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Til
     elif not flow_known and not may_turn:
         parts.append("its flow is unknown")
     if command is not None:
-        parts.append(_commanded(command.value))
+        parts.append(_write_commanded(command.value))
     newest = pumped if pumped is not None else command
     old = newest is not None and newest.stale
     # The node reports its state by another way than the flow.
@@ -188,7 +188,7 @@ def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Til
     }
 
 
-def _commanded(share: float | None) -> str:
+def _write_commanded(share: float | None) -> str:
     if share is None:
         return f"the command is {words.NOT_PLAUSIBLE}"
     if not share:
@@ -196,7 +196,7 @@ def _commanded(share: float | None) -> str:
     return f"commanded {words.write_command(share)} of its maximum flow"
 
 
-def _state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
+def _read_pump_state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
     """Return the pump's state and the reason; in a simulation, by its flow and command."""
     if report is not None:
         return report.state, report.why
@@ -213,7 +213,7 @@ def _state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
     return "off", "nothing is commanded" if share == 0 else ""
 
 
-def _quiet(store: GraphStore) -> bool:
+def _is_quiet(store: GraphStore) -> bool:
     hours, now = store.site.quiet, store.now
     return hours is not None and now is not None and hours.quiet_at(int(now * 1e9))
 
@@ -221,11 +221,11 @@ def _quiet(store: GraphStore) -> bool:
 def make_rain_tile(store: GraphStore) -> Tile:
     """Return the tile of the rain: the present rain, and the rain to come."""
     topic = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
-    tile = _tile(store, "Rain", topic, lambda _: ("good", ""))
-    return tile if tile["stale"] else {**tile, "sentence": _to_come(store)}
+    tile = _make_tile(store, "Rain", topic, lambda _: ("good", ""))
+    return tile if tile["stale"] else {**tile, "sentence": _write_coming_rain(store)}
 
 
-def _to_come(store: GraphStore) -> str:
+def _write_coming_rain(store: GraphStore) -> str:
     forecast, now = store.forecast, store.now
     if forecast is None or now is None:
         return "no forecast is known"
@@ -240,11 +240,11 @@ def _to_come(store: GraphStore) -> str:
         return f"no forecast for the next hours: it reaches only {reach} ahead"
     if now - forecast.at > OLD_S:
         return f"the forecast of {made} is too old"
-    sentence = f"{words.write_rain(amount.mean)} expected in the next {reach}{_range(amount)}"
+    sentence = f"{words.write_rain(amount.mean)} expected in the next {reach}{_write_range(amount)}"
     return sentence if age <= _RENEWED_S else f"{sentence}, by the forecast of {made}"
 
 
-def _range(amount: RainAmount) -> str:
+def _write_range(amount: RainAmount) -> str:
     """Write the range of an ensemble's rain after its mean, `` (19 to 46)``; otherwise empty."""
     if amount.members == 1:
         return ""
@@ -271,7 +271,7 @@ def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) 
     if alarm:
         sentence = alarm
     elif plan is not None and now is not None:
-        sentence = _planned(store, plan, now)
+        sentence = _write_plan(store, plan, now)
     elif name is None and command is None:
         sentence = "no controller is known"
     elif command is None or command.value is None:
@@ -291,7 +291,7 @@ def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) 
     }
 
 
-def _forecast_known(store: GraphStore) -> bool:
+def _has_forecast(store: GraphStore) -> bool:
     """Return whether there is a forecast for the present, and not an old one."""
     forecast, now = store.forecast, store.now
     return (
@@ -300,8 +300,8 @@ def _forecast_known(store: GraphStore) -> bool:
     )
 
 
-def _planned(store: GraphStore, plan: Plan, now: float) -> str:
-    right = " if the forecast is right" if _forecast_known(store) else ""
+def _write_plan(store: GraphStore, plan: Plan, now: float) -> str:
+    right = " if the forecast is right" if _has_forecast(store) else ""
     if now >= plan.ends[-1]:
         return "its plan is over"
     pumped = plan.pumped(now)
@@ -329,7 +329,7 @@ def describe_wait(store: GraphStore, idle: bool) -> str:
     level = store.present_value(_ROOF)
     if (
         now is None or forecast is None or level is None
-        or not idle or _quiet(store) or level >= band_of(site)[0] or now - forecast.at > OLD_S
+        or not idle or _is_quiet(store) or level >= find_band(site)[0] or now - forecast.at > OLD_S
     ):
         return ""
     amount, plan = forecast.amount(now), store.plan
@@ -339,4 +339,4 @@ def describe_wait(store: GraphStore, idle: bool) -> str:
     if pumped is not None and pumped.begin < amount.fallen_at:
         return ""
     by = store.hour(-(-amount.fallen_at // 3600) * 3600)
-    return f"waiting for rain: {words.write_rain(amount.mean)}{_range(amount)} by {by}"
+    return f"waiting for rain: {words.write_rain(amount.mean)}{_write_range(amount)} by {by}"

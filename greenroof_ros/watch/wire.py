@@ -50,7 +50,7 @@ def read_number(message: bytes) -> float | None:
 def read_clock(message: bytes) -> int | None:
     """Return the time of a ``rosgraph_msgs/msg/Clock`` (ns since 1970)."""
     read = _read_message("rosgraph_msgs/msg/Clock", message)
-    return None if read is None else _stamp(read.clock)
+    return None if read is None else _read_stamp(read.clock)
 
 
 def read_rows(message: bytes) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
@@ -74,7 +74,7 @@ def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
     read = _read_message("diagnostic_msgs/msg/DiagnosticArray", message)
     if read is None:
         return None
-    return _stamp(read.header.stamp), [
+    return _read_stamp(read.header.stamp), [
         # An unknown level is treated as ERROR, the worst that someone can do something about.
         WireStatus(
             status.name, level if (level := status.level[0]) <= 3 else 2, status.message,
@@ -84,5 +84,5 @@ def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
     ]
 
 
-def _stamp(time: Any) -> int:
+def _read_stamp(time: Any) -> int:
     return int(time.sec) * _NS + int(time.nanosec)

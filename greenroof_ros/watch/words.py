@@ -49,12 +49,12 @@ def write_value(topic: str, value: float) -> str:
         topic: its name in the interface.
         value: in the topic's unit.
     """
-    display = display_of(topic)
+    display = find_display(topic)
     return write_quantity(value, display.unit, display.decimals, display.factor)
 
 
 @cache
-def display_of(topic: str) -> Display:
+def find_display(topic: str) -> Display:
     """Return how the values of a topic are shown, from the interface."""
     display = read_topics()[topic].display
     if display is None:

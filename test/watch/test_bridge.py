@@ -23,10 +23,10 @@ from test_watch_command import end, running_pump
 from greenroof_ros.common.mqtt import parse_broker
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch import feed
-from greenroof_ros.watch.bridge import Bridge, alarms_of, state_of
+from greenroof_ros.watch.bridge import Bridge, make_alarms, make_state
 from greenroof_ros.watch.document import make_document as read_document
 from greenroof_ros.watch.feed import Feed
-from greenroof_ros.watch.home_assistant import discovery
+from greenroof_ros.watch.home_assistant import make_discovery
 from greenroof_ros.watch.store import GraphStore
 
 pytest.importorskip("paho.mqtt", reason="the bridge needs paho-mqtt")
@@ -62,7 +62,7 @@ DEVICE = {"identifiers", "manufacturer", "name", "sw_version"}
 
 
 def test_discovery_is_what_home_assistant_documents() -> None:
-    messages, ids = discovery("site1"), set()
+    messages, ids = make_discovery("site1"), set()
     for topic, text in messages.items():
         said = json.loads(text)
         match = re.fullmatch(r"homeassistant/(\w+)/([a-zA-Z0-9_-]+)/([a-zA-Z0-9_-]+)/config", topic)
@@ -92,7 +92,7 @@ def test_discovery_is_what_home_assistant_documents() -> None:
 
 
 def state(graph: GraphStore, wall: float = 0.0) -> dict[str, Any]:
-    return state_of(graph, read_document(graph, wall))
+    return make_state(graph, read_document(graph, wall))
 
 
 def test_each_value_has_the_pages_unit_and_what_is_old_is_unknown() -> None:
@@ -130,7 +130,7 @@ def test_alarms_are_reported_by_code() -> None:
     graph, held = store("live"), "held: the levels are unknown"
     assert (state(graph)["problem"], state(graph)["condition"]) == ("OFF", "none")
     graph.add_statuses(1.0, node("/pump", "pump", ("pump", ERROR, held, "roof_level_unknown")))
-    said, alarms = state(graph, 1.0), alarms_of(read_document(graph, 1.0))
+    said, alarms = state(graph, 1.0), make_alarms(read_document(graph, 1.0))
     assert (said["problem"], said["condition"]) == ("ON", "roof_level_unknown")
     (row,) = alarms["alarms"]
     assert (row["code"], row["level"], row["do"]) == (
@@ -179,7 +179,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         with Talker(broker) as late:
             wait_for(lambda: late.of("greenroof/site1/state"), 60, "a state")
             retained = {topic for _, topic, _, retained in late.received if retained}
-            assert retained == {stop, availability, *discovery("site1")}
+            assert retained == {stop, availability, *make_discovery("site1")}
         for wish in ("RELEASE", "", '{"data": false}', "stop"):
             heard.publish(stop, wish)
         wait_for(lambda: bridge.stderr().count("it is not STOP") >= 4, 60, "four refusals")
@@ -192,7 +192,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         wait_for(lambda: len(heard.of(availability)) > before, 60, "the bridge again")
         wait_for(lambda: state()["pump"] == "running", 60, "a running pump")
         assert run.process.poll() is None
-        config = next(iter(discovery("site1")))
+        config = next(iter(make_discovery("site1")))
         before = len(heard.of(config))
         heard.publish("homeassistant/status", "online")
         wait_for(lambda: len(heard.of(config)) > before, 60, "the discovery again")
@@ -261,7 +261,7 @@ def test_wrong_input_is_one_message(unused_domain: int, tmp_path: Path) -> None:
 
 
 @needs_mosquitto
-@pytest.mark.parametrize("broken", ["bridge.alarms_of", "bridge.make_document"])
+@pytest.mark.parametrize("broken", ["bridge.make_alarms", "bridge.make_document"])
 def test_what_cannot_be_published_ends_neither_the_bridge_nor_its_stop(
     broken: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,7 +28,7 @@ from graphs import (
 from page_server import Stream, request
 from simulators import Simulator
 
-from greenroof_ros.commands.watch import _past_file
+from greenroof_ros.commands.watch import _find_past_file
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.watch.listening import listen, read_token
 
@@ -116,7 +116,7 @@ def test_it_waits_for_a_graph_on_loopback_and_ends_soon(domain: int, tmp_path: P
 
 def test_each_graph_has_a_past_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
-    names = [_past_file(name).name for name in ("", "/a/b", "/a_b")]
+    names = [_find_past_file(name).name for name in ("", "/a/b", "/a_b")]
     assert names == ["watch_7.npz", "watch_7.a.b.npz", "watch_7.a_b.npz"]
 
 

@@ -17,7 +17,7 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S, bag_files
+from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S, find_files
 
 # How long to wait beyond the bound, to see how much it is exceeded (s).
 _LONGER_S = 10.0
@@ -110,7 +110,7 @@ def _until_it_records(bag: Path, rng: random.Random) -> None:
 
 def newest_file(bag: Path) -> Path | None:
     """Return the file of a live bag that is being written."""
-    return (bag_files(bag) or [None])[-1]
+    return (find_files(bag) or [None])[-1]
 
 
 def last_message(file: Path) -> float:

@@ -22,7 +22,7 @@ from greenroof_ros.model.plant import mains_flow
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.bag_reader import load_bag
-from greenroof_ros.recording.bag_writer import METADATA, recovered_bag
+from greenroof_ros.recording.bag_writer import METADATA, name_recovered_bag
 from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.recording.trajectory import CSV, TRAJECTORY, Trajectory
 
@@ -48,7 +48,7 @@ def _closed_bag(bag: Path) -> Path | None:
     """
     if bag.is_file():
         return bag
-    new = recovered_bag(bag)
+    new = name_recovered_bag(bag)
     recorded = max((file.stat().st_mtime for file in bag.glob("*")), default=0.0)
     if (new / METADATA).is_file() and (new / METADATA).stat().st_mtime >= recorded:
         return new
@@ -95,7 +95,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
     kept = next((path / name for name in (TRAJECTORY, CSV) if (path / name).is_file()), None)
     trajectory = None
     if closed is not None:
-        if closed == recovered_bag(bag):
+        if closed == name_recovered_bag(bag):
             notes.append(f"{closed.name} is what greenroof recover found whole")
             repair = ""
         if zone is None:
