@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import replace
-from datetime import datetime, tzinfo
+from datetime import tzinfo
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.interface import Topic, find_namespace, read_topics
-from greenroof_ros.common.times import epoch_ns, from_epoch_ns
+from greenroof_ros.common.times import from_epoch_ns
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
@@ -46,10 +45,6 @@ _ROUNDING = 1 + 1e-9
 _GAP_S, _GAP_SPACINGS = 600, 10
 
 _MAX_NAMED = 10
-
-# The forecasts that are read: their topic and type, how many, and how far ahead of each (s).
-_RAIN_FORECAST, _FORECAST_TYPE = "/forecast/precipitation", "std_msgs/msg/Float64MultiArray"
-_MAX_FORECASTS, _FORECAST_S = 500, 3600.0
 
 
 def count_ticks(bag: Path) -> int | None:
@@ -139,42 +134,6 @@ def load_bag(
     time = (samples - samples[0]) / 1e9
     start = from_epoch_ns(int(samples[0])).astimezone(zone)
     return RecordedTrajectory(Trajectory(start=start, time=time, **columns), tuple(notes))
-
-
-def read_rain_forecasts(
-    bag: Path, start: datetime
-) -> list[tuple[float, float, float]]:
-    """Read the forecasts of rain in a bag: of each the rain in its first hour.
-
-    If there are many, evenly spread ones are read. A forecast that ends earlier counts until then;
-    of an ensemble the members' mean counts.
-
-    Args:
-        bag: its directory, or a single MCAP file.
-        start: of the trajectory.
-
-    Returns:
-        The time of each (s since the start), how far it counts (s), and its rain (m).
-    """
-    from rosbags.highlevel import AnyReader
-
-    found = []
-    with AnyReader([bag]) as reader:
-        those = [
-            each for each in reader.connections
-            if each.topic.endswith(_RAIN_FORECAST) and each.msgtype == _FORECAST_TYPE
-        ]
-        every = max(1, sum(each.msgcount for each in those) // _MAX_FORECASTS)
-        messages = reader.messages(connections=those) if those else iter(())
-        for connection, stamp, raw in itertools.islice(messages, None, None, every):
-            message: Any = reader.deserialize(raw, connection.msgtype)
-            front = message.layout.data_offset
-            ends = np.clip(message.data[1:front], 0.0, _FORECAST_S)
-            steps = message.data[front:].reshape(-1, max(len(ends), 1))
-            if len(ends):
-                rain = float(steps.mean(axis=0) @ np.diff(ends, prepend=0.0))
-                found.append(((stamp - epoch_ns(start)) / 1e9, float(ends[-1]), rain))
-    return found
 
 
 def _read_series(bag: Path, repair: str) -> dict[str, _Series]:

@@ -142,7 +142,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
         notes.append(f"the alarms next to the bag are damaged, and not used: {error}")
         alarms = []
     return ReportedRun(
-        site=site, row=row, notes=notes, alarms=alarms, kept=trajectory, bag=closed
+        site=site, row=row, notes=notes, alarms=alarms, kept=trajectory
     )
 
 

@@ -24,17 +24,15 @@ from greenroof_ros.analysis.report.groups import FLOWS, TOTAL, CaseRuns, Report
 from greenroof_ros.analysis.report.trajectories import (
     Drawn,
     figures_over_time,
-    forecast_figure,
     select_curves,
 )
 from greenroof_ros.model.metrics import METRICS
-from greenroof_ros.recording.bag_reader import read_rain_forecasts
 
 # More lines than this in one panel: each controller has its own figures.
 _MAX_LINES = len(COLOURS)
 
 # The names of all figures begin with one of these; numbers and a controller can follow.
-_KINDS = ("deviation", "relative", "balance", "water", "flows", "forecast")
+_KINDS = ("deviation", "relative", "balance", "water", "flows")
 
 
 def is_figure(name: str) -> bool:
@@ -65,27 +63,18 @@ def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
     window, initial = place[0].place
     title = f"from {initial}: {window}"
     lines: dict[str, dict[str, Drawn]] = {}
-    forecasts = list[Figure]()
     for case in place:
         trajectory = case.runs[0].trajectory() if len(case.runs) == 1 else None
         if trajectory is None:
             continue
-        run, controller = case.runs[0], case.row["controller"]
-        lines.setdefault(controller, {})[case.label] = select_curves(run.site, trajectory)
-        issued = [] if run.bag is None else read_rain_forecasts(run.bag, trajectory.start)
-        issued = [each for each in issued if 0 <= each[0] <= trajectory.time[-1]]
-        if issued:
-            forecasts.append(forecast_figure(
-                issued, lines[controller][case.label], trajectory,
-                f"{name}-{len(forecasts) + 1}", f" of {case.label} {title}",
-            ))
+        curves = select_curves(case.runs[0].site, trajectory)
+        lines.setdefault(case.row["controller"], {})[case.label] = curves
     together = {label: run for own in lines.values() for label, run in own.items()}
     if 0 < len(together) <= _MAX_LINES:
         yield from figures_over_time(together, name, f" {title}")
     else:
         for controller, own in lines.items():
             yield from figures_over_time(own, f"{name}-{controller}", f", {controller}, {title}")
-    yield from forecasts
 
 
 # --- results by case ------------------------------------------------------------------------------

@@ -36,7 +36,6 @@ class ReportedRun:
         notes: what a reader should know about it.
         alarms: recorded ones, each a row for a table.
         kept: its trajectory, or the file with it; None if none was kept.
-        bag: that was read; None if the trajectory is from another file.
     """
 
     site: Site
@@ -44,7 +43,6 @@ class ReportedRun:
     notes: Sequence[str] = ()
     alarms: Sequence[dict[str, str]] = ()
     kept: Trajectory | Path | None = None
-    bag: Path | None = None
 
     @property
     def name(self) -> str:

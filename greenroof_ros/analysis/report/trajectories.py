@@ -1,4 +1,4 @@
-"""Figures over time: water, commands and flows, and forecasts; and the chart of simulations."""
+"""Figures over time: water, commands and flows; and the chart of simulations."""
 
 from __future__ import annotations
 
@@ -211,45 +211,6 @@ def figures_over_time(
             ))
         figures.append(Figure(f"{kind}-{name}", f"{what}{title}", "", tuple(panels), 3, data))
     return figures
-
-
-def forecast_figure(
-    forecasts: Sequence[tuple[float, float, float]], run: Drawn, trajectory: Trajectory, name: str,
-    title: str,
-) -> Figure:
-    """Return the figure of the rain that was forecast, and of what fell in the same time.
-
-    Args:
-        forecasts: time of each (s since the start), how far it counts (s), and its rain (m).
-        run: the run.
-        trajectory: of the same run.
-        name: end of the figure's name.
-        title: end of its title.
-    """
-    rained = np.diff(trajectory.time) * trajectory.precipitation[:-1]
-    fallen = np.concatenate([[0.0], np.cumsum(rained)])
-    issued, span, rain = np.array(forecasts).T
-    came = np.interp(issued + span, trajectory.time, fallen) - np.interp(
-        issued, trajectory.time, fallen
-    )
-    came[issued + span > trajectory.time[-1]] = np.nan
-    origin = _origin(run.start)
-    dataset = f"forecast-{name}"
-    rows: Rows = [
-        {"controller": series, "t": origin + 1000 * time, "v": round_value(1000 * value)}
-        for series, values in (("forecast", rain), ("fell", came))
-        for time, value in zip(issued.tolist(), values.tolist(), strict=True)
-    ]
-    lines = alt.Chart(alt.NamedData(dataset)).mark_line(**_MARK).encode(
-        x=_time(run.start, run.hours), y=alt.Y("v:Q", title="rain (mm)"),
-        tooltip=make_tooltips("controller:N", _WHEN, ("v:Q", "mm")),
-    )
-    names, length = ["forecast", "fell"], round(float(span.max()))
-    panel = series_panel(lines, "controller", names, f"Rain in the next {length} s", zoom=True)
-    return Figure(
-        f"forecast-{name}", f"Forecast{title}", "The mean of an ensemble's members", (panel,), 1,
-        {dataset: rows},
-    )
 
 
 _WHEN = alt.Tooltip(

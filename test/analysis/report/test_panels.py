@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from inputs import NAMES, START, figures_of, simulate, study_of, trajectory_of
+from inputs import NAMES, START, figures_of, simulate, study_of
 from paper import PAPER_SITE
 
 from greenroof_ros.analysis.report.drawing import Figure, value_scale
@@ -16,7 +16,6 @@ from greenroof_ros.analysis.report.groups import TOTAL
 from greenroof_ros.analysis.report.trajectories import (
     MAX_POINTS,
     figures_over_time,
-    forecast_figure,
     overlay_simulations,
     select_curves,
     select_samples,
@@ -49,8 +48,6 @@ def test_figures_of_any_values(tmp_path: Path, values: list[float]) -> None:
     run = select_curves(PAPER_SITE, trajectory)
     figures = figures_over_time({"mpc": run}, "1", "")
     assert [figure.name for figure in figures] == ["water-1", "flows-1"]
-    if length and np.isfinite(values).all():
-        figures.append(forecast_figure([(0.0, 3600.0, values[0])], run, trajectory, "1", ""))
     for figure in figures:
         width, height = size(tmp_path, figure)
         assert width > 400 and height > 200
@@ -87,22 +84,3 @@ def test_thinning_keeps_extremes() -> None:
     index = select_samples(values)
     assert len(index) <= MAX_POINTS + 2
     assert {0, 12_345, 20_001, 43_199} <= set(index.tolist())
-
-
-def test_what_was_forecast_and_what_fell(tmp_path: Path) -> None:
-    """By hand: 2 mm/h fall for half an hour; the second forecast ends after ten minutes."""
-    rate = 2e-3 / 3600
-    trajectory = trajectory_of(
-        np.arange(0, 7201, 60.0), precipitation=[rate] * 30 + [0.0] * 91, roof=3.0, cistern=50.0
-    )
-    figure = forecast_figure(
-        [(0.0, 3600.0, 1.5e-3), (900.0, 600.0, 0.0), (6000.0, 3600.0, 0.0)],
-        select_curves(PAPER_SITE, trajectory), trajectory, "1-1", "",
-    )
-    (rows,) = figure.data.values()
-    drawn_rows = [(row["controller"], row["v"]) for row in rows]
-    assert drawn_rows[:3] == [("forecast", 1.5), ("forecast", 0.0), ("forecast", 0.0)]
-    assert drawn_rows[3:] == [
-        ("fell", pytest.approx(1.0)), ("fell", pytest.approx(1 / 3)), ("fell", None)
-    ]
-    size(tmp_path, figure)
