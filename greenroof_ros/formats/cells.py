@@ -198,27 +198,27 @@ class Table:
         return time.replace(tzinfo=timezone(offset))
 
     def read_hours(
-        self, column: str, columns: Iterable[Column],
-        parse: Callable[[str], datetime] = parse_time, example: str = DEFAULT_START,
-    ) -> tuple[datetime, NDArray[np.intp]]:
+        self, column: str, columns: Mapping[str, Column], parse: Callable[[str], datetime],
+        example: str,
+    ) -> tuple[datetime, dict[str, NDArray[np.float64]]]:
         """Read all rows, each of which is an hour.
 
         An hour without a row is missing.
 
         Args:
             column: the column of times.
-            columns: the columns of values, to which each row is added.
+            columns: the columns of values.
             parse: see :meth:`read_time`.
             example: see there.
 
         Returns:
-            The time of the first row, and how many hours after it each row is.
+            The time of the first row, and each column's values from then on, shape (hours,); NaN
+            if missing.
 
         Raises:
             ConfigurationError: a time is not a whole number of hours after the row before; or see
                 :meth:`read_time`.
         """
-        columns = [*columns]
         first = self.read_time(self.first, column, parse, example)
         hours: list[int] = []
         for row in self.rows:
@@ -231,9 +231,9 @@ class Table:
                     "an hour without values is a row with empty cells, or none", column, row,
                 )
             hours.append(hour)
-            for values in columns:
+            for values in columns.values():
                 values.add(row)
-        return first, np.array(hours, dtype=np.intp)
+        return first, arrange_by_hour(judge_columns(columns), np.array(hours))
 
 
 NEAR, CODE, WRONG = "near", "code", "wrong"
@@ -393,6 +393,21 @@ class Column:
 def judge_columns(columns: Mapping[str, Column]) -> dict[str, NDArray[np.float64]]:
     """Return the values of columns of which all rows were read; see :meth:`Column.judge`."""
     return {name: column.judge() for name, column in columns.items()}
+
+
+def arrange_by_hour(
+    columns: Mapping[str, NDArray[np.float64]], hours: NDArray[np.intp]
+) -> dict[str, NDArray[np.float64]]:
+    """Arrange the rows of columns by hour, NaN in hours without a row.
+
+    Args:
+        columns: values by name, shape (rows,).
+        hours: of each row, from 0.
+    """
+    values = {name: np.full(hours[-1] + 1, np.nan) for name in columns}
+    for name, series in columns.items():
+        values[name][hours] = series
+    return values
 
 
 def number_lines(text: Iterable[str]) -> Iterator[tuple[int, str]]:

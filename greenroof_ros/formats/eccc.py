@@ -11,8 +11,8 @@ from pathlib import Path
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import parse_local_time
-from greenroof_ros.formats.cells import Column, Row, Table, judge_columns, read_table
-from greenroof_ros.formats.hourly import Records, arrange_by_hour
+from greenroof_ros.formats.cells import Column, Row, Table, read_table
+from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.quantities import DEW_POINT, PRECIPITATION, QUANTITIES, TEMPERATURE
 from greenroof_ros.model.site import Site
 
@@ -43,7 +43,7 @@ _MISSING_FLAGS = {"M", "NA", "N/D"}
 _MAX_FROM_SOLAR_TIME = 2.5
 
 
-def recognises(_file: Path, head: bytes, /) -> bool:
+def recognises(head: bytes, /) -> bool:
     """Return whether the first line has the service's columns of place and time."""
     cells = re.split("[,;\t]", head.decode("utf-8-sig", "replace").partition("\n")[0])
     names = {_simplify(cell.strip('" \r')) for cell in cells}
@@ -105,12 +105,12 @@ def read_records(file: Path, site: Site, /) -> Records:
         )
         for quantity, column in columns.items()
     }
-    first, hours = table.read_hours(
-        time, read.values(), lambda text: parse_local_time(text, zone), "2021-07-01 0:00"
+    first, values = table.read_hours(
+        time, read, lambda text: parse_local_time(text, zone), "2021-07-01 0:00"
     )
     return Records(
-        (file,), first, arrange_by_hour(judge_columns(read), hours), rain_late=1,
-        left_out=tuple(table.notes), places=_read_place(table, names), wind_height=_WIND_HEIGHT_M,
+        (file,), first, values, rain_late=1, left_out=tuple(table.notes),
+        places=_read_place(table, names), wind_height=_WIND_HEIGHT_M,
     )
 
 

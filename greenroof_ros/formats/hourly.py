@@ -69,21 +69,6 @@ class Records:
         )
 
 
-def arrange_by_hour(
-    columns: Mapping[str, NDArray[np.float64]], hours: NDArray[np.intp]
-) -> dict[str, NDArray[np.float64]]:
-    """Arrange the rows of columns by hour, NaN in hours without a row.
-
-    Args:
-        columns: values by name, shape (rows,).
-        hours: of each row, from 0.
-    """
-    values = {name: np.full(hours[-1] + 1, np.nan) for name in columns}
-    for name, series in columns.items():
-        values[name][hours] = series
-    return values
-
-
 def add_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
     """Return values with the dew point in place of relative humidity, by FAO-56 Eqs. 11 and 14."""
     rest = {name: series for name, series in values.items() if name != HUMIDITY}

@@ -60,7 +60,7 @@ from greenroof_ros.common.times import (
     parse_unix_time,
     to_minutes,
 )
-from greenroof_ros.formats.cells import HOUR, Column, Table, judge_columns, number_lines, read_table
+from greenroof_ros.formats.cells import HOUR, Column, Table, number_lines, read_table
 from greenroof_ros.formats.forecasts import (
     ISSUE_HOURS,
     SERVICE_DELAY_H,
@@ -69,7 +69,7 @@ from greenroof_ros.formats.forecasts import (
     join_members,
     mend_forecast,
 )
-from greenroof_ros.formats.hourly import Records, add_dew_point, arrange_by_hour, join_records
+from greenroof_ros.formats.hourly import Records, add_dew_point, join_records
 from greenroof_ros.formats.quantities import (
     DEW_POINT,
     HUMIDITY,
@@ -130,7 +130,7 @@ _S = TypeVar("_S")
 _T = TypeVar("_T")
 
 
-def recognises(_file: Path, head: bytes, /) -> bool:
+def recognises(head: bytes, /) -> bool:
     """Return whether a file is JSON, or its first line is the service's or a saved forecast's."""
     text = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip()
     cells = [cell.strip(' "\r') for cell in re.split("[,;\t]", text.partition("\n")[0])]
@@ -159,7 +159,16 @@ def _read(
         ConfigurationError: the file is broken or of another place, a time is out of order, a unit
             is unknown, or too few values are plausible; the message names line or key, and value.
     """
-    table, parse, places = _read_table(file, site)
+    place, table = _read_tables(file)
+    if place is None:
+        places, parse = {}, partial(_parse, parse_time, zone=timezone.utc)
+    else:
+        parse = partial(_parse, parse_local_time, zone=_check_place(place, site))
+        latitude, longitude = (
+            read_number(place.cell(place.first, name)) for name in ("latitude", "longitude")
+        )
+        places = {file: (latitude, longitude)}
+        table.require_columns(["time"], _SOURCE)
     columns: dict[str, Column] = {}
     without_unit: list[str] = []
     members = sum(cell.startswith(PRECIPITATION) for cell in table.header)
@@ -182,48 +191,31 @@ def _read(
             table, cell, QUANTITIES[quantity], known.get(text, next(iter(known.values()))),
             optional=quantity != PRECIPITATION or members > 1,
         )
-    first, hours = table.read_hours(
-        table.header[0], columns.values(), parse, "2024-06-01T12:00"
-    )
+    first, values = table.read_hours(table.header[0], columns, parse, "2024-06-01T12:00")
     for cell in without_unit:
         if not columns[cell.partition(" ")[0]].is_empty:
             raise table.refuse("must be in a unit that is known, since it has values", cell)
     return table, Records(
-        (file,), first, arrange_by_hour(judge_columns(columns), hours),
-        left_out=tuple(table.notes), places=places, wind_height=_WIND_HEIGHT_M,
+        (file,), first, values, left_out=tuple(table.notes), places=places,
+        wind_height=_WIND_HEIGHT_M,
     )
 
 
-def _read_table(
-    file: Path, site: Site
-) -> tuple[Table, Callable[[str], datetime], dict[Path, tuple[float, float]]]:
-    """Return the hours of a file, the parser of their times, and the place, if it has one."""
+def _read_tables(file: Path) -> tuple[Table | None, Table]:
+    """Return the place of a file, None if it has none, and its hours."""
     if next(filter(str.strip, read_lines(file))).lstrip().startswith(("{", "[")):
-        place, table = _read_json_tables(file, read_text(file))
-    else:
-        lines = number_lines(read_lines(file))
-        about = list(itertools.islice(lines, 2))
-        if about and _OFFSET not in about[0][1]:
-            return read_table(file, itertools.chain(about, lines)), partial(
-                _parse, parse_time, zone=timezone.utc
-            ), {}
-        hours = _select_hours(lines)
-        header = next(hours, None)
-        if header is None:
-            raise ConfigurationError(
-                "must have two lines about the place, then a header and records", file=file
-            )
-        place, table = read_table(file, about), read_table(file, itertools.chain([header], hours))
-    if "location_id" in place.header:
-        raise place.refuse(
-            "must be for one place; download places separately", "location_id", place.first
+        return _read_json_tables(file, read_text(file))
+    lines = number_lines(read_lines(file))
+    about = list(itertools.islice(lines, 2))
+    if about and _OFFSET not in about[0][1]:
+        return None, read_table(file, itertools.chain(about, lines))
+    hours = _select_hours(lines)
+    header = next(hours, None)
+    if header is None:
+        raise ConfigurationError(
+            "must have two lines about the place, then a header and records", file=file
         )
-    zone = _check_place(place, site)
-    table.require_columns(["time"], _SOURCE)
-    latitude, longitude = (
-        read_number(place.cell(place.first, name)) for name in ("latitude", "longitude")
-    )
-    return table, partial(_parse, parse_local_time, zone=zone), {file: (latitude, longitude)}
+    return read_table(file, about), read_table(file, itertools.chain([header], hours))
 
 
 def _parse(parse: Callable[[str, tzinfo], datetime], text: str, zone: tzinfo) -> datetime:
@@ -313,6 +305,8 @@ def _check_place(place: Table, site: Site) -> timezone:
         ConfigurationError: it is not near, or the place or offset is invalid.
     """
     row = place.first
+    if "location_id" in place.header:
+        raise place.refuse("must be for one place; download places separately", "location_id", row)
     place.require_columns([_OFFSET, *_PLACE], _SOURCE)
     offset = place.read_number(row, _OFFSET, Range(-43200.0, 50400.0, "s"))  # UTC-12 to UTC+14
     if offset % 3600:

@@ -24,6 +24,7 @@ from greenroof_ros.formats.cells import (
     HOUR,
     Column,
     Table,
+    arrange_by_hour,
     judge_columns,
     number_lines,
     read_table,
@@ -35,7 +36,7 @@ from greenroof_ros.formats.forecasts import (
     join_members,
     mend_forecast,
 )
-from greenroof_ros.formats.hourly import Records, add_dew_point, arrange_by_hour
+from greenroof_ros.formats.hourly import Records, add_dew_point
 from greenroof_ros.formats.quantities import (
     EVAPOTRANSPIRATION,
     PRECIPITATION,
@@ -74,11 +75,6 @@ _ENOUGH = 0.75
 _SYNONYMS = {"rain": PRECIPITATION}
 _MEMBERS = Range(0.0, MAX_MEMBERS - 1.0, "(whole)")
 _OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
-
-
-def recognises(_file: Path, _head: bytes, /) -> bool:
-    """Any file: this format is the last that is tried, and its errors state what is expected."""
-    return True
 
 
 # --- weather and roofs ------------------------------------------------------------------------

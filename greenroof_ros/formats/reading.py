@@ -20,11 +20,12 @@ SUFFIXES = (".csv", ".json")
 """Suffixes of files of forecasts; the format is recognised by the content."""
 _HEAD_BYTES = 4096
 
-# The first format that recognises a file by its name and first bytes reads it; the last takes any.
+# The first format that recognises a file by its first bytes reads it. None recognises the last,
+# own CSV: its errors state what is expected.
 _WEATHER = {
     eccc: "Environment and Climate Change Canada", open_meteo: "Open-Meteo", own_csv: "own CSV",
 }
-_FORECASTS = (open_meteo, own_csv)
+_FORECASTS = (open_meteo,)
 
 
 def read_records(file: Path, site: Site) -> Records:
@@ -134,4 +135,5 @@ def _find_format(file: Path, formats: Iterable[ModuleType]) -> ModuleType:
             head = stream.read(_HEAD_BYTES)
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=file) from error
-    return next(form for form in formats if form.recognises(file, head))
+    known = (form for form in formats if form is not own_csv)
+    return next((form for form in known if form.recognises(head)), own_csv)

@@ -10,6 +10,7 @@ import pytest
 from refusals import refusal
 
 from greenroof_ros.common.ranges import Range, read_number
+from greenroof_ros.common.times import DEFAULT_START, parse_time
 from greenroof_ros.formats.cells import (
     CODE,
     NEAR,
@@ -49,10 +50,9 @@ def test_cells_numbers_and_times() -> None:
     read = table(ROWS[0], "# gauge read", "", ROWS[1])
     assert read.header == ["time", "rain [mm/h]", "temperature"]
     rain = Column(read, "rain [mm/h]", RAIN)
-    first, hours = read.read_hours("time", [rain])
-    assert rain.judge().tolist() == [0.2, 3.0]
+    first, values = read.read_hours("time", {"rain": rain}, parse_time, DEFAULT_START)
+    assert values["rain"].tolist() == [0.2, 3.0]
     assert first == datetime.fromisoformat("2021-07-07T03:00-05:00")
-    assert hours.tolist() == [0, 1]
     lines = number_lines([f"{HEADER}2021-07-07T03:00-05:00\n# none\n{ROWS[1]}\n"])
     rows = [*read_table(FILE, lines, {"rain [mm/h]"}.__contains__).rows]
     assert [(row.line, row.cells[2]) for row in rows] == [(4, ""), (6, "21")]
@@ -145,7 +145,7 @@ def test_missing_values_and_other_units() -> None:
 def test_times_that_are_wrong(time: str, reason: str) -> None:
     """The same error, with the hour that is due."""
     read = table(ROWS[0], f"{time},1,1")
-    message = refusal(read.read_hours, "time", [])
+    message = refusal(read.read_hours, "time", {}, parse_time, DEFAULT_START)
     assert message.startswith(f"{FILE}, line 5: time = {time!r}: {reason}")
 
 
