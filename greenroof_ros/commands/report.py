@@ -18,8 +18,8 @@ from greenroof_ros.experiment.run_directory import writable
 _PAGE = "report.html"
 
 _DESCRIPTION = """\
-Evaluate and plot runs: figures and tables of deviation, water balance, energy and pump starts, on
-one page that needs nothing but a browser.
+Evaluate and plot runs: figures of deviation, levels and flows, and tables of deviation, water
+balance, energy and pump starts, on one page that needs nothing but a browser.
 """
 _EPILOG = """\
 The output holds report.html, and each figure as SVG and PNG in figures/. A bag needs

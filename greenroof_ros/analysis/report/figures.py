@@ -20,19 +20,18 @@ from greenroof_ros.analysis.report.drawing import (
     round_value,
     value_scale,
 )
-from greenroof_ros.analysis.report.groups import FLOWS, TOTAL, CaseRuns, Report
+from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Report
 from greenroof_ros.analysis.report.trajectories import (
     Drawn,
     figures_over_time,
     select_curves,
 )
-from greenroof_ros.model.metrics import METRICS
 
 # More lines than this in one panel: each controller has its own figures.
 _MAX_LINES = len(COLOURS)
 
 # The names of all figures begin with one of these; numbers and a controller can follow.
-_KINDS = ("deviation", "relative", "balance", "water", "flows")
+_KINDS = ("deviation", "relative", "water", "flows")
 
 
 def is_figure(name: str) -> bool:
@@ -54,8 +53,6 @@ def make_figures(report: Report) -> Iterator[Figure]:
         yield relative(report)
     for number, place in enumerate(report.places(), start=1):
         yield from _over_time(place, f"{number}")
-    for name, cases in windows.items():
-        yield balance(cases, name)
 
 
 def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
@@ -146,50 +143,6 @@ def deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
         "Lines: from the smallest to the largest of a case's runs. Dashed: the minimum possible",
         tuple(panels), min(len(panels), 3), data,
     )
-
-
-_TERMS = {
-    "rain_cistern_m3": "#56B4E9", "rain_roof_m3": "#56B4E9", "mains_m3": "#E69F00",
-    "pumped_m3": "#0072B2", "evapotranspiration_m3": "#009E73", "drainage_m3": "#000000",
-    "outflow_m3": "#999999",
-}
-_LABELS = {metric.name: metric.label for metric in METRICS}
-
-
-def balance(cases: Sequence[CaseRuns], name: str) -> Figure:
-    """Return the water balance of both tanks: a row of panels for each initial state."""
-    panels, data = list[Panel](), dict[str, Rows]()
-    for initial in dict.fromkeys(case.place[1] for case in cases):
-        here = [case for case in cases if case.place[1] == initial]
-        for tank, flows in FLOWS.items():
-            dataset = f"balance-{name}-{tank}-{len(panels) // 2 + 1}"
-            rows: Rows = [
-                {"case": case.label, "flow": _LABELS[flow], "v": round_value(sign * case.row[flow])}
-                for case in here for flow, sign in flows.items() if case.row[flow]
-            ]
-            data[dataset] = rows
-            drawn_flows = {row["flow"] for row in rows}
-            shown = [flow for flow in flows if _LABELS[flow] in drawn_flows]
-            chart = alt.Chart(alt.NamedData(dataset)).mark_bar(
-                stroke="white", strokeWidth=0.5
-            ).encode(
-                x=alt.X(
-                    "v:Q", title="in (+) and out (-) (m³)", axis=alt.Axis(tickCount=5),
-                    scale=alt.Scale() if shown else alt.Scale(domain=[0, 1]),
-                ),
-                y=_case_axis(rows),
-                color=alt.Color(
-                    "flow:N", title=None, legend=alt.Legend() if shown else None,
-                    scale=alt.Scale(
-                        domain=[_LABELS[flow] for flow in shown],
-                        range=[_TERMS[flow] for flow in shown],
-                    ),
-                ),
-                tooltip=make_tooltips("case:N", "flow:N", ("v:Q", "m³")),
-            )
-            panels.append(Panel(chart, f"{tank.capitalize()}, from {initial}", _height(rows)))
-    title = f"Water balance: {cases[0].place[0]}"
-    return Figure(f"balance-{name}", title, "", tuple(panels), 2, data)
 
 
 # --- seasons of several years ---------------------------------------------------------------------

@@ -63,7 +63,7 @@ def test_results_that_are_missing_or_0(tmp_path: Path, value: str) -> None:
         {**row, **results, TOTAL: 0.0, "case": case, "bound_m3": value} for case in ("a", "b")
     ]
     figures = figures_of(study_of(tmp_path / "study", *rows))
-    assert list(figures) == ["deviation-1", "balance-1"]
+    assert list(figures) == ["deviation-1"]
     for figure in figures.values():
         size(tmp_path, figure)
 

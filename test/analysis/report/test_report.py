@@ -60,7 +60,7 @@ def test_what_follows_from_results(tmp_path: Path) -> None:
 
 
 def test_figures_of_a_study(tmp_path: Path, simulated: list[Simulated]) -> None:
-    """Lines from samples, totals at each setting with their bound, bars that add up."""
+    """Lines from samples, totals at each setting with their bound."""
     bounds = {"low-low": 200.0, "high-low": 100.0}
     report = report_of(write_study(tmp_path / "study", [
         ({**example.row, "bound_m3": bounds[example.row["initial"]]}, example.trajectory)
@@ -68,9 +68,7 @@ def test_figures_of_a_study(tmp_path: Path, simulated: list[Simulated]) -> None:
     ]))
     figures = figures_of(report)
     # Four lines in each panel.
-    assert list(figures) == [
-        "deviation-1", "water-1", "flows-1", "water-2", "flows-2", "balance-1",
-    ]
+    assert list(figures) == ["deviation-1", "water-1", "flows-1", "water-2", "flows-2"]
     for example in simulated[:4]:
         name = example.row["controller"]
         key = "weight" if name == "mpc" else "fraction"
@@ -92,16 +90,6 @@ def test_figures_of_a_study(tmp_path: Path, simulated: list[Simulated]) -> None:
     assert totals == pytest.approx([example.row[TOTAL] for example in simulated], rel=1e-6)
     for panel, bound in zip(figures["deviation-1"].panels, (200.0, 100.0), strict=True):
         assert [{"v": bound}] in panel.sized().to_dict()["datasets"].values()
-    for tank, area in (("cistern", 25.0), ("roof", 68.8)):
-        for number, initial in ((1, "low-low"), (2, "high-low")):
-            sums: dict[str, float] = {}
-            for row in figures["balance-1"].data[f"balance-1-{tank}-{number}"]:
-                sums[row["case"]] = sums.get(row["case"], 0.0) + row["v"]
-            changes = [
-                example.row[f"final_{tank}_m3"] - example.row[f"{tank}_m3"]
-                for example in simulated if example.row["initial"] == initial
-            ]
-            assert list(sums.values()) == pytest.approx(changes, abs=1e-5 * area)
 
 
 def test_seeds_belong_together(tmp_path: Path) -> None:
@@ -174,7 +162,7 @@ def test_study(tmp_path: Path) -> None:
     for words in ("5 CAD/m³", "solver: &lt;gave up&gt;", "2 of 3 runs failed", "<td>not run</td>"):
         assert words in text
     names = {path.stem for path in (report / "figures").iterdir()}
-    assert names == {"water-1", "flows-1", "balance-1"}
+    assert names == {"water-1", "flows-1"}
     for name in names:
         assert (report / "figures" / f"{name}.svg").read_text().startswith("<svg")
         picture = (report / "figures" / f"{name}.png").read_bytes()

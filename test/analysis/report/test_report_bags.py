@@ -347,7 +347,7 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     worked_out = row_of_run(tmp_path / "run")
     for name in (TOTAL, "pumped_m3", "rain_m3", "drainage_m3", "final_roof_m3"):
         assert worked_out[name] == pytest.approx(summary[name], rel=1e-12, abs=1e-15), name
-    assert list(figures_of(report_of(tmp_path / "run"))) == ["water-1", "flows-1", "balance-1"]
+    assert list(figures_of(report_of(tmp_path / "run"))) == ["water-1", "flows-1"]
 
 
 def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:

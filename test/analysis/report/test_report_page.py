@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -103,7 +104,7 @@ def test_a_studys_figures_are_folded(page: Any) -> None:
 
 def test_a_page_is_readable_at_any_width(page: Any) -> None:
     """Figures narrow with the window; the name of a row stays in sight while a table scrolls."""
-    unfold(page, "water-1-mpc", "flows-2-onoff", "balance-1")
+    unfold(page, "water-1-mpc", "flows-2-onoff")
     for width in (1280, 400):
         fits(page, width)
     box = page.locator(".scroll").first
@@ -116,11 +117,11 @@ def test_a_page_is_readable_at_any_width(page: Any) -> None:
 
 def test_hover_shows_values(page: Any) -> None:
     """With the pointer on a mark, the case and its value are shown."""
-    canvas = page.locator("#balance-1 canvas").first
-    unfold(page, "balance-1")
+    canvas = page.locator("#deviation-1 canvas").first
     canvas.scroll_into_view_if_needed()
-    for x in range(100, 380, 10):
-        canvas.hover(position={"x": x, "y": 30})
+    box = canvas.bounding_box()
+    for x, y in itertools.product(range(100, int(box["width"]), 7), range(15, 75, 6)):
+        canvas.hover(position={"x": x, "y": y})
         if page.locator("#vg-tooltip-element.visible").count():
             break
     page.wait_for_selector("#vg-tooltip-element.visible")
@@ -132,7 +133,7 @@ def test_a_failed_run(browser: Any, tmp_path: Path) -> None:
     reason = "node weather ended (SIGKILL)"
     path = ended_run(tmp_path / "run", "failed", last_tick=72, reason=reason)
     with opened(browser, reported(tmp_path, path), 400) as page:
-        unfold(page, "water-1", "flows-1", "balance-1")
+        unfold(page, "water-1", "flows-1")
         fits(page, 400)
         table = page.locator("table").first
         assert table.locator("tbody tr", has_text="total deviation (m³)").count() == 1
