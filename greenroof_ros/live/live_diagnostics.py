@@ -46,15 +46,15 @@ class PartStatus:
     began: float
     values: Mapping[str, Value] = field(default_factory=dict)
 
-    def for_programs(self, numbers: Mapping[str, float | None]) -> dict[str, str]:
+    def for_programs(self) -> dict[str, str]:
         """Return its values for programs, without those that are unknown.
 
         They are what its sentence is made of, its code, the start of that code (ISO 8601), how long
-        it has lasted (s), its cause, and the numbers of the part.
+        it has lasted (s), and its cause.
         """
         values = {
             key: f"{value:.6g}" if isinstance(value, (float, int)) else str(value)
-            for key, value in {**self.values, **numbers}.items() if value is not None
+            for key, value in self.values.items()
         }
         if self.code:
             age = time.monotonic() - self.began
@@ -71,7 +71,6 @@ class LiveDiagnostics(NodeDiagnostics):
 
     Attributes:
         diagnoses: diagnoses of the node's parts, by name.
-        numbers: measured or counted values of the node's parts, by name; None if unknown.
         hardware: the device that the parts belong to; empty for the machine.
         urgent: whether a diagnosis has changed since the last report.
     """
@@ -80,7 +79,6 @@ class LiveDiagnostics(NodeDiagnostics):
         """Open the topic; see the base."""
         super().__init__(node, role)
         self.diagnoses: dict[str, PartStatus] = {}
-        self.numbers: dict[str, Mapping[str, float | None]] = {}
         self.hardware = ""
         self.urgent = False
         self._published: tuple[object, ...] = ()
@@ -131,8 +129,7 @@ class LiveDiagnostics(NodeDiagnostics):
         self.urgent = False
         status, values = self.status(values)
         programs = {
-            part: diagnosis.for_programs(self.numbers.get(part, {}))
-            for part, diagnosis in self.diagnoses.items()
+            part: diagnosis.for_programs() for part, diagnosis in self.diagnoses.items()
         }
         now = time.monotonic()
         published = self.state, status.level, values.get("code"), *(

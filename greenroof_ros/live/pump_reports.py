@@ -52,7 +52,6 @@ class PumpReports:
             second_pump: that there is another pump node; None if there is not.
         """
         diagnose = self._reports.diagnose
-        self._reports.numbers |= self._numbers(decision)
         first = next(iter(decision.interlocks.values()), None)
         wrong = first is not None and first.code != "quiet_hours"  # these are as intended
         level, shown = ERROR if decision.state == "fault" else WARN if wrong else OK, first
@@ -102,18 +101,6 @@ class PumpReports:
             well = " and ".join(name.replace("_", " ") for name in names)
             self._reports.diagnose(part, problem, f"known: {well}", level)
 
-    def _numbers(self, decision: Decision) -> dict[str, dict[str, float | None]]:
-        """Return the numbers behind the report of each part, in the units of the topics."""
-        known = {name: entry.value if entry.good else None for name, entry in self._inputs.items()}
-        return {
-            "pump": {"asked_speed": decision.speed, "speed": decision.reported_speed},
-            "flow": {"flow": decision.flow if decision.flow_known else None},
-            "command": {"command": known["command"]},
-            "levels": {name: known[name] for name in ("cistern_level", "roof_level")},
-            "delivery": {"blind_for_s": decision.blind_for},
-            "drive timeout": {"timeout_s": self._exchange.snapshot.timeout_s},
-        }
-
     def _cause(self, code: str) -> str:
         """Return the code that caused an interlock; empty if unknown."""
         problem = bad_inputs(self._inputs[row.name] for row in INPUTS if row.unknown == code)
@@ -127,7 +114,6 @@ class PumpReports:
         if dose is None:
             self._reports.diagnose("dose", None, "no dose is under way", log=False)
             return
-        self._reports.numbers["dose"] = {"volume": dose.volume, "delivered": dose.delivered}
         early = dose.ended_early if dose.over not in ("", DONE) else None
         self._reports.diagnose("dose", early, dose.sentence, WARN, dose.cause, log=False)
 

@@ -97,7 +97,6 @@ class SensorNode(LiveNode):
                 # An empty tank or a stopped pump reads slightly below 0: noise, or a shifted zero.
                 self._value = max(reading.value, self._lowest)
                 self.publish(self._topic, self._value)
-            self.reports.numbers[self._part] = {"value": self._value}
             self.reports.diagnose(
                 self._part, Diagnosis.if_any(reading.code, reading.problem), "the sensor is read",
                 self._level,

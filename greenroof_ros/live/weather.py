@@ -219,14 +219,11 @@ class LiveWeatherNode(LiveNode):
         except NoForecastError as error:
             reading = "the file is still being read" if self._reader.late else ""
             why = "; ".join(filter(None, [str(error), problem, reading]))
-            self.reports.numbers.pop("forecast", None)
             code = "forecast_missing" if self._fetcher is None else "forecast_service_silent"
             self.reports.diagnose("forecast", Diagnosis.of(code, why=why), cause=unreadable)
             return None
         assert outlook.issued is not None
         self._front[0] = outlook.issued.timestamp()
-        age = (now - outlook.issued).total_seconds()
-        self.reports.numbers["forecast"] = {"issued_ago_s": age}
         issued, wrong = to_people(outlook.issued), Diagnosis.if_any("forecast_short", short)
         if problem:
             wrong = Diagnosis.of("forecast_unreadable", issued=issued, why=problem)
