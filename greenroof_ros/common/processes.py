@@ -240,18 +240,26 @@ class Signals:
 def time_limit(seconds: float) -> Iterator[None]:
     """End Python code of the main thread that takes too long, and once a second if it goes on.
 
-    Compiled code cannot be ended; standard error then has the place from which it was called.
+    Compiled code cannot be ended; standard error then has the place from which it was called. A
+    pause of the whole process counts as one step, a tenth of the limit.
 
     Raises:
         HangError: it took longer than this (s).
     """
+    step = seconds / 10
+    left = seconds
 
     def end(_: int, frame: FrameType | None) -> None:
+        nonlocal left
+        left -= step
+        if left > step / 2:
+            return
+        left = 1.0
         place = "" if frame is None else f"{frame.f_code.co_filename}, line {frame.f_lineno}"
         raise HangError(f"did not return within {seconds:g} s; it was at {place}")
 
     before = signal.signal(signal.SIGALRM, end)
-    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)
+    signal.setitimer(signal.ITIMER_REAL, step, step)
     faulthandler.dump_traceback_later(seconds + 1.0)
     try:
         yield
