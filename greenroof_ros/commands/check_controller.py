@@ -73,14 +73,6 @@ def make_parser() -> Parser:
         help="how far the forecasts reach (h), as for 'greenroof run --controller external' "
         "(default: 0, the next M ticks)",
     )
-    node.add_argument(
-        "--answer-within", type=make_number_type(0.001, 3600.0), default=5.0, metavar="S",
-        help="how long a command may take after the last input of a tick (default: 5)",
-    )
-    node.add_argument(
-        "--wait", type=make_number_type(0.0, 3600.0), default=10.0, metavar="S",
-        help="how long the node may take to join the graph (default: 10)",
-    )
     add_site(parser, "site with which it is checked")
     return parser
 
@@ -95,8 +87,7 @@ def main() -> int:
             from greenroof_ros.commands.checks.controller import ControllerCheck
             from greenroof_ros.commands.checks.node import check_node
         results = check_node("check_controller", arguments.node, lambda node, name: ControllerCheck(
-            node, name, site, horizon=arguments.horizon, answer=arguments.answer_within,
-            arrival=arguments.wait,
+            node, name, site, horizon=arguments.horizon
         ))
         return print_check_results(f"controller node {arguments.node}", results)
     choice = find_controller(arguments.controller)

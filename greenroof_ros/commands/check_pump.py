@@ -32,23 +32,6 @@ _LIMIT = (
     "is really stopped, so watch the pump."
 )
 # Options in seconds: option, field of `DriverLimits`, minimum value, default and meaning.
-_TIMES = (
-    (
-        "--period", "period", 0.001, 0.1, "minimum time between two commands, each a tick of the "
-        "site; with --live and with a real pump the site's tau, 1",
-    ),
-    ("--answer-within", "answer", 0.001, 5.0, "how long a flow may take to answer a command"),
-    ("--start-within", "start", 0.001, 60.0, "how long the flow may take to become steady"),
-    (
-        "--stop-within", "stop", 0.001, 30.0, "how long the flow may take to become 0, for "
-        "any reason to stop; it may ramp down",
-    ),
-    (
-        "--silence", "silence", 0.001, 5.0, "length of a silence without commands, by whose end "
-        "the pump must have stopped",
-    ),
-    ("--wait", "arrival", 0.0, 10.0, "how long the driver may take to join the graph"),
-)
 
 
 def make_parser() -> Parser:
@@ -74,11 +57,11 @@ def make_parser() -> Parser:
         "--live", action="store_true",
         help="the driver publishes its flow by its own clock, not one for each command",
     )
-    for option, limit, minimum, default, meaning in _TIMES:
-        parser.add_argument(
-            option, dest=limit, type=make_number_type(minimum, 3600.0), default=default,
-            metavar="S", help=f"{meaning} (default: {default:g})",
-        )
+    parser.add_argument(
+        "--period", type=make_number_type(0.001, 3600.0), default=0.1, metavar="S",
+        help="minimum time between two commands, each a tick of the site; with --live and with a "
+        "real pump the site's tau, 1 (default: 0.1)",
+    )
     add_site(parser, "site whose levels and ticks it is sent")
     return parser
 
@@ -89,13 +72,11 @@ def main() -> int:
     arguments = make_parser().parse_args()
     with require_ros():
         from greenroof_ros.commands.checks.node import check_node
-        from greenroof_ros.commands.checks.pump_driver import DriverLimits, PumpCheck
+        from greenroof_ros.commands.checks.pump_driver import PumpCheck
     site = read_site(arguments.site)
-    times = {limit: getattr(arguments, limit) for _, limit, *_ in _TIMES}
-    limits = DriverLimits(command=arguments.command, live=arguments.live, **times)
-    results = check_node(
-        "check_pump", arguments.node, lambda node, name: PumpCheck(node, name, site, limits)
-    )
+    results = check_node("check_pump", arguments.node, lambda node, name: PumpCheck(
+        node, name, site, command=arguments.command, period=arguments.period, live=arguments.live,
+    ))
     code = print_check_results(f"pump driver {arguments.node}", results)
     print(_LIMIT)
     return code

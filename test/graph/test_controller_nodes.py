@@ -97,11 +97,11 @@ def start(domain: int, directory: Path, name: str) -> subprocess.Popen[bytes]:
     return start_node(domain, directory, name, source, *in_namespace(name))
 
 
-def check(domain: int, directory: Path, name: str, wait: str = "60") -> Process:
+def check(domain: int, directory: Path, name: str) -> Process:
     node = name if name == "lookahead" else "controller"
     return Process(
-        domain, "check_controller", "--node", f"/{name}/{node}", "--answer-within", "2",
-        "--wait", wait, *(["--horizon", "120"] if name == "lookahead" else []), cwd=directory,
+        domain, "quick_check_controller", "--node", f"/{name}/{node}",
+        *(["--horizon", "120"] if name == "lookahead" else []), cwd=directory,
     )
 
 

@@ -89,8 +89,7 @@ def start(domain: int, directory: Path, name: str, source: str) -> subprocess.Po
 
 def check(domain: int, directory: Path, name: str) -> Process:
     return Process(
-        domain, "check_pump", "--node", f"/{name}/pump", "--period", "0.01", "--silence", "1.5",
-        "--start-within", "12", "--stop-within", "3", "--wait", "60", cwd=directory,
+        domain, "quick_check_pump", "--node", f"/{name}/pump", "--period", "0.01", cwd=directory,
     )
 
 
@@ -143,7 +142,7 @@ def test_example_passes_and_broken_drivers_fail_for_what_is_broken(
 
 
 def test_without_a_driver_or_with_a_second_graph_it_explains(domain: int, tmp_path: Path) -> None:
-    absent = Process(domain, "check_pump", "--node", "pumpe", "--wait", "1", cwd=tmp_path)
+    absent = Process(domain, "check_pump", "--node", "pumpe", cwd=tmp_path)
     publisher = 'node.create_publisher(Float64, "pump/command", qos)\nwatchdog = '
     driver = start(domain, tmp_path, "taken", changed(EXAMPLE, "\nwatchdog = ", "\n" + publisher))
     try:

@@ -39,6 +39,8 @@ _DELAY_S = 0.1
 _EQUAL = 1e-6
 # How long a node may take to end when the plant has gone (s).
 _END_S = 10.0
+# How long a command may take after the last input of a tick (s).
+ANSWER_S = 5.0
 
 
 class ControllerCheck(NodeCheck):
@@ -53,10 +55,7 @@ class ControllerCheck(NodeCheck):
     peers: ClassVar[str] = "plant and weather"
     checks = 13
 
-    def __init__(
-        self, node: Node, controller: str, site: Site, *, horizon: float, answer: float,
-        arrival: float,
-    ) -> None:
+    def __init__(self, node: Node, controller: str, site: Site, *, horizon: float) -> None:
         """Prepare a check.
 
         Args:
@@ -64,12 +63,9 @@ class ControllerCheck(NodeCheck):
             controller: name of the controller's node, without namespace.
             site: the site that sets the levels.
             horizon: how far the forecasts reach (h), in growing steps; 0 for the next M ticks.
-            answer: longest time from the last input of a tick to the command (s).
-            arrival: longest wait for the node to join the graph (s).
         """
-        super().__init__(node, controller, arrival, site.tau, 0.0)
+        super().__init__(node, controller, site.tau, 0.0)
         self._site = site
-        self._limit = answer
         # In front of a forecast: no time of issue, and the ends of the steps.
         self._front = array("d", [math.nan, *look_ahead_ends(site, horizon)[1:]])
         # The values of a tick, by topic; once they are known, those in which the controller waters.
@@ -106,7 +102,7 @@ class ControllerCheck(NodeCheck):
         with self.check("its commands are finite and not negative, at all levels and forecasts"):
             for trial in self._trials():
                 self._valid_command(trial)
-        with self.check(f"answers every tick, within {self._limit:g} s"):
+        with self.check(f"answers every tick, within {ANSWER_S:g} s"):
             require(not self._unanswered, self._unanswered)
             self.result = f"{self.ticks} ticks, the slowest answer after {self._slowest:.3f} s"
         self.check_count()
@@ -200,10 +196,10 @@ class ControllerCheck(NodeCheck):
             early = bool(self.answers)
             self.publish(last, self._value(last, values))
         began = time.monotonic()
-        if not self.wait_for_answer(began + self._limit):
+        if not self.wait_for_answer(began + ANSWER_S):
             ended = "" if self.endpoints(self.output) else "; it has ended"
             self._unanswered = (
-                f"no command within {self._limit:g} s in tick {self.ticks - 1}"
+                f"no command within {ANSWER_S:g} s in tick {self.ticks - 1}"
                 f"{_with(overrides)}{ended}"
             )
             raise BrokenRuleError(self.hindered)

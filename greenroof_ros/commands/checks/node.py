@@ -42,6 +42,8 @@ _EPOCH_NS = 1_751_371_200_000_000_000
 _DISCOVERY_S = 2.0
 # A second answer follows the first within this time (s): awaited in the first tick and the last.
 SETTLE_S = 0.5
+# How long the tested node may take to join the graph (s).
+ARRIVAL_S = 10.0
 
 
 class BrokenRuleError(Exception):
@@ -85,13 +87,12 @@ class NodeCheck(ABC):
     checks: int
     live = False
 
-    def __init__(self, node: Node, tested: str, arrival: float, tau: float, speed: float) -> None:
+    def __init__(self, node: Node, tested: str, tau: float, speed: float) -> None:
         """Prepare a check, in the namespace of the node that plays the peers.
 
         Args:
             node: plays the peers.
             tested: name of the node under test, without namespace.
-            arrival: longest wait for it to join the graph (s).
             tau: simulated time of a tick (s).
             speed: simulated time per wall time; 0 for as fast as possible.
         """
@@ -103,8 +104,7 @@ class NodeCheck(ABC):
         self.result = ""
         self.hindered = ""
         self.ticks = 0
-        self._tested, self._arrival = tested, arrival
-        self._tau, self._speed = tau, speed
+        self._tested, self._tau, self._speed = tested, tau, speed
         self._executor = make_executor()
         self._executor.add_node(node)
         self._current_check = f"waiting for the {self.kind}"
@@ -163,7 +163,7 @@ class NodeCheck(ABC):
 
     def _wait_for_node(self) -> None:
         """Wait until the node has all its topics; refuse if other nodes publish its inputs."""
-        until, needed = time.monotonic() + self._arrival, (self.output, *self.inputs)
+        until, needed = time.monotonic() + ARRIVAL_S, (self.output, *self.inputs)
         while not any(map(self.endpoints, needed)):
             if time.monotonic() > until:
                 raise ConfigurationError(self._absent())
@@ -187,7 +187,7 @@ class NodeCheck(ABC):
         }
         return (
             f"no node {self._tested} publishes {self._name(self.output)} and subscribes to "
-            f"{', '.join(map(self._name, self.inputs))} within {self._arrival:g} s; there is "
+            f"{', '.join(map(self._name, self.inputs))} within {ARRIVAL_S:g} s; there is "
             f"{', '.join(sorted(names)) or 'no node'}. Start the {self.kind} first, in the same "
             "ROS_DOMAIN_ID and with the same ROS_AUTOMATIC_DISCOVERY_RANGE"
         )

@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import ClassVar
 
 from rclpy.node import Node
@@ -54,31 +53,13 @@ _REFILLED = 0.5
 # A pump is on in these states of /pump/state.
 _ON = ("starting", "running")
 _NOT_RUNNING = "not tried: the pump does not run"
-
-
-@dataclass(frozen=True)
-class DriverLimits:
-    """The command for the driver, and its time limits.
-
-    Attributes:
-        command: command for a running pump, a share of its maximum flow.
-        period: minimum time between two commands (s).
-        answer: longest time from a command to its flow (s).
-        start: longest time until the flow is steady (s).
-        stop: longest time from the reason to stop until the flow is 0 (s).
-        silence: time without a command, after which the pump must have stopped (s).
-        arrival: longest wait for the driver to join the graph (s).
-        live: whether it publishes its flow by its own clock, instead of one for each command.
-    """
-
-    command: float
-    period: float
-    answer: float
-    start: float
-    stop: float
-    silence: float
-    arrival: float
-    live: bool
+# Longest time from a command to its flow, and until the flow is steady (s).
+ANSWER_S, START_S = 5.0, 60.0
+# Longest time from a reason to stop until the flow is 0 (s): the longest ramp of a drive, and the
+# time in which it notices.
+STOP_S = 35.0
+# Time without a command, after which the pump must have stopped (s).
+SILENCE_S = 5.0
 
 
 class PumpCheck(NodeCheck):
@@ -95,23 +76,24 @@ class PumpCheck(NodeCheck):
     peers: ClassVar[str] = "plant, weather and controller"
     checks = 22
 
-    def __init__(self, node: Node, driver: str, site: Site, limits: DriverLimits) -> None:
+    def __init__(
+        self, node: Node, driver: str, site: Site, *, command: float, period: float, live: bool
+    ) -> None:
         """Prepare a check.
 
         Args:
             node: the node that plays the driver's peers.
             driver: name of the driver's node, without namespace.
             site: the site that sets the levels.
-            limits: the command and the time limits.
+            command: command for a running pump, a share of its maximum flow.
+            period: minimum time between two commands (s).
+            live: whether it publishes its flow by its own clock, instead of one for each command.
         """
-        self._passed = limits.period if limits.live else site.tau  # in a tick (s)
-        super().__init__(
-            node, driver, limits.arrival, site.tau, max(1.0, self._passed / limits.period)
-        )
-        self.live = limits.live
-        self.checks = 21 if limits.live else 22
+        self._passed = period if live else site.tau  # in a tick (s)
+        super().__init__(node, driver, site.tau, max(1.0, self._passed / period))
+        self.live, self._period, self._usual = live, period, command
+        self.checks = 21 if live else 22
         self._site = site
-        self._limits = limits
         # Low, so that the roof has room for all water that will be pumped.
         self._empty_roof = 0.5 * initial_states(site)["low-low"][1]
         self._volumes = [site.suction_level * site.a1 + _WATER, self._empty_roof]
@@ -121,16 +103,16 @@ class PumpCheck(NodeCheck):
 
     def run_checks(self) -> None:
         """Run all checks in turn; after each stop except the last, the pump must run again."""
-        limits, site = self._limits, self._site
+        site = self._site
         with self.check("is off at start: no flow before a command, and 0 at command 0"):
             early = next(iter(self.answers), 0.0)
-            none = max(self.answers, default=0.0) <= 0 if limits.live else not self.answers
+            none = max(self.answers, default=0.0) <= 0 if self.live else not self.answers
             require(none, f"a flow of {early:g} m3/s came before any command")
             self.answers.clear()
             for _ in range(_STEADY_TICKS):
                 flow = self._answer({_COMMAND: 0.0})
                 require(flow <= 0, f"a flow of {flow:g} m3/s answers command 0")
-        self._runs(f"at command {limits.command:g}")
+        self._runs(f"at command {self._usual:g}")
         if not self._steady:
             self.hindered = self.hindered or _NOT_RUNNING
         with self.check("takes a command above 1 as 1"):
@@ -144,7 +126,7 @@ class PumpCheck(NodeCheck):
             for value in _HOSTILE:
                 self._stop(f"command {value:g}", {_COMMAND: value})
         self._runs("again after refused commands")
-        with self.check(f"has stopped after {limits.silence:g} s without a command"):
+        with self.check(f"has stopped after {SILENCE_S:g} s without a command"):
             self._fall_silent()
         self._runs("again when commands come again")
         with self.check(f"stops while {_COMMAND} has a second publisher"):
@@ -152,7 +134,7 @@ class PumpCheck(NodeCheck):
             with self._intruder():
                 self._stop("a second publisher came", {})
         self._runs("again when one publisher is left")
-        within = f"the flow is 0 within {limits.stop:g} s, and stays so"
+        within = f"the flow is 0 within {STOP_S:g} s, and stays so"
         for topic, value, when, after in _STOPS:
             with self.check(f"stops {when}: {within}"):
                 self._must_run()
@@ -162,7 +144,7 @@ class PumpCheck(NodeCheck):
             self._runs(f"again when {after}")
         with self.check(f"stops when the cistern falls to the suction level: {within}"):
             self._volumes[0] = (site.suction_level + _MIN_ABOVE_SUCTION) * site.a1
-            self._steady_flow(limits.command)
+            self._steady_flow(self._usual)
             self._above_suction = _DRY
             dry = (site.suction_level + _DRY) * site.a1
             while self._volumes[0] > dry and self._flowing(self._answer({})):
@@ -204,17 +186,17 @@ class PumpCheck(NodeCheck):
             "/cistern/level": cistern / self._site.a1,
             "/roof/level": roof / self._site.a2,
             "/weather/frost": 0.0,
-            _COMMAND: self._limits.command,
+            _COMMAND: self._usual,
             **overrides,
         }
         for topic, value in values.items():
             self.publish(topic, value)
         require(
-            self.wait_for_answer(began + self._limits.answer),
-            f"no flow within {self._limits.answer:g} s of command {values[_COMMAND]:g}, "
+            self.wait_for_answer(began + ANSWER_S),
+            f"no flow within {ANSWER_S:g} s of command {values[_COMMAND]:g}, "
             f"number {self.ticks}{self._driver_state()}",
         )
-        self.spin(began + self._limits.period - time.monotonic())
+        self.spin(began + self._period - time.monotonic())
         flow = self.answers[-1]
         self._count(1)
         allowed = self.interface["/pump/flow"].range
@@ -245,8 +227,8 @@ class PumpCheck(NodeCheck):
         before = flow = self._answer(overrides)
         while self._flowing(flow):
             require(
-                time.monotonic() <= began + self._limits.stop,
-                f"the flow is {flow:.3g} m3/s {self._limits.stop:g} s after {reason} "
+                time.monotonic() <= began + STOP_S,
+                f"the flow is {flow:.3g} m3/s {STOP_S:g} s after {reason} "
                 f"(first answer: {before:.3g}){self._driver_state()}",
             )
             flow = self._answer(overrides)
@@ -265,7 +247,7 @@ class PumpCheck(NodeCheck):
         Raises:
             BrokenRuleError: this does not happen within the limit.
         """
-        until = time.monotonic() + self._limits.start
+        until = time.monotonic() + START_S
         flows: list[float] = []
         while True:
             flows = [*flows[-_STEADY_TICKS:], self._answer({_COMMAND: command})]
@@ -276,20 +258,20 @@ class PumpCheck(NodeCheck):
             expected = f"from {minimum:.3g} to {most:.3g} m3/s" if most else "0"
             require(
                 time.monotonic() <= until,
-                f"the flow is {expected} after {self._limits.start:g} s at command {command:g}"
+                f"the flow is {expected} after {START_S:g} s at command {command:g}"
                 f"{self._driver_state()}",
             )
 
     def _runs(self, when: str) -> None:
         with self.check(f"runs {when}"):
             began = time.monotonic()
-            flow = self._steady_flow(self._limits.command)
+            flow = self._steady_flow(self._usual)
             self.result = f"{flow:.3g} m3/s, steady after {time.monotonic() - began:.1f} s"
 
     def _fall_silent(self) -> None:
         """Send nothing for a while; the next flow then shows whether the pump had stopped."""
-        before = self._steady_flow(self._limits.command)
-        self.spin(self._limits.silence)
+        before = self._steady_flow(self._usual)
+        self.spin(SILENCE_S)
         if self.live:
             last = self.answers[-1] if self.answers else math.nan
             require(last <= 0, f"the flow is {last:g} m3/s at the end of the silence")
@@ -298,7 +280,7 @@ class PumpCheck(NodeCheck):
         after = self._answer({})
         require(
             after <= _AT_REST * before,
-            f"the flow is {after:.3g} m3/s at the first command after {self._limits.silence:g} s "
+            f"the flow is {after:.3g} m3/s at the first command after {SILENCE_S:g} s "
             f"of silence, and was {before:.3g} before: the pump had not stopped",
         )
         require(state not in _ON, f"/pump/state reports {state!r} at the end of the silence")
