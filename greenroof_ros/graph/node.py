@@ -182,8 +182,9 @@ class SimulationNode(NoClockSubscription, GraphNode):
     def _update_warnings(self, now: float) -> None:
         """Warn of refused values and, before the run, of incompatible publishers."""
         if not self.acted:
-            for sentence in self.peers.describe_incompatible(now):
-                self._warn(sentence)
+            for publishers in self.peers.publishers.values():
+                if sentence := publishers.warning(now):
+                    self._warn(sentence)
         for entry in self.inputs.values():
             if entry.refused:
                 self._warn(

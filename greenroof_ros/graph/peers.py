@@ -6,8 +6,7 @@ it waits.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.states import ROLES
@@ -29,7 +28,6 @@ class Peers:
         """
         self.publishers: dict[str, Publishers] = {}
         self._role = role
-        self._incompatible_since: dict[str, float] = {}
 
     # --- who is missing ---------------------------------------------------------------------
 
@@ -80,20 +78,6 @@ class Peers:
             if publishers.count > 1 and publishers.compatible > 1:
                 return f"{publishers.full_name} {publishers.describe_second(DISCOVERY_S)}"
         return ""
-
-    def describe_incompatible(self, now: float) -> Iterator[str]:
-        """Yield a sentence on each input with a publisher incompatible for the discovery time.
-
-        Args:
-            now: steady clock (s).
-        """
-        for publishers in self.publishers.values():
-            problem, name = publishers.describe_incompatible(), publishers.full_name
-            since = self._incompatible_since.setdefault(name, now) if problem else math.inf
-            if not problem:
-                self._incompatible_since.pop(name, None)
-            elif now - since >= DISCOVERY_S:
-                yield f"{name} {problem}"
 
 
 def group_by_role(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -45,6 +46,7 @@ class Publishers:
         self.required = required
         self._node = node
         self._names: list[str] = []
+        self._incompatible_since = math.inf
 
     @property
     def count(self) -> int:
@@ -102,6 +104,17 @@ class Publishers:
             f"has a publisher with an incompatible QoS ({list_nodes(names)}): it "
             f"{' and '.join(why)}, but must be {describe_qos(self.required)}; change it, or end it"
         )
+
+    def warning(self, now: float) -> str:
+        """Return a sentence on publishers that stay incompatible for the discovery time, or "".
+
+        Args:
+            now: time on the steady clock (s).
+        """
+        problem = self.describe_incompatible()
+        self._incompatible_since = min(self._incompatible_since, now) if problem else math.inf
+        lasts = now - self._incompatible_since >= DISCOVERY_S
+        return f"{self.full_name} {problem}" if lasts else ""
 
     def _endpoints(self) -> list[Any]:
         return list(self._node.get_publishers_info_by_topic(self.topic.graph_name))

@@ -50,7 +50,6 @@ class LivePublishers(Publishers):
         self._depth = _RECORDED_DEPTH if recorded else 1
         self._alive = 0  # counted if there is a lease
         self._unfit_since = -math.inf  # when the middleware last reported an incompatible one
-        self._incompatible_since = math.inf
 
     def profile(self) -> QoSProfile:
         """Return the profile of the subscription, which requests no past messages."""
@@ -94,17 +93,6 @@ class LivePublishers(Publishers):
             if time.monotonic() - self._unfit_since > DISCOVERY_S:
                 self._unfit_since = -math.inf  # it has gone
         return super().describe_second(wait_s)
-
-    def warning(self, now: float) -> str:
-        """Return a sentence on publishers that stay incompatible for the discovery time, or "".
-
-        Args:
-            now: time on the steady clock (s).
-        """
-        problem = self.describe_incompatible()
-        self._incompatible_since = min(self._incompatible_since, now) if problem else math.inf
-        lasts = now - self._incompatible_since >= DISCOVERY_S
-        return f"{self.full_name} {problem}" if lasts else ""
 
 
 class LiveInput(Input):
