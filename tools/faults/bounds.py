@@ -37,17 +37,17 @@ def bounds(site: Site) -> dict[str, float]:
         site: of the campaign.
     """
     pump = {parameter.name: parameter.default for parameter in parameters_of_pump(site)}
-    exchange, follow, apart, ramp, averaging, tolerance, delivery = (
+    exchange, follow, ramp, averaging, tolerance, delivery = (
         float(pump[name])
-        for name in ("exchange_period", "follow_time", "follow_tolerance", "drive_ramp",
-                     "averaging_time", "level_tolerance", "min_delivery")
+        for name in ("exchange_period", "follow_time", "drive_ramp", "averaging_time",
+                     "level_tolerance", "min_delivery")
     )
     exchange *= 2
     end = exchange + RAMP_S + SLACK_S
     # The line is left silent if the speed has not fallen for this long.
     runs_on = RUNS_ON_S + VISIBLE_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end
     step = site.tau + end
-    frozen, jump = 0.01, 0.02
+    frozen, jump, apart = 0.01, 0.02, 0.1
     flow = flow_at(site, 1.0, 2.0)
     return {
         # A rule of the pump node, or of the controller: one tick until it acts.

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter, entry, parameters_of
 from greenroof_ros.common.times import to_people
 from greenroof_ros.live.pumping.ledger import DAY_S, Ledger
@@ -28,6 +27,10 @@ _MIN_FLOW = 0.2
 _MAX_EVAPOTRANSPIRATION = 0.010
 # Margin of the daily volume, since the flow is only estimated.
 _MARGIN = 1.5
+# How far above the level of a dry-run cut the cistern must be before the pump runs again (m).
+_HYSTERESIS = 0.02
+# How far the speed may be from the requested one, share of rated speed.
+_FAR = 0.1
 
 
 def _volume_per_day(site: Site) -> float:
@@ -90,22 +93,14 @@ class PumpSettings:
         "plants",
         1e-6, 1e9, unit="m3",
     )
-    suction_hysteresis: float = entry(
-        "how far above the level of a dry-run cut the cistern must be before the pump runs again",
-        0.0, 10.0, unit="m", default=0.02,
-    )
     drive_ramp: float = entry(
         "the drive's own ramp, from rest to rated speed or back (the longer of the two); the "
         "default is the longest that a drive may have",
         0.0, 30.0, unit="s", default=30.0,
     )
-    follow_tolerance: float = entry(
-        "how far the speed may be from the requested one, or from what the ramp has reached on "
-        "the way there, share of rated speed; less than the minimum speed",
-        0.01, 1.0, unit="1", default=0.1,
-    )
     follow_time: float = entry(
-        "how long it may be farther off before that is a fault", 0.1, 600.0, unit="s", default=12.0
+        "how long the speed may be far from the requested one, or from what the ramp has reached "
+        "on the way there, before that is a fault", 0.1, 600.0, unit="s", default=12.0
     )
     averaging_time: float = entry(
         "time over which the delivery check averages levels and volumes",
@@ -130,18 +125,14 @@ class PumpSettings:
         0.01, 1000.0, unit="mm/h", default=1.0,
     )
 
-    def __post_init__(self) -> None:
-        """Refuse contradictory settings.
+    @property
+    def follow_tolerance(self) -> float:
+        """How far the speed may be off, share of rated speed.
 
-        Raises:
-            ConfigurationError: a pump at its minimum speed would be treated as stopped.
+        It is below the minimum speed: a stopped pump is never treated as running, nor one that runs
+        on after a stop as stopped.
         """
-        if self.follow_tolerance >= self.min_speed:
-            raise ConfigurationError(
-                f"must be less than min_speed, {self.min_speed:g}: a stopped pump would be "
-                "treated as running, and one that runs on after a stop as stopped",
-                key="follow_tolerance", value=self.follow_tolerance,
-            )
+        return min(_FAR, self.min_speed / 2)
 
 
 def pump_parameters(site: Site) -> tuple[Parameter, ...]:
@@ -224,7 +215,7 @@ class PumpLimits:
         else:
             minimum = self._site.suction_level + settings.level_offset
             if self._dry:
-                minimum += settings.suction_hysteresis
+                minimum += _HYSTERESIS
             self._dry = cistern_level <= minimum
             if self._dry:
                 yield Diagnosis.of("cistern_low", level=cistern_level, min=minimum)

@@ -12,7 +12,6 @@ from paper import PAPER_SITE, site_with
 from pump_rig import Rig, settings_for
 
 from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S
 from greenroof_ros.live.pumping.ledger import Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
@@ -51,9 +50,11 @@ def test_defaults_of_a_measured_soil_near_field_capacity() -> None:
     assert settings.max_run == pytest.approx(12.587 / (0.2 * 0.00819436), abs=2)
 
 
-def test_a_tolerance_in_which_the_minimum_speed_is_rest_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"must be less than min_speed, 0\.3"):
-        settings_for(PAPER_SITE, follow_tolerance=0.3)
+@pytest.mark.parametrize(("min_speed", "expected"), [(0.3, 0.1), (0.2, 0.1), (0.05, 0.025)])
+def test_the_minimum_speed_is_never_within_the_tolerance_of_rest(
+    min_speed: float, expected: float
+) -> None:
+    assert settings_for(PAPER_SITE, min_speed=min_speed).follow_tolerance == expected
 
 
 @settings(max_examples=30)
