@@ -41,18 +41,21 @@ def _bag_in(path: Path) -> Path:
     return path / "bag" if (path / "bag").is_dir() else path
 
 
-def _closed_bag(bag: Path) -> Path | None:
-    """Return the closed bag to read, if any; a single file is one.
+def _closed_and_repair(bag: Path, run: Path) -> tuple[Path | None, str]:
+    """Return the closed bag to read, if any, and what repairs it, for a message.
 
-    What ``recover`` made counts until something is recorded after it.
+    What ``recover`` made counts until something is recorded after it, or if no other is closed. A
+    single file is a bag.
     """
-    if bag.is_file():
-        return bag
     new = name_recovered_bag(bag)
+    repair = f"greenroof recover {run} makes a whole one of what is left"
+    closed = bag if bag.is_file() or (bag / METADATA).is_file() else None
+    if not (new / METADATA).is_file():
+        return closed, repair
     recorded = max((file.stat().st_mtime for file in bag.glob("*")), default=0.0)
-    if (new / METADATA).is_file() and (new / METADATA).stat().st_mtime >= recorded:
-        return new
-    return bag if (bag / METADATA).is_file() else None
+    if (new / METADATA).stat().st_mtime < recorded:
+        return closed or new, f"remove {new}, and {repair}"
+    return new, ""
 
 
 def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
@@ -89,15 +92,14 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
         **about.row, "run": name, "site": file.name if file else "the paper's", "season": "",
     }
     zone = _zone(row, site if file else None)
-    closed = _closed_bag(bag)
-    damaged = run if run.is_dir() else run.parent
-    repair = f"greenroof recover {damaged} makes a whole one of what is left"
+    closed, repair = _closed_and_repair(bag, run if run.is_dir() else run.parent)
     kept = next((path / name for name in (TRAJECTORY, CSV) if (path / name).is_file()), None)
     trajectory = None
     if closed is not None:
         if closed == name_recovered_bag(bag):
             notes.append(f"{closed.name} is what greenroof recover found whole")
-            repair = ""
+            if repair:
+                notes.append(f"more was recorded since: {repair}")
         if zone is None:
             notes.append("times are in UTC: no configuration gives the offset")
         trajectory, further = load_bag(

@@ -464,7 +464,7 @@ def test_a_live_site(tmp_path: Path) -> None:
 def test_what_recover_makes_of_a_damaged_bag_is_reported(tmp_path: Path, recorded: Path) -> None:
     """The report advises to recover it once, then reads the new bag, until the old one grows.
 
-    A new bag that is damaged, too, is not repaired again.
+    Then the old one is read again if it is closed. A new bag that is damaged, too, is not repaired.
     """
     run = shutil.copytree(recorded, tmp_path / "run")
     file = run / "bag" / "bag_0.mcap"
@@ -477,7 +477,10 @@ def test_what_recover_makes_of_a_damaged_bag_is_reported(tmp_path: Path, recorde
     assert "bag-recovered is what greenroof recover found whole" in page_of(report_of(run))
     later = time.time() + 60
     os.utime(file, (later, later))
-    refusal(report_of, run, match="run/bag: cannot be read as a bag")
+    advice = f"remove {run}/bag-recovered, and greenroof recover {run} makes a whole one"
+    refusal(report_of, run, match=f"run/bag: cannot be read as a bag.*{advice}")
+    (run / "bag" / "metadata.yaml").unlink()
+    assert f"more was recorded since: {advice}" in page_of(report_of(run))
     os.utime(file, (1.0, 1.0))
     (run / "bag-recovered" / "bag-recovered_0.mcap").write_bytes(b"")
     reason = refusal(report_of, run, match="bag-recovered: cannot be read as a bag")
