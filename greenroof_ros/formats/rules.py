@@ -125,12 +125,23 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
 _MAX_EXCESS, _DROPS = 0.25, 5.0
 # A roof keeps at most the soil's volume and this much more of a storm (mm).
 _EXTRA_STORAGE = 20.0
+# Runoff of a record as a share of its water, if there is any: at least 0.0025 in windows of 30 days
+# or more, and with runoff in m instead of mm at most 0.0007.
+_MIN_SHARE = 0.001
 
 
 def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
-    """Compare runoff with water, in each storm and the day after it."""
+    """Compare runoff with water: in all, and in each storm and the day after it."""
     if record.runoff is None:
         return
+    total = float(np.nansum(record.runoff))
+    inflow = float(np.sum(record.water[~np.isnan(record.runoff)]))
+    # A watered roof may keep it all.
+    if 0 < total < _MIN_SHARE * inflow and not np.any(record.pumped > 0):
+        yield (
+            f"runoff is {total:.2g} mm of {inflow:.4g} mm of water: is the unit of the column "
+            "right?"
+        )
     water = record.rain + record.pumped
     sums = np.array([
         (np.sum(water[storm]), np.sum(record.runoff[storm])) for storm in find_storms(record)
@@ -227,7 +238,8 @@ _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
 def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
     """Find sensors that show one value, apart from gaps, while it must change.
 
-    A flow meter must change from 0 if more water comes than the soil can hold. From a roof with a
+    A flow meter must change from 0 if more water comes in any part of the time than the soil can
+    hold. From a roof with a
     pump, evapotranspiration is subtracted at its full rate, because a good controller pumps no more
     than that, and nothing while it rains often enough.
     """
@@ -243,7 +255,8 @@ def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
                 long = same_s >= DAY_S or len(same) >= _SAME_RAIN_STEPS
                 stuck = value > 0 and same_s >= _RAIN_STUCK_S and long
             elif column == "runoff" and value == 0:
-                stuck = float(np.sum(gained[same])) > holds
+                sums = np.append(0.0, np.cumsum(gained[same]))
+                stuck = float(np.max(sums - np.minimum.accumulate(sums))) > holds
             else:
                 stuck = same_s >= _STUCK_S and float(np.nansum(record.rain[same])) >= _STUCK_RAIN
             if stuck and len(same) >= _SAME_STEPS:

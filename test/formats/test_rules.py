@@ -80,6 +80,7 @@ OF_A_MONTH: dict[str, tuple[tuple[str, ...], str, Change, tuple[str, str]]] = {
     "rain of a day": (BOTH, "rain", scaled(24), ("rain", UNIT)),
     "rain of the hour": (BOTH, "rain", scaled(12), ("rain", BALANCE)),
     "level in cm": (BOTH, "level", scaled(100), ("level", UNIT)),
+    "runoff in m": (BOTH, "runoff", scaled(1e-4), ("runoff", UNIT)),
     "stuck": (BOTH, "runoff", fixed(0.05, 5), ("runoff", STUCK)),
     "early": (BOTH, "runoff", shifted(-1), ("runoff", EARLY)),
     "late": (BOTH, "runoff", shifted(8), ("runoff", LATE)),
@@ -222,6 +223,13 @@ def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
         "runoff is 0 mm for 648 h from 2021-07-01 00:00:00, in which 415 mm of water came: is "
         "the sensor stuck or dead? Leave these cells empty"
     )
+    # 720 mm in a month on 100 mm of soil: four dry months after it excuse nothing.
+    wet = np.repeat([24 / DAY, 0.0, 0.0, 0.0, 0.0], 30 * DAY)
+    dry = np.repeat([0.0, *[6 / DAY] * 4], 30 * DAY)
+    months = a_record(
+        wet, month=4, runoff=0 * wet, reference=dry, pumped=np.where(wet > 0, 0.0, 1 / DAY)
+    )
+    assert failed(months, "runoff", STUCK)
 
 
 # --- outlying rain -----------------------------------------------------------------------------
