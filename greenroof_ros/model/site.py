@@ -569,7 +569,8 @@ def _values_of(entries: Mapping[str, _Entry]) -> dict[str, Any]:
     for name, (file, line, value) in entries.items():
         if name not in by_name:
             raise ConfigurationError(
-                f"is not a parameter of a site; {suggest_names(name, by_name)}",
+                "has no effect any more; delete it" if name.startswith("pumps_in_")
+                else f"is not a parameter of a site; {suggest_names(name, by_name)}",
                 file=file, line=line, key=name,
             )
         key = by_name[name]

@@ -173,6 +173,8 @@ def test_a_mistyped_key(tmp_path: Path) -> None:
     """The error suggests similar keys, and lists all only if none is similar."""
     path = write(tmp_path, a2=None, a3=68.8)
     assert refusal(path).endswith("a3: is not a parameter of a site; did you mean a1 or a2?")
+    path = write(tmp_path, pumps_in_series=1)  # of an earlier version
+    assert refusal(path).endswith("pumps_in_series: has no effect any more; delete it")
     path = write(tmp_path, "pi: 3.14")
     start = f"{path}, line {len(TABLE_I) + 1}: pi: is not a parameter of a site; choose from a1, "
     assert refusal(path).startswith(start)
