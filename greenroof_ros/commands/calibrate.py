@@ -18,7 +18,12 @@ from greenroof_ros.analysis.calibration.checks import check_fit, check_record
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
 from greenroof_ros.analysis.calibration.fit import Fit, complete_roof, fit, lower_target
 from greenroof_ros.analysis.calibration.pumps import PumpFit, fit_pumps
-from greenroof_ros.analysis.calibration.record import halve_steps, select_comparable, select_months
+from greenroof_ros.analysis.calibration.record import (
+    halve_steps,
+    read_months,
+    select_comparable,
+    select_months,
+)
 from greenroof_ros.analysis.calibration.scores import FitScores, score
 from greenroof_ros.analysis.calibration.site_file import (
     INTERVAL_NOTE,
@@ -101,6 +106,8 @@ def main() -> None:
     refuse_unwritable(page_file, (".html",), "--output")
     if arguments.measured is None and arguments.pump_data is None:
         raise ConfigurationError("must be given, or --pump-data alone", key="MEASURED")
+    if arguments.months is not None:
+        read_months(arguments.months)
     site_file: Path = arguments.site
     site = read_site(site_file)
     sheet = None
@@ -270,8 +277,11 @@ def _write_heading(
         nse = ", ".join(
             f"{value:.2f} ({name_time(span_s)})" for span_s, value in row.nse.items()
         )
+        span_s, kge = list(row.kge.items())[-1]
         volume = f"; volume {100 * row.volume_error:+.1f} %" if row.quantity == "runoff" else ""
-        lines.append(f"{row.quantity}, {row.part}: NSE {nse}{volume}.")
+        lines.append(
+            f"{row.quantity}, {row.part}: NSE {nse}; KGE {kge:.2f} ({name_time(span_s)}){volume}."
+        )
     lines += [INTERVAL_NOTE, *notes]
     return [line for text in lines for line in textwrap.wrap(text, 98)]
 

@@ -112,6 +112,22 @@ def halve_steps(record: StepRecord, steps: Steps) -> dict[str, Steps]:
     return {"fit": steps & ~later, "validation": steps & later}
 
 
+def read_months(span: str) -> tuple[int, int]:
+    """Return the first and the last month (1 to 12) of a span such as ``4-10``.
+
+    Raises:
+        ConfigurationError: it is not a span.
+    """
+    match = re.fullmatch(r"(\d{1,2})-(\d{1,2})", span)
+    first, last = map(int, match.groups()) if match else (0, 0)
+    if not (1 <= first <= 12 and 1 <= last <= 12):
+        raise ConfigurationError(
+            "must be the first and the last month that count, such as 4-10, or 11-3 over new year",
+            key="--months", value=span,
+        )
+    return first, last
+
+
 def select_months(record: StepRecord, span: str | None) -> Steps:
     """Return which steps begin in a span of months, by the record's own clock; None means all.
 
@@ -122,13 +138,7 @@ def select_months(record: StepRecord, span: str | None) -> Steps:
     """
     if span is None:
         return np.full(record.steps, True)
-    match = re.fullmatch(r"(\d{1,2})-(\d{1,2})", span)
-    first, last = map(int, match.groups()) if match else (0, 0)
-    if not (1 <= first <= 12 and 1 <= last <= 12):
-        raise ConfigurationError(
-            "must be the first and the last month that count, such as 4-10, or 11-3 over new year",
-            key="--months", value=span,
-        )
+    first, last = read_months(span)
     number = record.times.astype("datetime64[M]").astype(np.int64) % 12 + 1
     within = (number - first) % 12 <= (last - first) % 12
     if not within.any():

@@ -60,8 +60,8 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert site.drainage_time == pytest.approx(TWIN.drainage_time, rel=0.1)
     text = (fitted / "fitted.yaml").read_text(encoding="utf-8")
     assert text.startswith("# Fitted to twin.csv by greenroof calibrate.\n")
-    assert "# runoff, validation: NSE " in text
     top = " ".join(line[2:] for line in text.split("\n\n")[0].splitlines())
+    assert re.search(r"runoff, validation: NSE .*\(1 day\); KGE 0\.\d\d \(1 day\); volume ", top)
     assert "compared: " in top and "target: z_veg was " in top
     assert "pumps: 5" in top  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
     assert "do not use it" not in top
@@ -83,6 +83,8 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
 
 def test_a_data_sheet_needs_no_record(fitted: Path, tmp_path: Path) -> None:
     sheet = str(fitted / "pump.csv")
+    ended = calibrate(tmp_path, "--pump-data", sheet, "-o", "pumped.yaml", "--months", "4")
+    assert ended.returncode == 2 and "--months = '4': must be the first and" in ended.stderr
     ended = calibrate(tmp_path, "--pump-data", sheet, "-o", "pumped.yaml")
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout == "written: pumped.yaml\n"
