@@ -84,7 +84,6 @@ setup(
         "mcap>=1.5,<2",  # reads bags, and defines most of their records; brings zstandard
         "eto>=2.2,<3",  # FAO-56 Penman-Monteith; 2.2 has hours in any time zone and clouded nights
         "PyYAML>=6.0,<7",  # reads config/ and msg_defs/, writes a bag's metadata.yaml
-        "ruamel.yaml>=0.17.21,<0.20",  # edits site files, and keeps their comments and numbers
         "rich>=13,<16",  # progress bar and tables on the terminal
     ],
     extras_require={

@@ -26,7 +26,7 @@ from greenroof_ros.experiment.options import add_run_arguments, build_run
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.model.metrics import Metrics
-from greenroof_ros.model.site import Site, edit_site_text
+from greenroof_ros.model.site import Site, format_site, read_site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
 TABLE_I: dict[str, float] = {
@@ -98,10 +98,11 @@ def site_with(**changes: float) -> Site:
 
 
 def site_file(directory: Path, *, base: str = "site.yaml", **changes: float) -> Path:
-    """Write a packaged site file with changed and additional values."""
+    """Write a packaged site file with changed and additional values; products are left out."""
     path = directory / "site.yaml"
-    lines = edit_site_text(CONFIG / base, {}).splitlines()
-    unchanged = [line for line in lines if line.partition(":")[0] not in changes]
+    lines = format_site(read_site(CONFIG / base)).splitlines()
+    left_out = {*changes, "x2_star", "z_cap"}
+    unchanged = [line for line in lines if line.partition(":")[0] not in left_out]
     changed = [f"{key}: {value!r}" for key, value in changes.items()]
     path.write_text("\n".join([*unchanged, *changed]) + "\n", encoding="utf-8")
     return path

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,23 +25,16 @@ from greenroof_ros.analysis.calibration.record import (
 from greenroof_ros.analysis.calibration.scores import FitScores, score
 from greenroof_ros.analysis.calibration.site_file import (
     INTERVAL_NOTE,
-    edit_site_file,
+    format_fitted_site,
     list_fit_entries,
-    list_sheet_entries,
 )
 from greenroof_ros.common.command_line import Parser, add_site, command, refuse_unwritable
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import ProgressBar
-from greenroof_ros.common.ranges import Range
-from greenroof_ros.formats.cells import read_table
 from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, name_time
-from greenroof_ros.model.pump_curve import PumpCurve, fit_pump_curve
 from greenroof_ros.model.site import Site, read_site
 
-# Pumps of roofs are below these limits [assumed]; data sheets in l/s, m3/h or mm exceed them.
-_LIMITS = Range(0.0, 0.5, "m3/s"), Range(0.0, 500.0, "m")
-_HEADER = "flow [m3/s]", "head [m]"
 _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
 drainage time and crop coefficient, as far as the record determines them. The first half of its rain
@@ -58,13 +49,11 @@ cells and missing rows are gaps:
 
 The model has no snow: if winters were recorded, state which months count, as in --months 4-10.
 
-It writes the site file, and a page next to it with its name and .html. With --pump-data and no
-MEASURED it writes only the site file, with the pumps of the data sheet.
+It writes the site file, and a page next to it with its name and .html.
 
 examples:
   greenroof calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
   greenroof calibrate roof_2024_2025.csv --months 4-10 -o fitted_site.yaml
-  greenroof calibrate --pump-data sheet.csv --site my_site.yaml -o fitted_site.yaml
   greenroof simulate --site fitted_site.yaml
 
 exit codes: 0 done, 2 bad usage, configuration or record, 130 interrupted
@@ -75,18 +64,12 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
-        "measured", type=Path, nargs="?", metavar="MEASURED",
-        help="the record: CSV, a bag, or an .mcap file; not needed with --pump-data",
+        "measured", type=Path, metavar="MEASURED", help="the record: CSV, a bag, or an .mcap file",
     )
     add_site(parser, "site file with which the fit starts")
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE.yaml",
         help="site file to write; not one that exists",
-    )
-    parser.add_argument(
-        "--pump-data", type=Path, metavar="FILE.csv",
-        help="points of the pumps' data sheet, to which their curve is fitted: lines of 'flow "
-        "[m3/s],head [m]'",
     )
     parser.add_argument(
         "--months", metavar="FIRST-LAST",
@@ -104,87 +87,32 @@ def main() -> None:
     page_file = output.with_suffix(".html") if output.name else output
     refuse_unwritable(output, (".yaml", ".yml"), "--output")
     refuse_unwritable(page_file, (".html",), "--output")
-    if arguments.measured is None and arguments.pump_data is None:
-        raise ConfigurationError("must be given, or --pump-data alone", key="MEASURED")
     if arguments.months is not None:
         read_months(arguments.months)
-    site_file: Path = arguments.site
-    site = read_site(site_file)
-    sheet = None
-    if arguments.pump_data is not None:
-        sheet = _read_sheet(arguments.pump_data, site)
-        site = replace(site, **sheet._asdict())
-    if arguments.measured is None:
-        assert sheet is not None
-        heading = [f"Pumps fitted to {arguments.pump_data.name} by greenroof calibrate."]
-        texts = {output: edit_site_file(site_file, list_sheet_entries(sheet), heading)}
-    else:
-        text, page = _calibrate(arguments, site_file, site, sheet)
-        texts = {page_file: page, output: text}
-    for file, text in texts.items():
+    text, page = _calibrate(arguments.measured, arguments.months, arguments.site)
+    for file, content in ((page_file, page), (output, text)):
         with add_path_to_errors(file):
-            file.write_text(text, encoding="utf-8")
-    written = ", ".join(map(str, reversed(texts)))
-    Console().print(f"written: {written}", soft_wrap=True, highlight=False)
+            file.write_text(content, encoding="utf-8")
+    Console().print(f"written: {output}, {page_file}", soft_wrap=True, highlight=False)
 
 
-def read_pump_data(file: Path) -> PumpCurve:
-    """Return the curve fitted to a data sheet's points: lines of flow (m3/s) and head (m).
-
-    Raises:
-        ConfigurationError: the file is wrong, or no curve can be fitted to it.
-    """
-    table = read_table(file)
-    table.require_header(_HEADER, f" (the first line is '{','.join(_HEADER)}')")
-    points = [
-        [
-            table.read_number(
-                row, column, limits, hint="; are they in other units, such as l/s (0.001 m3/s)?"
-            )
-            for column, limits in zip(_HEADER, _LIMITS, strict=True)
-        ]
-        for row in table.rows
-    ]
-    try:
-        return fit_pump_curve(*np.array(points).T)
-    except ValueError as error:
-        raise ConfigurationError(str(error), file=file) from error
-
-
-def _read_sheet(file: Path, site: Site) -> PumpCurve:
-    """Return the pump curve fitted to a data sheet; the pumps must lift water to the roof."""
-    sheet = read_pump_data(file)
-    if sheet.c_hat - site.d + site.suction_level <= 0:
-        raise ConfigurationError(
-            f"the curve has {sheet.c_hat:.4g} m at no flow; it must exceed d - z_pump - z_H = "
-            f"{site.d - site.suction_level:g} m of the site, or the pumps never lift water to the "
-            "roof (Eq. 3e)", file=file,
-        )
-    return sheet
-
-
-def _calibrate(
-    arguments: argparse.Namespace, site_file: Path, site: Site, sheet: PumpCurve | None,
-) -> tuple[str, str]:
+def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str, str]:
     """Fit a record, print the result, and return the texts of site file and page.
 
     Args:
-        arguments: of the command line.
+        measured: the record.
+        months: of it that count, as --months has them; None for all.
         site_file: the file with which the fit starts.
-        site: its site, with the pumps of the data sheet if there is one.
-        sheet: the pump curve already fitted to the data sheet, if any.
     """
     with require_extra("study"):
         from greenroof_ros.analysis.calibration.page import render
-    measured: Path = arguments.measured
-    months: str | None = arguments.months
 
     def read(site: Site) -> StepRecord:
         if measured.is_dir() or measured.suffix.lower() == ".mcap":
             return read_bag_record(measured, site)
         return read_csv_record(measured, site, months)
 
-    site = complete_roof(site)
+    site = complete_roof(read_site(site_file))
     record = read(site)
     for note in record.notes:
         print(f"note: {note}", file=sys.stderr)
@@ -214,9 +142,9 @@ def _calibrate(
     warnings += check_fit(rows, measured)
     notes = _list_notes(record, halves, site, fitted.site, pumps)
     spans = {part: _name_span(record, steps) for part, steps in halves.items()}
-    entries = list_fit_entries(fitted, site.z_veg, sheet)
+    entries = list_fit_entries(fitted, site.z_veg)
     heading = _write_heading(measured, spans, rows, notes + warnings)
-    text = edit_site_file(site_file, entries, heading)
+    text = format_fitted_site(site_file, entries, heading)
     page = render(counted, halves, fitted, rows, text, spans, warnings, notes)
     print("\n".join(heading))
     _print_parameters(fitted)

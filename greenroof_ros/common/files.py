@@ -206,8 +206,7 @@ def _measure_nesting(text: str) -> int:
 def _compose(text: str) -> yaml.Node | None:
     """Parse YAML with libyaml; if that finds an error, report PyYAML's more detailed message.
 
-    Every process reads the interface when it starts. Libyaml is ten times as fast as PyYAML there,
-    and twenty times as fast as ruamel.yaml, which edits site files and keeps their comments.
+    Every process reads the interface when it starts. Libyaml is ten times as fast as PyYAML there.
     """
     try:
         return yaml.compose(text, Loader=_Loader)

@@ -16,7 +16,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import unique_name
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.formats.own_csv import write_records
-from greenroof_ros.model.site import edit_site_text, format_site
+from greenroof_ros.model.site import format_site
 
 # Parent of the runs' directories, unless a user gives one.
 _RUNS = Path("runs")
@@ -87,8 +87,7 @@ def write_configuration(
     configuration = directory / "configuration"
     with writable(directory):
         site_file = configuration / "site.yaml"
-        site = format_site(run.site) if run.site_file is None else edit_site_text(run.site_file, {})
-        site_file.write_text(site, encoding="utf-8")
+        site_file.write_text(format_site(run.site), encoding="utf-8")
         weather_files: list[str] = []
         for file in run.weather.files:
             name = unique_name(file, [Path(copy).name for copy in weather_files])

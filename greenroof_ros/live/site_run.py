@@ -42,7 +42,7 @@ from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
-from greenroof_ros.model.site import edit_site_text
+from greenroof_ros.model.site import format_site, read_site
 
 # How often systemd is notified (s), and how far each notice extends the start timeout (us).
 _NOTIFY_S = 1.0
@@ -428,7 +428,7 @@ class _Configuration:
         self._files[own], self._kept[Path(own.name)] = (own.read_bytes(), 0o644), own.read_bytes()
         self.parameters = [own, *map(self._add, user_files)]
         for name, file in [*site.files().items(), *(("nodes", file) for file in user_files)]:
-            text = edit_site_text(file, {}).encode() if name == "site" else None
+            text = format_site(read_site(file)).encode() if name == "site" else None
             copy = self._add(file, text)
             self._kept[Path(name, file.name)] = self._files[copy][0]
         for file in site.broker_files():

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import io
+import json
 import math
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta, timezone, tzinfo
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import Any, TypeAlias
 from zoneinfo import ZoneInfo
 
-from yaml import safe_dump
-
 from greenroof_ros.common.errors import ConfigurationError, suggest_names
-from greenroof_ros.common.files import read_text, read_yaml, shared_directory
+from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
 from greenroof_ros.common.times import LAST_YEAR
 from greenroof_ros.model.quiet_hours import QuietHours
-
-if TYPE_CHECKING:
-    from ruamel.yaml import YAML
 
 # Bounds of all sites' parameters: nothing that is computed within them overflows.
 _POSITIVE, _NOT_NEGATIVE, _NEGATIVE = (1e-12, 1e9), (0.0, 1e9), (-1e9, -1e-12)
@@ -380,27 +375,6 @@ def site_parameters() -> list[Parameter]:
     return parameters_of(Site)
 
 
-def edit_site_text(path: Path, values: Mapping[str, Any]) -> str:
-    """Return the text of a site file with other values; its comments stay.
-
-    The entries of a file that it extends are copied into it, so that it is complete. Volumes that
-    depend on changed values follow them: the products x2_star and z_cap, and the initial volumes
-    (their levels stay the same).
-
-    Args:
-        path: of a file that :func:`read_site` accepts.
-        values: by their symbols; those missing in the file are added.
-    """
-    current = {key: value for key, (_, _, value) in _entries(path).items()}
-    changed = {
-        key: value if isinstance(value, str) else repr(value)
-        for key, value in _changes(current, values).items()
-    }
-    if not changed and _EXTENDS not in read_yaml(path):
-        return read_text(path)
-    return _with(_full_text(path), changed)
-
-
 def _changes(current: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return what changes in a site's values if some get other ones, which volumes follow."""
     new = {**current, **values}
@@ -411,58 +385,20 @@ def _changes(current: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str,
     return {key: value for key, value in new.items() if value != current.get(key)}
 
 
-def format_site(site: Site) -> str:
-    """Return the text of a site file, without comments, that :func:`read_site` reads as a site."""
-    text: str = safe_dump({
-        name: list(value) if isinstance(value, tuple) else value
-        for name, value in asdict(site).items() if value is not None
-    }, sort_keys=False)
-    return text
+def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
+    """Return the text of a complete site file, which :func:`read_site` reads as a site.
 
-
-def _with(text: str, values: Mapping[str, str]) -> str:
-    """Return YAML with one line per key, in any original form, and with other values."""
-    yaml, stream = site_yaml(), io.StringIO()
-    site = yaml.load(text)
-    site.fa.set_block_style()
-    site.update(values)
-    yaml.dump(site, stream)
-    return stream.getvalue()
-
-
-def _full_text(path: Path) -> str:
-    """Return a site file's text, followed by what comes from the file that it extends."""
-    text, mapping = _with(read_text(path), {}), read_yaml(path)
-    base = mapping.get(_EXTENDS)
-    if base is None:
-        return text
-
-    def key(line: str) -> str:
-        return line.partition(":")[0].strip("'\"")
-
-    own_lines = [line for line in text.splitlines() if key(line) != _EXTENDS]
-    further, copying = [f"# From {base}"], True
-    for line in _full_text(_base(path, base)).splitlines():
-        if not line.startswith((" ", "\t", "-", "#")):  # otherwise it continues the key above
-            copying = key(line) not in mapping
-        further += [line] * copying
-    return "\n".join([*own_lines, "", *further, ""])
-
-
-def site_yaml() -> YAML:
-    """Return a reader and writer of YAML that keeps comments and reads every value as text."""
-    # Imported here: it takes long, and every node reads a site but few edit one.
-    from ruamel.yaml import YAML
-    from ruamel.yaml.resolver import VersionedResolver
-
-    class Texts(VersionedResolver):
-        versioned_resolver: ClassVar = {}
-
-    yaml = YAML()
-    yaml.Resolver = Texts
-    yaml.preserve_quotes = True
-    yaml.width = 10_000
-    return yaml
+    Args:
+        site: the site.
+        notes: words after the value of some parameters, by name; by default its meaning.
+    """
+    lines = []
+    for parameter, value in zip(site_parameters(), asdict(site).values(), strict=True):
+        if value is not None:
+            entry = f"{parameter.name}: {json.dumps(value)}"
+            note = (notes or {}).get(parameter.name, parameter.meaning)
+            lines.append(f"{entry:<30}# {parameter.unit:<7} {note}\n")
+    return "".join(lines)
 
 
 def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, _Entry]:
@@ -506,8 +442,8 @@ def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
 
     Args:
         path: of the file.
-        changes: parameters with other values than in the file; volumes that depend on them follow,
-            as in :func:`edit_site_text`.
+        changes: parameters with other values than in the file. Volumes that depend on them follow:
+            the products x2_star and z_cap, and the initial volumes (their levels stay the same).
 
     Raises:
         ConfigurationError: a parameter is missing, unknown, not a number, beyond its range, or

@@ -14,7 +14,6 @@ from refusals import refusal
 from twins import TWIN
 
 from greenroof_ros.analysis.calibration.csv_record import read_csv_record
-from greenroof_ros.commands.calibrate import read_pump_data
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.reading import read_archive, read_records
 from greenroof_ros.model.site import read_site
@@ -61,7 +60,6 @@ READERS: list[tuple[str, str, Callable[[Path], object], str]] = [
     (PREVIOUS, "2024-03-01T01:30,0.1", archive, "line 3: time = '2024-03-01T01:30'"),
     (ECCC, ECCC.splitlines()[1], weather, "line 3: .* whole hours later"),
     (MEASURED, "2021-06-01T00:00,0,0,20", measured, "line 4: time = .* must be later"),
-    ("flow [m3/s],head [m]\n0.001,9\n", "0.002", read_pump_data, "line 3: must have 2 cells"),
 ]
 
 
@@ -90,7 +88,7 @@ def test_an_error_is_reported_when_its_line_is_reached(
 @pytest.mark.parametrize(
     ("name", "read"),
     [("weather.csv", weather), ("weather.json", weather), ("forecasts.csv", archive),
-     ("previous.json", archive), ("measured.csv", measured), ("pump.csv", read_pump_data),
+     ("previous.json", archive), ("measured.csv", measured),
      ("site.yaml", read_site)],
 )
 def test_a_file_of_any_kind_that_is_too_large(

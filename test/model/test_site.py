@@ -15,7 +15,7 @@ from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.model.site import Site, edit_site_text, read_site
+from greenroof_ros.model.site import Site, format_site, read_site
 
 MEASURED = {
     "field_capacity": 0.6, "wilting_point": 0.05, "depletion_fraction": 0.5,
@@ -181,7 +181,7 @@ def test_a_mistyped_key(tmp_path: Path) -> None:
 
 
 def test_a_site_that_extends_another(tmp_path: Path) -> None:
-    """It has only what differs, and so may its base; its text is complete automatically."""
+    """It has only what differs, and so may its base."""
     write(tmp_path)
     (tmp_path / "roof.yaml").write_text(
         "extends: my site.yaml\na2: 100.0  # m2\n   # measured\ninitial_layer: 0.0\n"
@@ -192,34 +192,40 @@ def test_a_site_that_extends_another(tmp_path: Path) -> None:
     child.write_text("# A larger one\nextends: ../roof.yaml\na1: 50.0\n")
     base, site = read_site(tmp_path / "my site.yaml"), read_site(child)
     assert site == replace(base, a1=50.0, a2=100.0, x2_star=4.57, z_cap=50.0)
-    written = tmp_path / "whole.yaml"
-    written.write_text(edit_site_text(child, {}))
-    assert read_site(written) == site
-    assert "extends" not in written.read_text() and "# A larger one" in written.read_text()
-    written.write_text(edit_site_text(child, {"a2": 200.0, "z_o": 2.5}))
-    assert read_site(written) == replace(site, a2=200.0, z_o=2.5, x2_star=9.14, z_cap=100.0)
-    assert edit_site_text(tmp_path / "my site.yaml", {}) == (tmp_path / "my site.yaml").read_text()
     for form in (
         "{extends: ../roof.yaml, a1: 50.}", '"extends": ../roof.yaml\n"a1": +50.0  # m2\n',
         "---\n? extends\n: ../roof.yaml\na1 : &x 5.e+1\n",
     ):
         child.write_text(form)
-        assert read_site(child) == site
-        for values in ({}, {"a1": 100 / 3, "z_o": 2.5}):
-            written.write_text(edit_site_text(child, values))
-            assert read_site(written) == replace(site, **values), form
+        assert read_site(child) == site, form
     (tmp_path / "roof.yaml").write_text(
         "extends: my site.yaml\nquiet_hours:\n# by night\n- 22:00-06:00\n# and at noon\n"
         "- 12:00-13:00\ntime_zone: Europe/Berlin\nutc_offset: 1\n"
     )
     child.write_text('extends: ../roof.yaml\nquiet_hours: ["20:00-21:00"]\n')
-    written.write_text(edit_site_text(child, {"z_o": 2.5}))
     night = replace(base, time_zone="Europe/Berlin", utc_offset=1.0, quiet_hours=("20:00-21:00",))
-    assert read_site(written) == replace(night, z_o=2.5)
+    assert read_site(child) == night
     # A site of this package needs no copy next to the file.
     child.write_text("extends: site_neubrandenburg.yaml\na1: 50.0\n")
     measured = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml")
     assert read_site(child) == replace(measured, a1=50.0)
+
+
+def test_a_site_is_written_as_a_complete_file(tmp_path: Path) -> None:
+    """What is read again is the same; volumes follow changed values; a note replaces a meaning."""
+    written = tmp_path / "whole.yaml"
+    changes = {
+        "a2": 100 / 3, "quiet_hours": ["20:00-21:00"], "time_zone": "America/Toronto",
+        "initial_cistern": 5.78e-5, "initial_roof": 1.0,
+    }
+    site = read_site(shared_directory() / "config" / "site_neubrandenburg.yaml", changes)
+    assert site.x2_star == pytest.approx(100 / 3 * site.z_veg)
+    text = format_site(site, {"a2": "as built"})
+    written.write_text(text)
+    assert read_site(written) == site
+    lines = {line.partition(":")[0]: line for line in text.splitlines()}
+    assert lines["a2"].endswith("# m2      as built")
+    assert lines["a1"].endswith("# m2      bottom surface area of the cistern")
 
 
 def test_what_cannot_be_extended(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from greenroof_ros.formats.own_csv import write_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.model.initial_state import INITIAL_STATES
 from greenroof_ros.model.sensor_and_pump import PARAMETERS, SensorAndPump
-from greenroof_ros.model.site import Site, edit_site_text, read_site, site_parameters
+from greenroof_ros.model.site import Site, format_site, read_site, site_parameters
 from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.weather.reading import read_weather
 
@@ -185,7 +185,7 @@ class _Grid:
                         for name, value in own.items()
                     )
                     path = file.with_name(f"{file.stem}_{label.replace('/', '-')}.yaml")
-                yield site, self._input(path, edit_site_text(file, own).encode())
+                yield site, self._input(path, format_site(site).encode())
 
     def _expand_windows(self) -> Iterator[tuple[_Inputs, list[_Inputs]]]:
         """Yield the inputs that each window gives, and its forecasts."""

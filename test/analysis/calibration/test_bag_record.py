@@ -15,7 +15,7 @@ from twins import TWIN
 from greenroof_ros.analysis.calibration.bag_record import read_bag_record
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.model.site import edit_site_text
+from greenroof_ros.model.site import format_site, read_site
 from greenroof_ros.recording.bag_writer import BagWriter
 
 START_NS = 1625641200 * 10**9  # 2021-07-07T07:00 UTC, by date -d
@@ -74,7 +74,9 @@ def test_a_crop_coefficient_counts_where_evapotranspiration_was_computed(
     )
     (tmp_path / "configuration").mkdir()
     (tmp_path / "configuration" / "site.yaml").write_text(
-        edit_site_text(shared_directory() / "config" / "site.yaml", {"crop_coefficient": 0.5})
+        format_site(
+            read_site(shared_directory() / "config" / "site.yaml", {"crop_coefficient": 0.5})
+        )
     )
     assert TWIN.crop_coefficient == 0.85
     assert read_bag_record(bag, TWIN).reference == pytest.approx(np.full(6, reference))

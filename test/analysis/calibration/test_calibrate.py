@@ -15,10 +15,9 @@ from places import DATA
 from refusals import refusal
 from twins import TWIN, record_rows, summed, write
 
-from greenroof_ros.analysis.calibration.site_file import edit_site_file
-from greenroof_ros.commands.calibrate import read_pump_data
+from greenroof_ros.analysis.calibration.site_file import format_fitted_site
 from greenroof_ros.common.files import shared_directory
-from greenroof_ros.model.site import edit_site_text, read_site
+from greenroof_ros.model.site import format_site, read_site
 
 PUMPED = replace(TWIN, a_in=300.0, a_hat=-1e6, c_hat=45.0)
 PAPER = shared_directory() / "config" / "site.yaml"
@@ -32,19 +31,17 @@ def calibrate(directory: Path, *arguments: str) -> subprocess.CompletedProcess[s
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory in which the command fitted a twin, starting from the paper's site.
 
-    Its pumps are worn: their data sheet has 50 m. Its target is more than the roof holds.
+    Its pumps are worn: the site file has 50 m. Its target is more than the roof holds.
     """
     directory = tmp_path_factory.mktemp("command")
     write(record_rows(PUMPED, 32, 2, pumping=True), directory / "twin.csv")
-    (directory / "site.yaml").write_text(edit_site_text(PAPER, {
+    (directory / "site.yaml").write_text(format_site(read_site(PAPER, {
         "a2": 100.0, "z_veg": 0.06, "z_soil": 0.1, "latitude": 52.5, "longitude": 13.4,
-        "utc_offset": 1.0, "a_in": 300.0,
-    }), encoding="utf-8")
-    # On the curve 50 - 1e6 q^2.
-    (directory / "pump.csv").write_text("flow [m3/s],head [m]\n0,50\n0.002,46\n0.004,34\n")
+        "utc_offset": 1.0, "a_in": 300.0, "a_hat": -1e6, "c_hat": 50.0,
+    })), encoding="utf-8")
     ended = calibrate(
-        directory, "twin.csv", "--site", "site.yaml", "-o", "fitted.yaml", "--pump-data",
-        "pump.csv", "--months", "4-6",
+        directory, "twin.csv", "--site", "site.yaml", "-o", "fitted.yaml", "--months",
+        "4-6",
     )
     assert ended.returncode == 0, ended.stderr
     assert "runoff, validation" in ended.stdout
@@ -71,54 +68,33 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert site.a_hat == pytest.approx(-1e6, rel=1e-5)
     lines = {line.split(":")[0]: line for line in text.splitlines()}
     assert lines["a_hat"].endswith(
-        "fitted to points of the data sheet; the data cannot tell it apart from c_hat"
+        "unchanged: the data cannot tell it apart from c_hat"
     )
     low, high = map(float, re.search(r"fitted, (\S+) to (\S+) \(95 %\)", lines["c_hat"]).groups())
     assert low <= 45.0 <= high
     assert high - low < 6.0
     assert low < site.c_hat < high
-    assert site.z_pump == 0.15  # a value that was not fitted stays, with its comment
-    assert "# m       elevation of the pumps above the cistern's base [T1]" in text
+    assert site.z_pump == 0.15  # a value that was not fitted stays
+    assert "# m       elevation of the pumps above the cistern's base" in text
 
 
-def test_a_data_sheet_needs_no_record(fitted: Path, tmp_path: Path) -> None:
-    sheet = str(fitted / "pump.csv")
-    ended = calibrate(tmp_path, "--pump-data", sheet, "-o", "pumped.yaml", "--months", "4")
+def test_months_are_checked_before_anything_is_read(tmp_path: Path) -> None:
+    ended = calibrate(tmp_path, "missing.csv", "-o", "new.yaml", "--months", "4")
     assert ended.returncode == 2 and "--months = '4': must be the first and" in ended.stderr
-    ended = calibrate(tmp_path, "--pump-data", sheet, "-o", "pumped.yaml")
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stdout == "written: pumped.yaml\n"
-    lines = (tmp_path / "pumped.yaml").read_text(encoding="utf-8").splitlines()
-    assert lines[0] == "# Pumps fitted to pump.csv by greenroof calibrate."
-    assert [line for line in lines if "data sheet" in line] == [
-        "a_hat: -1e+06                 # s2/m5   fitted to points of the data sheet",
-        "c_hat: 50                     # m       fitted to points of the data sheet",
-    ]
-
-
-@pytest.mark.parametrize(("text", "pattern"), [
-    ("q,h\n0,50\n", r"line 1: .*'flow \[m3/s\],head \[m\]'"),
-    ("flow [m3/s],head [m]\n0,50\n4,46\n", r"line 3: flow \[m3/s\] = '4': .*in other units"),
-])
-def test_pump_data(tmp_path: Path, text: str, pattern: str) -> None:
-    """A header and a line that do not hold flows and heads."""
-    sheet = tmp_path / "p.csv"
-    sheet.write_text(text)
-    refusal(read_pump_data, sheet, match=f"p.csv, {pattern}")
 
 
 NEW = {"c_hat": (50.0, "new"), "z_veg": (0.04, "new"), "wilting_point": (0.05, "w"),
        "field_capacity": (0.3, "f"), "depletion_fraction": (0.5, "p")}
 
 
-def test_a_site_file_of_any_form_is_edited(tmp_path: Path) -> None:
+def test_volumes_follow_in_a_site_file_of_any_form(tmp_path: Path) -> None:
     """On one line or more, with or without a derived volume."""
     file, new = tmp_path / "own.yaml", tmp_path / "edited.yaml"
     for text in (
         "{extends: site.yaml, c_hat: 54, x2_star: 3.14416}", "extends: site.yaml\nz_cap: 34.4"
     ):
         file.write_text(text)
-        new.write_text(edit_site_file(file, NEW, []))
+        new.write_text(format_fitted_site(file, NEW, []))
         after = read_site(new)
         assert (after.x2_star, after.z_cap) == pytest.approx((68.8 * 0.04, 68.8 * 0.5 * 0.3))
         assert after == replace(
@@ -127,45 +103,12 @@ def test_a_site_file_of_any_form_is_edited(tmp_path: Path) -> None:
         )
 
 
-def test_all_else_in_a_site_file_stays() -> None:
-    """Comments stay, too, except the continuation of an entry that is replaced.
-
-    An invalid site is not written.
-    """
-    was = PAPER.read_text(encoding="utf-8").splitlines()
-    now = edit_site_file(PAPER, NEW, ["Why."]).splitlines()
+def test_an_invalid_site_is_not_written() -> None:
     steep = {"a_hat": (-4.1e17, "steep")}
-    assert refusal(edit_site_file, PAPER, steep, []).startswith(
+    assert refusal(format_fitted_site, PAPER, steep, []).startswith(
         f"{PAPER}: the fitted values do not make a valid site; nothing is written: "
         "a_hat = -4.1e+17: must be a number of at least -1e+09 and less than 0 s2/m5"
     )
-    assert now[:2] == ["# Why.", ""]
-    gone = [line for line in was if line not in now]
-    assert [line[:12] for line in gone] == ["z_veg: 0.045", " " * 12, "c_hat: 55.2 "]
-    assert [line for line in now[2:] if line not in was] == [
-        "z_veg: 0.04                   # m       new",
-        "c_hat: 50                     # m       new",
-        "# The measured soil",
-        "wilting_point: 0.05           # 1       w",
-        "field_capacity: 0.3           # 1       f",
-        "depletion_fraction: 0.5       # 1       p",
-    ]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("--pump-data in.csv", "in.csv: the curve has 15 m at no flow; it must exceed d - z_pump - "
-         "z_H = 15.25 m of the site, or the pumps never lift water to the roof (Eq. 3e)"),
-        ("", "MEASURED: must be given, or --pump-data alone"),
-    ],
-)
-def test_wrong_use_ends_it_with_2(arguments: str, message: str, tmp_path: Path) -> None:
-    file = tmp_path / "in.csv"
-    file.write_text("flow [m3/s],head [m]\n0,15\n0.004,9\n")
-    ended = calibrate(tmp_path, "-o", "new.yaml", *arguments.split())
-    assert (ended.returncode, ended.stderr) == (2, f"error: {message}\n")
-    assert list(tmp_path.iterdir()) == [file]
 
 
 def test_a_record_without_any_runoff_has_nothing_to_fit(fitted: Path, tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
 from greenroof_ros.commands.recover import recover
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.model.site import edit_site_text
+from greenroof_ros.model.site import format_site, read_site
 from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
 
 TOTAL = "total_deviation_m3"
@@ -390,7 +390,7 @@ def test_a_changed_parameter(tmp_path: Path) -> None:
     assert notes["2999 earlier changes of parameters are not listed"] == ["run"]
     # Another site is another window.
     site = paths[1] / "configuration" / "site.yaml"
-    site.write_text(edit_site_text(site, {"a2": 50.0}))
+    site.write_text(format_site(read_site(site, {"a2": 50.0})))
     assert len(report_of(*paths).windows()) == 2
 
 
