@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -162,13 +163,22 @@ def pip_installed(released, tmp_path_factory):
 
 
 def test_a_package_index_would_take_the_release(released):
-    """Sdist and wheel fit any machine, show their README, and the wheel has no stray files."""
+    """Sdist and wheel fit any machine, show their README, and the wheel has no stray files.
+
+    The sdist has what a user copies, and no tests.
+    """
     files = sorted(released.iterdir())
     name = f"greenroof_ros-{greenroof_ros.__version__}"
     assert [file.name for file in files] == [f"{name}-py3-none-any.whl", f"{name}.tar.gz"]
     environment = dict(os.environ)
     run(sys.executable, "-m", "twine", "check", "--strict", *files, cwd=released, env=environment)
     run(sys.executable, "-m", "check_wheel_contents", files[0], cwd=released, env=environment)
+    with tarfile.open(files[1]) as source:
+        packed = {Path(*Path(name).parts[1:]) for name in source.getnames()}
+    copied = [path for name in ("config", "examples", "msg_defs")
+              for path in (CHECKOUT / name).rglob("*") if "__pycache__" not in path.parts]
+    assert {path.relative_to(CHECKOUT) for path in copied} | {Path("CHANGELOG.rst")} <= packed
+    assert Path("test") not in packed
 
 
 def test_pip_install_lays_everything_but_ros(pip_installed, tmp_path):

@@ -61,6 +61,25 @@ def test_example_19() -> None:
         assert compute_hourly(NDIAYE, first, values)[0] == pytest.approx(expected, abs=0.005)
 
 
+def test_example_18_hour_by_hour() -> None:
+    """Uccle, 6 July: our hours add up to within 0.2 mm of the day's 3.88.
+
+    Temperature is a cosine with its maximum at 15 h between the same extremes, and the 22.07 MJ/m2
+    follow the extraterrestrial radiation.
+    """
+    uccle = replace(PAPER_SITE, latitude=50.8, longitude=4.35, elevation=100.0, utc_offset=0.0)
+    hours, ratio = np.arange(24), math.log(1.409 / 0.6108)  # of vapour pressures, kPa
+    shares = extraterrestrial(uccle, 187, hours)
+    day = compute_hourly(uccle, parse_time("2015-07-06T00:00+00:00"), {
+        "temperature": 16.9 + 4.6 * np.cos((hours + 0.5 - 15) * math.pi / 12),
+        "dew point": np.full(24, 237.3 * ratio / (17.27 - ratio)),
+        "wind speed": np.full(24, 10.0),
+        "station pressure": np.full(24, 100.1),
+        "solar radiation": 22.07e6 * shares / shares.sum() / 3600,
+    })
+    assert day.sum() == pytest.approx(3.88, abs=0.2)
+
+
 def extraterrestrial(
     site: Site, day_of_year: int, hours: NDArray[np.int64]
 ) -> NDArray[np.float64]:

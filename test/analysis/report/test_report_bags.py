@@ -328,6 +328,8 @@ def test_names_distinguish_paths(tmp_path: Path) -> None:
     refusal(report_of, *studies, match="a/study and .*b/study have one name, study")
     studies[1] = studies[1].rename(tmp_path / "other")
     assert [run.name for run in find_runs(studies).runs] == ["study/001", "other/001"]
+    windows = [case.place[0].partition("/")[0] for case in report_of(*studies).cases]
+    assert windows == ["study", "other"]
     again = tmp_path / "mon" / ".." / "mon" / "bag"
     refusal(report_of, paths[0], again, match="mon/../mon/bag have one name, bag: give each path")
 

@@ -179,6 +179,15 @@ NEUBRANDENBURG = read_site(CHECKOUT / "config" / "site_neubrandenburg.yaml")
 PULSE = 0.24e-3 * PAPER_SITE.a2 / 10.0
 # What is well though a level does not change: how long (h), flow, rain, and further arguments.
 WELL: dict[str, tuple[float, Rate, Rate, dict[str, Any]]] = {
+    "drizzle that evaporates from an empty roof": (48, nothing, lambda _: 0.2, {"roof": 0.0}),
+    "a shower each day that evaporates": (48, nothing, every(DAY_S, HOUR_S, 3.0), {"roof": 0.0}),
+    "rain that wets the catchment": (48, nothing, every(9e9, HOUR_S, 0.93), {"site": COLLECTING}),
+    "the mains are shut": (
+        48, nothing, nothing, {"site": replace(PAPER_SITE, mains_level=2.5, mains_flow=1e-3)},
+    ),
+    "a full soil is read 5 mm too low": (
+        48, nothing, lambda _: 10.0, {"cistern": 3.0, "roof": 0.495},
+    ),
     # On a dry catchment with a first-flush diverter.
     "a shower of 4 mm every second day": (
         120, nothing, every(2 * DAY_S, HOUR_S, 4.0), {"site": COLLECTING},
