@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sysconfig
@@ -10,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from checked_nodes import start_node
-from graphs import Process, bag_file, bring_up, environment
+from checked_nodes import changed, start_node
+from graphs import Process, bag_file, bring_up, environment, summary_of
 from places import CHECKOUT
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
@@ -71,6 +72,24 @@ def test_it_gives_the_bag_of_the_same_controller_inside(
     controller = start_node(domain, tmp_path, "controller_node", EXAMPLE)
     outside, inside = bags_outside_and_inside(domain, tmp_path, controller, pump)
     assert outside == inside
+
+
+def test_a_node_that_breaks_a_rule_ends_the_run(domain: int, tmp_path: Path) -> None:
+    """It commands twice in a tick: its topic and name, exit code 1, and a closed bag."""
+    publish = "publisher.publish(Float64(data=command()))"
+    # Without its own check, which may be faster than the plant's.
+    source = changed(EXAMPLE, "if topic in tick:", "if False:")
+    source = changed(source, publish, f"{publish}, {publish}")
+    with ending(start_node(domain, tmp_path, "controller_node", source)):
+        process = Process(
+            domain, "bringup", "--controller", "external", "--hours", "0.1", "--output", "run",
+            cwd=tmp_path,
+        )
+        assert process.wait(120) == 1
+    summary = summary_of(tmp_path / "run")
+    assert re.search(r"/pump/command has a second message in tick \d+ \(contr", summary["reason"])
+    assert summary["reason"] in process.stderr() and "Traceback" not in process.stderr()
+    assert summary["status"] == "failed" and (tmp_path / "run/bag/metadata.yaml").exists()
 
 
 def test_a_node_in_c_gives_the_same_bag_and_passes_the_check(domain: int, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import polars
 import pytest
+from checked_nodes import changed, start_node
 from graphs import bring_up
 from inputs import (
     MINUTE,
@@ -32,7 +33,7 @@ from inputs import (
     write_bag,
     write_study,
 )
-from places import CONFIG
+from places import CHECKOUT, CONFIG
 from refusals import refusal
 from rosbags.rosbag2 import StoragePlugin
 
@@ -337,13 +338,39 @@ def test_names_distinguish_paths(tmp_path: Path) -> None:
 # --- graphs --------------------------------------------------------------------------------------
 
 
+# The example's pump, but with 1 L/s, and an impossible flow in every tenth tick from the first on.
+BAD_FLOWS = """
+import itertools
+BAD = [math.nan, 5.0, -0.001, math.inf]
+flows = (0.001 if tick % 10 else BAD[tick // 10 % 4] for tick in itertools.count())
+rclpy.init()
+"""
+
+
 def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
-    """Bringup's bag gives the numbers of the summary, and the labels of the run."""
+    """Bringup's bag gives the numbers of the summary, and the labels of the run.
+
+    By hand: 9 of 10 ticks of 1 L/s, 12 starts, because refused flows act as 0.
+    """
     pytest.importorskip("rclpy", reason="the graph needs ROS 2")
-    summary = bring_up(domain, tmp_path, "--hours", str(120 / 3600), "--controller", "onoff")
+    bad = changed((CHECKOUT / "examples/pump_driver.py").read_text(), "rclpy.init()\n", BAD_FLOWS)
+    bad = changed(bad, ".publish(flow)", ".publish(Float64(data=next(flows)))")
+    driver = start_node(domain, tmp_path, "pump_driver", bad)
+    try:
+        summary = bring_up(
+            domain, tmp_path, "--hours", str(120 / 3600), "--controller", "onoff",
+            "--pump", "external",
+        )
+    finally:
+        driver.kill()
+        driver.wait(60)
+    assert summary["refused"] == {"/pump/flow": 13}  # in ticks 0 to 120
+    assert summary["pumped_m3"] == pytest.approx(108 * 0.001, rel=1e-12)
+    assert summary["pump_starts"] == 12
     (run,) = find_runs([tmp_path / "run"]).runs
     row = run.row
     assert (row["controller"], row["initial"], row["site"]) == ("onoff", "low-low", "site.yaml")
+    assert run.notes[0].startswith("13 of 121 values of /pump/flow were refused")
     killed = {key: summary[key] for key in list(summary)[: list(summary).index("frost_hours")]}
     (tmp_path / "run" / "summary.json").write_text(json.dumps({**killed, "status": "running"}))
     worked_out = row_of_run(tmp_path / "run")
