@@ -25,7 +25,7 @@ from http.client import HTTPException
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.parse import urlencode
-from urllib.request import Request, urlopen
+from urllib.request import urlopen
 
 import numpy as np
 
@@ -118,8 +118,6 @@ class Service:
             "hourly": ",".join(VARIABLES.values()), "forecast_days": days, "timezone": "GMT",
             **({"models": model} if model else {}),
         }
-        self._tag, self._answer = "", b""  # of the last answer that was a forecast
-
     def fetch(self, now: datetime) -> IssuedForecast:
         """Return the newest forecast, issued in the present hour, with evapotranspiration.
 
@@ -132,32 +130,27 @@ class Service:
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         try:
             began = time.monotonic()
-            tag, answer = self._request(now)
+            answer = self._request(now)
             arrived = now + timedelta(seconds=time.monotonic() - began)
-            issue = replace(_read_issue(answer, self._site, hour), available=arrived)
-            self._tag, self._answer = tag, answer
-            return issue
+            return replace(_read_issue(answer, self._site, hour), available=arrived)
         except (HTTPException, OSError) as error:
             why = " ".join(str(error).split()) or type(error).__name__
             raise ServiceError(f"{self._url}: {why}") from error
         except ConfigurationError as error:
             raise ServiceError(f"{self._url}: its answer {error.wrong}") from error
 
-    def _request(self, now: datetime) -> tuple[str, bytes]:
-        """Return an answer and its tag; the last answer if that still holds (status 304).
+    def _request(self, now: datetime) -> bytes:
+        """Return an answer.
 
         Raises:
             ServiceError: the service refuses or sends too much, or a clock is wrong.
             OSError, HTTPException: it cannot be reached, or breaks off.
         """
-        request = Request(  # noqa: S310 - of the web, as was checked
-            f"{self._url}?{urlencode(self._parameters)}",
-            headers={"If-None-Match": self._tag} if self._tag else {},
-        )
+        url = f"{self._url}?{urlencode(self._parameters)}"
         until = time.monotonic() + _ANSWER_S
         try:
-            response = urlopen(request, timeout=_SILENCE_S)  # noqa: S310
-        except HTTPError as error:  # also 304
+            response = urlopen(url, timeout=_SILENCE_S)  # noqa: S310 - of the web, as was checked
+        except HTTPError as error:
             response = error
         answer = b""
         with response:
@@ -168,14 +161,12 @@ class Service:
                 if time.monotonic() > until:
                     raise TimeoutError(f"gave no complete answer within {_ANSWER_S:g} s")
         _check_clock(response.headers.get("Date", ""), now)
-        if response.status == 304 and self._answer:
-            return self._tag, self._answer
         if response.status != 200:
             raise ServiceError(
                 f"{self._url}: {response.status} {response.reason}: {_read_reason(answer)}",
                 _read_wait(response.headers.get("Retry-After", ""), now),
             )
-        return response.headers.get("ETag", ""), answer
+        return answer
 
 
 def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
