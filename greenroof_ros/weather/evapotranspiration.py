@@ -162,22 +162,18 @@ def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
         raise ConfigurationError(
             f"{method} needs {', '.join(lacking)} in the site file (see config/site.yaml)"
         )
-    check_latitude(site)
-
-
-def check_latitude(site: Site) -> None:
-    """Refuse a site beyond a polar circle, where the sun does not rise and set each day.
-
-    Raises:
-        ConfigurationError: it is there.
-    """
-    if (site.latitude or 0.0) not in _LATITUDES:
+    if is_polar(site):
         raise ConfigurationError(
             f"{_LATITUDES.expected()} to compute evapotranspiration by FAO-56, which divides the "
             "day by sunrise and sunset; give evapotranspiration in a column, or "
             "monthly_evapotranspiration in the site file",
             key="latitude", value=site.latitude,
         )
+
+
+def is_polar(site: Site) -> bool:
+    """Return whether a site is beyond a polar circle: the sun does not rise and set each day."""
+    return (site.latitude or 0.0) not in _LATITUDES
 
 
 def repeat_monthly(records: Records, site: Site) -> NDArray[np.float64] | None:

@@ -29,9 +29,9 @@ from greenroof_ros.weather.evapotranspiration import (
     FAO56,
     HARGREAVES,
     MONTHLY,
-    check_latitude,
     compute_fao56,
     compute_hargreaves,
+    is_polar,
     repeat_monthly,
 )
 from greenroof_ros.weather.series import FILL, REFUSE, Weather
@@ -174,11 +174,8 @@ def compute_evapotranspiration(
         chosen = HARGREAVES if lacking else FAO56
         if TEMPERATURE in lacking:
             chosen, lacking = MONTHLY, [TEMPERATURE]
-        elif means is not None:
-            try:
-                check_latitude(site)
-            except ConfigurationError:
-                chosen, lacking = MONTHLY, ["sunrise each day"]
+        elif means is not None and is_polar(site):
+            chosen, lacking = MONTHLY, ["sunrise each day"]
     if chosen == HARGREAVES:
         series = compute_hargreaves(records, site)
         if method is None and means is not None and np.isnan(series).all():
