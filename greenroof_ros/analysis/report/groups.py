@@ -149,15 +149,13 @@ def _derived(run: ReportedRun, assumptions: Assumptions) -> Row:
     The mass balance error, the change of storage that the flows do not explain, is rounding in a
     simulation. On a site it is all that was not measured.
     """
-    row, site = run.row, run.site
+    row, site = {**run.row, "mains_m3": run.row.get("mains_m3") or 0.0}, run.site
     derived: Row = {}
     for tank, flows in FLOWS.items():
         change = _sum(row, {f"final_{tank}_m3": 1, f"{tank}_m3": -1})
         if tank == "roof" and change is not None and row.get("final_layer_m3") is not None:
             change += row["final_layer_m3"] - site.initial_layer
-        explained = _sum(row, {name: sign for name, sign in flows.items() if name != "mains_m3"})
-        if tank == "cistern" and explained is not None:
-            explained += row.get("mains_m3") or 0.0
+        explained = _sum(row, flows)
         derived[f"{tank}_change_m3"] = change
         derived[f"{tank}_residual_m3"] = (
             None if change is None or explained is None else change - explained

@@ -226,5 +226,5 @@ def test_a_study_of_seasons(tmp_path: Path) -> None:
             assert of_year.shape == (len(totals[year]), 1)
             assert (of_year[:, 0] > 0).all() and (of_year[:, 0] < totals[year]).all()
     assert [(case.label, len(case.runs)) for case in report.cases] == [
-        ("mpc, forecast errors skill real", 4), ("onoff, forecast perfect", 2)
+        ("onoff, forecast perfect", 2), ("mpc, forecast errors skill real", 4)
     ]
