@@ -288,20 +288,3 @@ def test_what_was_asked_before_a_stop_is_not_done_after_it(monkeypatch: Any) -> 
         "clear 0": "clear", "release 1": refused, "stop 2": "stop", "dose 3": refused,
         "stop 4": "stop",
     }
-
-
-def test_while_a_request_waits_for_its_answer_others_say_when_nothing_was_done(
-    monkeypatch: Any,
-) -> None:
-    feed, client = Feed(Kept()), Asked()
-    monkeypatch.setattr(feed, "_client", client)
-    feed._requesting.release()
-    monkeypatch.setattr("greenroof_ros.watch.feed._STOP_S", -1.9)
-    first = threading.Thread(target=feed.request_action, args=("stop",), daemon=True)
-    first.start()
-    wait_for(lambda: client.done, 10, "the first request")
-    with pytest.raises(PumpRequestError, match="busy: the pump node was not asked, and nothing"):
-        feed.request_action("release")
-    client.answers.set()
-    first.join(60)
-    assert client.done == ["stop"]
