@@ -67,7 +67,8 @@ class Feed:
         self._problem, self._problem_until = "", 0.0
         self._requesting = threading.Lock()  # held by the thread that makes a request
         self._requesting.acquire()  # until the graph is joined
-        self._last_stop = object()  # another one for each stop that is asked for
+        # The stops that wait or are made, and the last one: another object for each.
+        self._stops, self._last_stop = set[object](), object()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._client: GraphClient | None = None
@@ -107,17 +108,21 @@ class Feed:
         Raises:
             PumpRequestError: the pump node did not confirm it.
         """
+        this = object()
         if action == "stop":
-            self._last_stop = object()
+            self._last_stop = this
+            self._stops.add(this)
         last_stop = self._last_stop
-        if not self._requesting.acquire(timeout=_STOP_S + 2.0):
+        if not self._requesting.acquire(timeout=2 * _STOP_S + 0.5):
+            self._stops.discard(this)
             raise PumpRequestError(
                 "The watcher is busy: the pump node was not asked, and nothing was done."
             )
         try:
             assert self._client is not None
             if action != "stop":
-                if self._last_stop is not last_stop:  # it would undo that
+                # It would undo a stop, or keep one waiting.
+                if self._last_stop is not last_stop or self._stops:
                     raise PumpRequestError("Nothing was done: someone is asking to stop the pump.")
                 with self._store.lock:
                     two = self._graph.two_pumps(time.monotonic())
@@ -125,6 +130,7 @@ class Feed:
                     raise PumpRequestError(two)
             return self._client.request(action, _STOP_S, **request)
         finally:
+            self._stops.discard(this)
             self._requesting.release()
 
     # --- the graph ------------------------------------------------------------------------------
