@@ -15,7 +15,7 @@ from greenroof_ros.common.times import hours_minutes_seconds
 # Often enough for the eye, seldom enough to cost nothing.
 INTERVAL_S = 0.2
 # Warnings that are remembered, so that each is printed once; a text can contain a changing value.
-_MOST_WARNED = 1000
+_MAX_WARNED = 1000
 
 
 class ProgressBar(Progress):
@@ -60,7 +60,7 @@ class RunProgress(ProgressBar):
         """
         super().__init__(file)
         self._steps, self._tau = steps, tau
-        self._warned: deque[str] = deque(maxlen=_MOST_WARNED)
+        self._warned: deque[str] = deque(maxlen=_MAX_WARNED)
 
     def warn(self, warnings: Iterable[str]) -> None:
         """Print the warnings that were not printed yet above the bar."""

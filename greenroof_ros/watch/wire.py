@@ -1,4 +1,4 @@
-"""Messages of a graph, read from their bytes; one that is not whole is None."""
+"""Messages of a graph, read from their bytes; one that is not whole, or far too large, is None."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 _NS = 1_000_000_000
+# The largest message that is read (bytes): an ensemble of forecasts has some hundred thousand.
+_MAX_BYTES = 8_000_000
+# Of one array of /diagnostics: statuses, values of each, and characters of each text. An array of
+# this package has under ten statuses; its longest value is a list of a hundred numbers.
+_STATUSES, _VALUES, _TEXT = 1000, 100, 20_000
 
 
 @dataclass(frozen=True)
@@ -31,11 +36,13 @@ class WireStatus:
 
 
 def _read_message(type_name: str, message: bytes) -> Any:
-    """Return a message as an object of its ROS class; None if it is not whole."""
+    """Return a message as an object of its ROS class; None if it is not whole, or too large."""
     from rclpy.serialization import deserialize_message  # only who joins a graph has ROS
 
     from greenroof_ros.graph.messages import message_class
 
+    if len(message) > _MAX_BYTES:
+        return None
     with suppress(Exception):  # of the middleware, or a text that is not UTF-8
         return deserialize_message(message, message_class(type_name))
     return None
@@ -70,17 +77,21 @@ def read_rows(message: bytes) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
-    """Return the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``."""
+    """Return the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``.
+
+    Texts and lists that are longer than the limits above are cut: no honest sender has such.
+    """
     read = _read_message("diagnostic_msgs/msg/DiagnosticArray", message)
     if read is None:
         return None
     return _read_stamp(read.header.stamp), [
         # An unknown level is treated as ERROR, the worst that someone can do something about.
         WireStatus(
-            status.name, level if (level := status.level[0]) <= 3 else 2, status.message,
-            {pair.key: pair.value for pair in status.values},
+            status.name[:_TEXT], level if (level := status.level[0]) <= 3 else 2,
+            status.message[:_TEXT],
+            {pair.key[:_TEXT]: pair.value[:_TEXT] for pair in status.values[:_VALUES]},
         )
-        for status in read.status
+        for status in read.status[:_STATUSES]
     ]
 
 

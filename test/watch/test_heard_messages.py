@@ -107,3 +107,21 @@ def test_a_layout_of_another_size_is_none() -> None:
     """The nodes refuse it, too."""
     message = written("std_msgs/Float64MultiArray", *rows_message(np.arange(6.0), (2, 4)))
     assert wire.read_rows(message) is None
+
+
+def test_hostile_messages_are_cut_or_left_out() -> None:
+    """Ten thousand statuses, a text of a megabyte, a thousand values; a million numbers."""
+    pairs = [made("diagnostic_msgs/KeyValue", str(n), "v" * 30_000 * (n < 2)) for n in range(1000)]
+    many = written(
+        "diagnostic_msgs/DiagnosticArray",
+        made("std_msgs/Header", made("builtin_interfaces/Time", 0, 0), ""),
+        [made("diagnostic_msgs/DiagnosticStatus", 9, "/x", "m" * 1_000_000, "", pairs)]
+        + [made("diagnostic_msgs/DiagnosticStatus", 2, "/y", "", "", [])] * 9_999,
+    )
+    read = wire.read_statuses(many)
+    assert read is not None
+    first = read[1][0]
+    assert (len(read[1]), first.level, len(first.message)) == (1000, 2, 20_000)
+    assert (len(first.values), len(first.values["1"])) == (100, 20_000)
+    numbers = written("std_msgs/Float64MultiArray", *rows_message(np.zeros(1_000_000), ()))
+    assert wire.read_rows(numbers) is None
