@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
-from greenroof_ros.common.command_line import Parser, command, make_number_type
+from greenroof_ros.common.command_line import Parser, command
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.experiment.run_directory import writable
@@ -31,7 +31,6 @@ examples:
   greenroof report studies/paper                   a study
   greenroof report runs/a runs/b --output both     runs or simulations, overlaid
   greenroof report bag --site my_site.yaml         a bag of a real site
-  greenroof report runs/a --force --water-price 5  once more, with another price
 """
 
 
@@ -58,19 +57,6 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
         help="site of the bags (default: configuration/site.yaml next to each, else the paper's)",
-    )
-    group = parser.add_argument_group("assumptions")
-    group.add_argument(
-        "--energy-price", type=make_number_type(0, 1e9), default=0.115, metavar="PRICE",
-        help="price of a kWh of electric energy (default: %(default)s, Ontario 2021)",
-    )
-    group.add_argument(
-        "--water-price", type=make_number_type(0, 1e9), default=4.1346, metavar="PRICE",
-        help="price of a m3 of mains water (default: %(default)s, Toronto 2021)",
-    )
-    group.add_argument(
-        "--currency", default="CAD", metavar="NAME",
-        help="currency of the prices (default: %(default)s)",
     )
     return parser
 
@@ -106,7 +92,7 @@ def main() -> None:
     arguments = make_parser().parse_args()
     with require_extra("study"):
         from greenroof_ros.analysis.report import figures, page
-        from greenroof_ros.analysis.report.groups import Assumptions, Report
+        from greenroof_ros.analysis.report.groups import Report
         from greenroof_ros.analysis.report.sources import find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
     former = _former_report(output, figures.is_figure, force=arguments.force)
@@ -117,9 +103,7 @@ def main() -> None:
         sources = find_runs(
             arguments.paths, arguments.site, partial(progress.track, description="reading runs")
         )
-        report = Report(sources, Assumptions(
-            arguments.energy_price, arguments.water_price, arguments.currency
-        ))
+        report = Report(sources)
         made = list(figures.make_figures(report))
         with writable(output):
             (output / "figures").mkdir(parents=True, exist_ok=True)

@@ -24,7 +24,7 @@ from greenroof_ros.common.command_line import (
     make_number_type,
     refuse_unwritable,
 )
-from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.common.times import to_people
@@ -56,7 +56,7 @@ For an ensemble the first five use member 0, the last two all members.
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
   greenroof verify gem_runs/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
-  greenroof verify errors --weather 'hourly_*.csv' -o errors.html -o errors.csv
+  greenroof verify errors --weather 'hourly_*.csv' -o errors.csv
 
 exit codes: 0 done, 2 bad usage, configuration or file
 """
@@ -97,8 +97,7 @@ def make_parser() -> Parser:
         help="how many hours ahead are scored (default: %(default)s)",
     )
     parser.add_argument(
-        "-o", "--output", type=Path, action="append", default=[], metavar="FILE",
-        help="write a page with figures, FILE.html, or the table, FILE.csv; may be given twice",
+        "-o", "--output", type=Path, metavar="FILE.csv", help="write all scores as CSV",
     )
     add_forecast_options(parser.add_argument_group("options of forecasts"))
     return parser
@@ -109,11 +108,8 @@ def main() -> None:
     """Verify the forecasts named on the command line."""
     arguments = make_parser().parse_args()
     sums = _read_sums(arguments)
-    for file in arguments.output:
-        refuse_unwritable(file, (".html", ".csv"), "--output")
-    with require_extra("study"):  # fail before the work if a page needs it
-        if any(file.suffix == ".html" for file in arguments.output):
-            from greenroof_ros.analysis.verification.page import render
+    if arguments.output is not None:
+        refuse_unwritable(arguments.output, (".csv",), "--output")
     choice = read_forecast(arguments, arguments.forecasts, "FORECASTS")
     site = read_site(arguments.site)
     weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
@@ -137,16 +133,11 @@ def main() -> None:
             f"records {span}",
             file=choice.file, key="FORECASTS", value=arguments.forecasts,
         )
-    records = f"{weather.source}, {span}"
     # Only archives put together from previous runs have leads in whole days.
     warnings = check_forecasts(tallies, previous_runs=forecasts.finest_lead > 1)
-    for file in arguments.output:
-        text = (
-            _write_csv(tallies) if file.suffix == ".csv"
-            else render(forecasts, records, tallies, warnings)
-        )
-        with add_path_to_errors(file):
-            file.write_text(text, encoding="utf-8")
+    if arguments.output is not None:
+        with add_path_to_errors(arguments.output):
+            arguments.output.write_text(_write_csv(tallies), encoding="utf-8")
     console = Console()
     console.print(_make_table(
         f"{forecasts.name}: {forecasts.count} issues, against {weather.source}", tallies
@@ -159,8 +150,7 @@ def main() -> None:
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     if arguments.output:
-        written = ", ".join(map(str, arguments.output))
-        console.print(f"written: {written}", soft_wrap=True, highlight=False)
+        console.print(f"written: {arguments.output}", soft_wrap=True, highlight=False)
 
 
 def _read_sums(arguments: argparse.Namespace) -> list[Sum]:

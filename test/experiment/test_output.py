@@ -20,7 +20,6 @@ def run_in_shell(command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         command, shell=True, cwd=cwd, capture_output=True, text=True, timeout=300, check=False,
         env={"SIMULATE": f"{sys.executable} -m greenroof_ros simulate --hours 0.01 --output run",
-             "VERIFY": f"{sys.executable} -m greenroof_ros verify",
              "PYTHONPATH": ":".join(filter(None, sys.path)), "LC_ALL": "C.UTF-8"},
     )
 
@@ -36,7 +35,6 @@ def test_a_summary_that_cannot_be_printed(tmp_path: Path) -> None:
     ("command", "file"),
     [
         ("$SIMULATE --hours 1 --controller onoff --trajectory ticks.csv", "ticks.csv"),
-        ("$VERIFY persistence --weather {weather} -o scores.html", "scores.html"),
     ],
 )
 def test_file_that_has_no_room(tmp_path: Path, command: str, file: str) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from statistics import fmean
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,17 +24,6 @@ FLOWS = {
     "roof": {"rain_roof_m3": 1, "pumped_m3": 1, "evapotranspiration_m3": -1, "drainage_m3": -1},
 }
 """the flows of each tank's water balance, each with its sign"""
-
-
-class Assumptions(NamedTuple):
-    """Assumptions that runs do not state."""
-
-    energy_price: float
-    """of a kWh of electric energy"""
-    water_price: float
-    """of a m3 from the mains"""
-    currency: str
-    """of both prices"""
 
 
 @dataclass
@@ -73,14 +62,13 @@ class Report:
         runs: all runs with results.
         failed: runs without results.
         configuration: name and text of each further file that affects the results.
-        assumptions: that the results are based on.
     """
 
-    def __init__(self, sources: Sources, assumptions: Assumptions) -> None:
+    def __init__(self, sources: Sources) -> None:
         self.runs, self.failed = sources.runs, sources.failed
-        self.configuration, self.assumptions = sources.configuration, assumptions
+        self.configuration = sources.configuration
         self.cases = [
-            _case(runs, assumptions)
+            _case(runs)
             for window in _grouped(self.runs, lambda run: run.row["window"])
             for place in _grouped(window, lambda run: run.row["initial"])
             for runs in _grouped(place, lambda run: run.row["case"])
@@ -104,13 +92,13 @@ def _grouped(items: Sequence[Item], key: Callable[[Item], object]) -> list[list[
     return list(groups.values())
 
 
-def _case(runs: list[ReportedRun], assumptions: Assumptions) -> CaseRuns:
+def _case(runs: list[ReportedRun]) -> CaseRuns:
     """Return the case of some runs."""
     years: dict[int, list[Row]] = {}
     season = runs[0].row["season"]
     for run in runs:
         year = datetime.fromisoformat(run.row["start"]).year if season else 0
-        years.setdefault(year, []).append(run.row | _derived(run, assumptions))
+        years.setdefault(year, []).append(run.row | _derived(run))
     row = {**runs[0].row, **_means(list(years.values()))}
     totals = {year: np.array([row[TOTAL] for row in rows]) for year, rows in years.items()}
     whole = int(row["hours"] // 168)
@@ -139,12 +127,11 @@ def _means(years: Sequence[Sequence[Row]]) -> Row:
 _AVERAGED = (
     *(metric.name for metric in METRICS), "bound_m3", "frost_hours", "frost_pumped_m3",
     "cistern_change_m3", "cistern_residual_m3", "roof_change_m3", "roof_residual_m3",
-    "energy_cost", "water_value",
 )
 
 
-def _derived(run: ReportedRun, assumptions: Assumptions) -> Row:
-    """Return what is derived from the results: changes of storage, mass balance errors and money.
+def _derived(run: ReportedRun) -> Row:
+    """Return what is derived from the results: changes of storage, and mass balance errors.
 
     The mass balance error, the change of storage that the flows do not explain, is rounding in a
     simulation. On a site it is all that was not measured.
@@ -160,9 +147,6 @@ def _derived(run: ReportedRun, assumptions: Assumptions) -> Row:
         derived[f"{tank}_residual_m3"] = (
             None if change is None or explained is None else change - explained
         )
-    pumped, energy = row.get("pumped_m3"), row.get("electric_energy_kwh")
-    derived["energy_cost"] = None if energy is None else energy * assumptions.energy_price
-    derived["water_value"] = None if pumped is None else pumped * assumptions.water_price
     return derived
 
 

@@ -49,9 +49,9 @@ _TABLES = {
         "stress_hours", "evapotranspiration_ratio", "rain_kept_share", "rain_kept_share_hour",
         "rain_kept_share_day", "frost_hours", "frost_pumped_m3",
     ),
-    "Pump and money": (
+    "Pumps and mains": (
         "beyond_hours", "limited_steps", "busiest_hour_starts", "excess_starts", "pump_hours",
-        "hydraulic_energy_kwh", "energy_cost", "mains_m3", "saved_m3", "water_value",
+        "hydraulic_energy_kwh", "mains_m3", "saved_m3",
     ),
     "Water balance of the cistern": (
         "rain_cistern_m3", "mains_m3", "pumped_m3", "outflow_m3", "cistern_change_m3",
@@ -66,16 +66,10 @@ _TABLES = {
 
 def make_tables(report: Report) -> dict[str, Table]:
     """Return the tables for which a report has data, by title."""
-    money = report.assumptions.currency
-    results = {
-        **_RESULTS,
-        "energy_cost": _Result(f"cost of electric energy ({money})"),
-        "water_value": _Result(f"value as mains water ({money})"),
-    }
     tables: dict[str, Table] = {}
     for title, names in _TABLES.items():
         shown = {
-            name: results[name] for name in names
+            name: _RESULTS[name] for name in names
             if any(case.row.get(name) is not None for case in report.cases)
         }
         if shown:

@@ -24,7 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from greenroof_ros.analysis.report.drawing import Figure
 from greenroof_ros.analysis.report.figures import make_figures
-from greenroof_ros.analysis.report.groups import Assumptions, Report
+from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.page import render
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.experiment import summary
@@ -136,12 +136,9 @@ def seeded_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-PRICES = Assumptions(energy_price=0.1, water_price=4.0, currency="EUR")
-
-
 def report_of(*paths: Path) -> Report:
     """Read and judge the runs under these paths."""
-    return Report(find_runs(list(paths)), PRICES)
+    return Report(find_runs(list(paths)))
 
 
 def study_of(directory: Path, *rows: dict[str, Any]) -> Report:

@@ -9,7 +9,7 @@ from paper import site_file
 from studies import WEATHER, archive, grid, record, rows_of, run_here
 
 from greenroof_ros.analysis.report.figures import make_figures
-from greenroof_ros.analysis.report.groups import Assumptions, Report
+from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.report.tables import make_tables
 from greenroof_ros.analysis.study.grid import read_grid
@@ -80,7 +80,7 @@ def test_no_name_occurs_twice(tmp_path: Path) -> None:
     assert sum(map(len, cases.values())) == RUNS
     assert {frozenset(seeds) for seeds in cases.values()} == {frozenset([""]), frozenset("12")}
 
-    report = Report(find_runs([tmp_path / "out"]), Assumptions(0.1, 4.0, "CAD"))
+    report = Report(find_runs([tmp_path / "out"]))
     for table in make_tables(report).values():
         distinct((row["window"], row["case"], row["from"]) for row in table)
     figures = list(make_figures(report))
