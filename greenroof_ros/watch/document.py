@@ -21,10 +21,10 @@ from greenroof_ros.watch.history import choose_stretch
 from greenroof_ros.watch.outlook import AHEAD_S
 from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.stopping import describe_stop, make_bare_stop
-from greenroof_ros.watch.store import INTERVALS, LINES, GraphStore
+from greenroof_ros.watch.store import EXPECTED, INTERVALS, LINES, GraphStore
 from greenroof_ros.watch.tiles import Tile, find_band
 
-_LEVELS = "roof", "cistern"  # change slowly, all other lines in steps
+_LEVELS = "roof", "cistern", EXPECTED  # change slowly, all other lines in steps
 # A value of a line holds at most for this time (s), as in a report.
 _HOLDS_S = 600.0
 

@@ -36,6 +36,8 @@ LINES = {
     "evapotranspiration": "/weather/evapotranspiration",
 }
 """Lines of the charts, each with its topic."""
+EXPECTED = "roof_expected"
+"""Another line: the roof level as expected an hour before."""
 _NAMES = {topic: name for name, topic in LINES.items()}
 
 _NUMBER = "std_msgs/msg/Float64"
@@ -48,6 +50,9 @@ INTERVALS, _STALE_S, _MAX_S = 3, 5.0, 600.0
 _LATEST_NS = 2**62
 # How far the system's clock may be set back (s): that much is caught up within a minute.
 _SET_BACK_S = 60.0
+# How long ahead a level was expected if it is compared with the measured level, and how often such
+# an expectation is kept (s).
+_LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
 # The maximum number of steps of a forecast or a plan, as the longest look-ahead has.
 _MAX_STEPS = 1000
 _MAX_EVENTS = 50
@@ -147,7 +152,8 @@ class GraphStore:
 
     def _forget_values(self) -> None:
         self.newest: dict[str, TopicValue] = {}
-        self.past = {name: History() for name in LINES}
+        self.past = {name: History() for name in (*LINES, EXPECTED)}
+        self._expected_at = -math.inf  # when an expected level was last kept (s since 1970)
         self.forecast: Forecast | None = None
         self.plan: Plan | None = None
         self._controller: tuple[str, str] | None = None  # name and process
@@ -327,6 +333,12 @@ class GraphStore:
         with self.lock:
             if np.size(rows) and (self.plan is None or at > self.plan.at):
                 self.plan = _read_plan(at, rows)
+            plan, later = self.plan, at + _LEAD_S
+            due = at >= self._expected_at + _EXPECTED_EVERY_S
+            if due and plan is not None and later <= plan.ends[-1]:
+                level = float(np.interp(later, plan.ends, plan.level))
+                self.past[EXPECTED].add(round(later * 1e9), level)
+                self._expected_at = at
 
     def add_statuses(
         self, wall: float, statuses: Sequence[WireStatus], stamp_ns: int = 0,

@@ -711,15 +711,29 @@ def test_what_the_charts_get() -> None:
     }
 
 
-def test_a_plan_is_drawn_from_now_on() -> None:
-    """The newest one."""
+def test_the_plan_and_what_was_expected_an_hour_before() -> None:
+    """The newest plan; for each time, what the plan of an hour before expected, from an hour on.
+
+    The plan of 0 s rises from 40 mm at 3600 s to 50 mm at 7200 s, and holds for 720 s: to 42 mm at
+    4320 s. The next one expects 30 mm. An empty plan is the same plan.
+    """
     graph = watched()
     at = START / 1e9
     graph.add_plan(START, plan_of((3600.0, 0, 0.040), (7200.0, 0, 0.050)))
-    graph.add_plan(START + 720 * SECOND, plan_of((3600.0, 0, 0.030), (7200.0, 0, 0.030)))
-    assert read_series(graph, 3)["plan"] == [
+    for second in range(60, 9000, 60):
+        new = plan_of((3600.0, 0, 0.030), (7200.0, 0, 0.030)) if second == 720 else np.empty((0, 4))
+        graph.add_plan(START + second * SECOND, new)
+    series = read_series(graph, 3)
+    assert series["plan"] == [
         [at + 720, at + 4320, 0.0, 0.03], [at + 4320, at + 7920, 0.0, 0.03],
     ]
+    assert series["lines"]["roof_expected"] == []  # it is still to come
+    # A point every 5 min up to the end of the plan, although its steps are hours: without gaps.
+    add_at(graph, "/roof/level", (9000, 0.042))
+    rows = read_series(graph, 3)["lines"]["roof_expected"]
+    assert [row[0] - at for row in rows] == [3600 + 300 * k for k in range(len(rows))]
+    levels = [0.040, 0.040 + 300 / 3600 * 0.01, 0.040 + 600 / 3600 * 0.01, *[0.03] * 12]
+    assert [row[3] for row in rows] == pytest.approx(levels)
 
 
 @pytest.mark.parametrize(("seconds", "gap"), [

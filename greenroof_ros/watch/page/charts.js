@@ -17,6 +17,7 @@ const CHARTS = [
     key: "roof", shown: "roof", title: "Roof level", height: 200, marks: ["target"], band: true,
     lines: [
       { name: "roof", label: "measured", colour: "--roof", range: true },
+      { name: "roof_expected", label: "was expected an hour before", colour: "--roof", dash: [2, 3] },
       { name: "roof_planned", label: "expected by the controller", colour: "--roof", dash: [6, 4] },
     ],
   },
