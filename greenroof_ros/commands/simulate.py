@@ -33,7 +33,7 @@ def make_parser() -> Parser:
         description="Run cistern, roof, pumps and controller over real weather in one process, "
         "without ROS. The numbers equal the node graph's (greenroof run), bit for bit.",
         epilog="examples:\n"
-        "  greenroof simulate --controller lookahead --horizon 12 --trajectory run.csv\n"
+        "  greenroof simulate --controller lookahead --horizon 12 --trajectory\n"
         "  greenroof simulate --start 2021-07-08T05:00 --hours 6 --trajectory\n"
         "  greenroof simulate --controller lookahead --horizon 24 \\\n"
         "      --forecast errors --forecast-skill real --forecast-seed 3\n"
@@ -43,9 +43,9 @@ def make_parser() -> Parser:
     add_run_arguments(parser)
     group = add_output_arguments(parser)
     group.add_argument(
-        "--trajectory", type=Path, nargs="?", const=True, metavar="FILE.csv",
-        help="write every tick 0..N to a new CSV file; the digits are exact. Without FILE it is "
-        "trajectory.csv in the run's directory, which greenroof report draws",
+        "--trajectory", action="store_true",
+        help="write every tick 0..N to trajectory.csv in the run's directory, which greenroof "
+        "report draws; the digits are exact",
     )
     group.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
@@ -69,8 +69,7 @@ def main() -> None:
     with RunProgress(run.steps, run.site.tau) as progress:
         ticks = _paced(run, simulation.ticks(), arguments.speed, progress)
         if arguments.trajectory:
-            own = arguments.trajectory is True
-            ticks = _written(run, ticks, every, directory / CSV if own else arguments.trajectory)
+            ticks = _written(run, ticks, every, directory / CSV)
         for _ in ticks:
             pass
     result = simulation.summary()
@@ -98,13 +97,7 @@ def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterato
     measured = run.site.drainage_storage is not None
     columns = [column for column in COLUMNS if column is not LAYER or measured]
     values = attrgetter(*(column.tick for column in columns))
-    try:
-        stream = file.open("x", newline="")
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot be written: {error.strerror}", key="--trajectory", value=str(file)
-        ) from error
-    with add_path_to_errors(file), stream:
+    with add_path_to_errors(file), file.open("x", newline="") as stream:
         rows = csv.writer(stream)
         rows.writerow(("time", "time_s", *(column.name for column in columns)))
         for tick in ticks:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import Site
 
 
-class External:
+class External(Controller):
     """Stands for a node that the user runs; of its controller only the look-ahead is known.
 
     The node gets the forecasts that its graph has: over ``horizon``, of one member.
@@ -34,16 +34,3 @@ class External:
             "is a node that you run yourself, so only greenroof run can use it", key="controller",
             value="external",
         )
-
-    def command(
-        self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
-        evapotranspiration: Sequence[float],
-    ) -> float:
-        """Return the command: never called."""
-        raise NotImplementedError
-
-    def skip(self) -> None:
-        """Skip a tick: never called."""
-
-    def statistics(self) -> None:
-        """Return nothing: it is unknown."""

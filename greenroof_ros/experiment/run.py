@@ -14,7 +14,6 @@ from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import Forecast
-from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.model.initial_state import note_full_roof
 from greenroof_ros.model.place import format_place, measure_distance
@@ -82,31 +81,15 @@ class Run:
         ]
 
     def _note_short(self) -> Iterator[str]:
-        """Yield a sentence if the run is shorter than the look-ahead: it may wait for later rain.
-
-        The rain is what the records have from the run's end to the end of the last look-ahead.
-        """
+        """Yield a sentence if the run is shorter than the look-ahead."""
         length = self.steps * self.site.tau
-        if length >= self.look_ahead_s:
-            return
-        end = self.start + timedelta(seconds=length)
-        until = end + timedelta(seconds=self.look_ahead_s)
-        begins = [self.weather.first + hour * HOUR for hour in range(self.weather.hours)]
-        # Depth of each hour's rain within the time after the run.
-        depths = {
-            max(begin, end): depth * (min(begin + HOUR, until) - max(begin, end)) / HOUR
-            for begin, depth in zip(begins, self.weather.precipitation.tolist(), strict=True)
-            if depth > 0 and begin + HOUR > end and begin < until
-        }
-        rain = f"{sum(depths.values()):.1f} mm of rain from {to_minutes(min(depths))} on" if (
-            depths
-        ) else "no rain"
-        known = f", which end at {to_minutes(self.weather.end)}" if self.weather.end < until else ""
-        yield (
-            f"the run of {duration(length)} is shorter than the look-ahead of "
-            f"{duration(self.look_ahead_s)}, so the controller also plans for what comes after "
-            f"its end, {to_minutes(end)}: {rain} in the records{known}"
-        )
+        if length < self.look_ahead_s:
+            end = self.start + timedelta(seconds=length)
+            yield (
+                f"the run of {duration(length)} is shorter than the look-ahead of "
+                f"{duration(self.look_ahead_s)}, so the controller also plans for what comes after "
+                f"its end, {to_minutes(end)}"
+            )
 
     def make_controller(self) -> Controller:
         """Make the run's controller."""

@@ -30,7 +30,7 @@ OPTIONS = {
     "--start 2021-07-06T23:00-05:00": "2021-07-07T00:00-05:00",
     "--site nowhere.yaml": "nowhere.yaml: cannot be read: No such file",
     "--output full": "never overwritten",
-    "--output /proc/greenroof --trajectory run.csv": "/proc/greenroof",
+    "--output /proc/greenroof --trajectory": "/proc/greenroof",
     "--trajectory-every 60": "--trajectory-every: needs --trajectory",
     "--forecast perfekt": "did you mean perfect?",
     "--forecast file": "a file (.csv, ",

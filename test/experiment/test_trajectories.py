@@ -20,11 +20,11 @@ from greenroof_ros.recording.trajectory import read_trajectory
 def test_csv(tmp_path: Path) -> None:
     """Its rows are at full minutes, and at the end."""
     done = run_command(
-        "simulate", "--controller", "onoff", "--hours", "0.055", "--trajectory", "run.csv",
-        "--trajectory-every", "60", cwd=tmp_path, env=environment(0),
+        "simulate", "--controller", "onoff", "--hours", "0.055", "--trajectory",
+        "--trajectory-every", "60", "--output", "out", cwd=tmp_path, env=environment(0),
     )
     assert done.returncode == 0, done.stderr
-    rows = list(csv.DictReader((tmp_path / "run.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "out" / "trajectory.csv").open()))
     assert [float(row["time_s"]) for row in rows] == [0, 60, 120, 180, 198]
     run = paper_run("--controller", "onoff", "--hours", "0.055")
     roof = record(run, Simulation(run).ticks()).roof

@@ -36,12 +36,12 @@ COLUMNS = {
 
 
 def assert_same(directory: Path) -> list[dict[str, str]]:
-    """The bag in run/ has each bit of run.csv, and its summary has each figure of inprocess/'s.
+    """The bag in run/ has each bit of inprocess/, and its summary has each figure of inprocess/'s.
 
     Returns:
-        The rows of run.csv.
+        The rows of the trajectory.
     """
-    with (directory / "run.csv").open(newline="") as stream:
+    with (directory / "inprocess" / "trajectory.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     bag = messages_of(directory / "run")
     for topic, column in COLUMNS.items():
@@ -62,9 +62,9 @@ def assert_same(directory: Path) -> list[dict[str, str]]:
 
 
 def simulate(domain: int, directory: Path, *options: str) -> None:
-    """Do the run in one process; it writes ``run.csv``."""
+    """Do the run in one process; it writes ``inprocess/``."""
     done = run_command(
-        "simulate", *options, "--trajectory", "run.csv", "--output", "inprocess", cwd=directory,
+        "simulate", *options, "--trajectory", "--output", "inprocess", cwd=directory,
         env=environment(domain),
     )
     assert done.returncode == 0, done.stderr

@@ -73,12 +73,12 @@ def test_the_numbers_are_the_commands(
 ) -> None:
     """Summary and trajectory, digit for digit."""
     given = ("--controller", controller, "--hours", "0.3", *options)
-    expected = of_command(tmp_path, "--trajectory", "run.csv", *given)
+    expected = of_command(tmp_path, "--trajectory", *given)
     result = gr.simulate(controller, hours=0.3, **inputs)  # type: ignore[arg-type]
     ours = json.loads(json.dumps(result.summary))
     assert {key for key in expected if ours[key] != expected[key]} <= OTHER
     assert result.metrics.items() <= expected.items()
-    with (tmp_path / "run.csv").open() as stream:
+    with (tmp_path / "out" / "trajectory.csv").open() as stream:
         rows = list(csv.reader(stream))
     frame = result.trajectory
     assert sorted(frame.columns) == sorted(rows[0])
