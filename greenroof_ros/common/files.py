@@ -8,7 +8,7 @@ import functools
 import hashlib
 import os
 import re
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -159,7 +159,11 @@ _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 class YamlMapping(dict[str, Any]):
     """A mapping from a YAML file, which remembers the line of each key."""
 
-    lines: dict[str, int]
+    def __init__(
+        self, values: Mapping[str, Any] | None = None, lines: Mapping[str, int] | None = None
+    ) -> None:
+        super().__init__(values or {})
+        self.lines = {**(lines or {})}
 
 
 def _parse_plain(text: str) -> Any:
@@ -279,7 +283,6 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMap
         if isinstance(node, yaml.SequenceNode):
             return [value_of(item) for item in node.value]
         mapping = YamlMapping()
-        mapping.lines = {}
         for key_node, value_node in node.value:
             key = str(key_node.value)
             if key in mapping:

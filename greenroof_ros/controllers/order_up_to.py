@@ -34,8 +34,6 @@ class Policy:
 
     Attributes:
         edges: ends of the steps (s from when it was made), the first 0, shape (n + 1,).
-        nodes: volumes on the roof (m3), shape (N,).
-        water: s of :class:`OrderUpTo` (m3), shape (S,).
         fill_to: for each step the volume that the roof is filled to and held at (m3), -1 if it is
             left alone; shape (groups of the step, S, nodes up to the target).
         group_of: for each step the index of each member's group, shape (members,).
@@ -43,8 +41,6 @@ class Policy:
     """
 
     edges: Array
-    nodes: Array
-    water: Array
     fill_to: list[Array]
     group_of: list[Indices]
     cost: float
@@ -164,17 +160,17 @@ class OrderUpTo:
         none at the node below.
 
         Args:
-            policy: from :meth:`solve`.
+            policy: from the last :meth:`solve`.
             step: index of a step of the policy.
             group: index of a group of the step, for each roof or for all.
             usable: water in the cistern (m3), likewise.
             x2: on each roof (m3).
         """
         table = policy.fill_to[step]
-        node = policy.nodes[1 : table.shape[2]].searchsorted(x2, side="right")
-        if len(policy.water) == 1:
+        node = self._nodes[1 : table.shape[2]].searchsorted(x2, side="right")
+        if len(self._water) == 1:
             return table[group, 0, node]
-        row, part = _between(policy.water, usable + self._content(x2))
+        row, part = _between(self._water, usable + self._content(x2))
         low, high = table[group, row, node], table[group, row + 1, node]
         return np.where(np.minimum(low, high) < 0, high, low + part * (high - low))
 
@@ -235,8 +231,7 @@ class OrderUpTo:
         stored = np.full((1, 1, 1), self.usable(x1) + self._content(x2))
         now = self._at(value, np.full((1, 1, 1), x2), stored)
         return Policy(
-            edges, self._nodes, self._water, fill_to[::-1], group_of[::-1],
-            float(now.mean()) / float(edges[-1]),
+            edges, fill_to[::-1], group_of[::-1], float(now.mean()) / float(edges[-1])
         )
 
     def simulate(

@@ -296,16 +296,12 @@ class Site:
         return 2 * self.z_soil
 
     def of_weather(self) -> Site:
-        """Return a site with only what weather depends on; its other parameters are 0 or defaults.
+        """Return a site with only what weather depends on; its other parameters are 0.
 
         Weather is read for this site, so it is the same for all sites with the same one.
         """
-        values: dict[str, Any] = {
-            key.name: getattr(self, key.name) if key.name in _OF_WEATHER
-            else key.entry.default if key.optional else 0
-            for key in keys(Site)
-        }
-        return Site(**values)
+        others: dict[str, Any] = dict.fromkeys(asdict(self).keys() - _OF_WEATHER, 0)
+        return replace(self, **others)
 
     def climatic_evapotranspiration(self, month: int) -> float | None:
         """Mean evapotranspiration off the bed in a month, 1 to 12 (m3/s); None if unknown."""

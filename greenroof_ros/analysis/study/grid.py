@@ -56,20 +56,12 @@ _OF_WINDOW = ("start", "hours", "evapotranspiration", "gaps")
 _STUDY_FILES = ("grid.yaml", "study.json")
 
 
-class _Inputs(dict[str, Any]):
-    """Inputs of a run by their names, as far as a block gives them; with lines of the grid."""
-
-    def __init__(self, values: Mapping[str, Any], lines: Mapping[str, int]) -> None:
-        super().__init__(values)
-        self.lines = lines
-
-
 class _Setting(NamedTuple):
     """A controller with its parameters, and the forecasts that it gets."""
 
     controller: ControllerChoice
-    parameters: _Inputs
-    forecasts: list[_Inputs]
+    parameters: YamlMapping
+    forecasts: list[YamlMapping]
     """its own instead of the grid's, for instance if it uses none; empty for the grid's"""
 
 
@@ -113,8 +105,11 @@ class _Grid:
         self._places = [
             path.parent, *([] if weather is None else [weather]), shared_directory() / "config",
         ]
-        self._mapping = read_yaml(path)
-        self._check_keys(self._mapping, _NEEDED, ("forecast", "sensor_and_pump", "bound_block"))
+        content, usual = read_yaml(path), {"forecast": PERFECT, "sensor_and_pump": YamlMapping()}
+        self._check_keys(content, _NEEDED, (*usual, "bound_block"))
+        self._mapping = YamlMapping(
+            {**usual, **content}, {**dict.fromkeys(usual, 1), **content.lines}
+        )
         self._files: dict[tuple[Path, bytes], InputFile] = {}
         self._weathers: dict[tuple[InputFile, ...], str] = {}
         # Each file is read once for all runs that use it alike.
@@ -123,7 +118,8 @@ class _Grid:
         self._carry = functools.cache(self._carry_forecast)
 
     def cases(self) -> Iterator[Case]:
-        further = list(self._expand_sensor_and_pump()), list(self._expand_controllers())
+        sensors_and_pumps = list(self._expand(self._mapping, "sensor_and_pump", (), PARAMETERS))
+        further = sensors_and_pumps, list(self._expand_controllers())
         for site, file in self._expand_sites():
             states = list(self._expand_states(site))
             for window, usual in self._expand_windows():
@@ -187,7 +183,7 @@ class _Grid:
                     path = file.with_name(f"{file.stem}_{label.replace('/', '-')}.yaml")
                 yield site, self._input(path, format_site(site).encode())
 
-    def _expand_windows(self) -> Iterator[tuple[_Inputs, list[_Inputs]]]:
+    def _expand_windows(self) -> Iterator[tuple[YamlMapping, list[YamlMapping]]]:
         """Yield the inputs that each window gives, and its forecasts."""
         for window in self._expand(
             self._mapping, "weather", ("file", "start"), (*_OF_WINDOW, "year", "forecast"),
@@ -202,13 +198,10 @@ class _Grid:
             ]
             lines = {**window.lines, "weather": window.lines["file"]}
             forecasts = window if "forecast" in window else self._mapping
-            yield _Inputs(given, lines), list(self._expand_forecasts(forecasts))
+            yield YamlMapping(given, lines), list(self._expand_forecasts(forecasts))
 
-    def _expand_forecasts(self, mapping: YamlMapping) -> Iterator[_Inputs]:
+    def _expand_forecasts(self, mapping: YamlMapping) -> Iterator[YamlMapping]:
         """Yield each forecast under ``forecast:`` with each combination of its options."""
-        if "forecast" not in mapping:
-            yield _Inputs({"forecast": PERFECT}, {})
-            return
         for block in self._expand(mapping, "forecast", ("model",), OPTIONS):
             model, skill = str(block["model"]), block.get("skill")
             if model not in MODELS and (Path(model).suffix or self._is_directory(model)):
@@ -220,17 +213,9 @@ class _Grid:
                     read_skill(given["forecast_skill"])
             lines = {f"forecast_{name}": line for name, line in block.lines.items()}
             lines["forecast"] = block.lines["model"]
-            yield _Inputs({"forecast": model, **given}, lines)
+            yield YamlMapping({"forecast": model, **given}, lines)
 
-    def _expand_sensor_and_pump(self) -> Iterator[_Inputs]:
-        key = "sensor_and_pump"
-        if key not in self._mapping:
-            yield _Inputs({}, {})
-            return
-        for block in self._expand(self._mapping, key, (), PARAMETERS):
-            yield _Inputs(block, block.lines)
-
-    def _expand_states(self, site: Site) -> Iterator[_Inputs]:
+    def _expand_states(self, site: Site) -> Iterator[YamlMapping]:
         """Yield the inputs of each initial state, by its name, volumes (m3) or levels (m)."""
         areas, names = {"cistern": site.a1, "roof": site.a2}, set()
         levels = {f"{key}_level": key for key in areas}
@@ -245,7 +230,7 @@ class _Grid:
                 raise self._refuse(state, "name", "is given twice")
             names.add(state["name"])
             lines = {**dict.fromkeys(("initial", *areas), state.lines["name"]), **state.lines}
-            yield _Inputs(given, lines | {
+            yield YamlMapping(given, lines | {
                 key: state.lines[level] for level, key in levels.items() if level in state
             })
 
@@ -266,14 +251,14 @@ class _Grid:
                 )
             references[controller.name] = reference
             if section[reference] is None:
-                yield _Setting(controller, _Inputs({}, {}), [])
+                yield _Setting(controller, YamlMapping(), [])
                 continue
             for block in self._expand(
                 section, reference, (), (*controller.parameters, "forecast"), whole=("forecast",)
             ):
                 forecasts = list(self._expand_forecasts(block)) if "forecast" in block else []
                 parameters = {key: value for key, value in block.items() if key != "forecast"}
-                yield _Setting(controller, _Inputs(parameters, block.lines), forecasts)
+                yield _Setting(controller, YamlMapping(parameters, block.lines), forecasts)
 
     def _bound_block(self, site: Site) -> float:
         """Return ``bound_block:`` (s), whole ticks of a site or 0; a minute without such a key."""
@@ -369,8 +354,8 @@ class _Grid:
         """
         for block in self._list(mapping, key):
             if isinstance(block, str) and needed:
-                block = YamlMapping({next(iter(needed)): block})
-                block.lines = dict.fromkeys(block, mapping.lines[key])
+                name = next(iter(needed))
+                block = YamlMapping({name: block}, {name: mapping.lines[key]})
             if not isinstance(block, YamlMapping):
                 expected = _BLOCKS.get(key, "parameters, a list of these, or nothing")
                 raise self._refuse(mapping, key, f"must be {expected}")
@@ -378,9 +363,7 @@ class _Grid:
             lists = [self._list(block, name) if name not in whole else [block[name]]
                      for name in block]
             for values in itertools.product(*lists):
-                chosen = YamlMapping(zip(block, values, strict=True))
-                chosen.lines = block.lines
-                yield chosen
+                yield YamlMapping(dict(zip(block, values, strict=True)), block.lines)
 
     def _list(self, mapping: YamlMapping, key: str) -> list[Any]:
         """Return a value as a list; a single value becomes a list of one.

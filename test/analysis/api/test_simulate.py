@@ -270,12 +270,9 @@ def test_sites(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("inputs", "reason"), [
     ({"hour": 3}, "hour = 3: is neither an input nor a parameter of mpc; did you mean hours"),
-    ({"weight": -1}, "weight = -1: must be"),
     ({"start": 5}, "start = 5: must be text"),
     ({"hours": "2"}, "hours = '2': must be a number greater than 0"),
     ({"hours": np.bool_(True)}, "hours = .*: must be a number"),
-    ({"forecast_seed": 1}, "forecast_seed = 1: is an option of errors and ensemble; the forecast"),
-    ({"pump_min_on": -1}, "pump_min_on = -1: must be a number from 0"),
     ({"site": 3}, "site = 3: must be a site file, or what gr.read_site returns"),
     ({"weather": 3}, "weather: must be a file, .*, not of type builtins.int"),
     ({"forecast": 3}, "forecast = 3: must be a name or a path"),

@@ -41,7 +41,6 @@ WRONG = {
     ),
     "no-file": (edit_grid("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
     "year": (edit_grid(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be {from: 1, to: 5"),
-    "one-volume": (edit_grid(", roof: 0.5", ""), "line 8: roof: is missing: both volumes"),
     "state-twice": (edit_grid("name: dry", "name: low-low"), "line 8: name = 'low-low': is given"),
     "parameter": (edit_grid("weight", "weights"), "line 11: weights: is not a key here; did you"),
     "value": (edit_grid("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than"),
