@@ -13,8 +13,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.failure import locate_error
-from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
-from greenroof_ros.graph.executable import node_help
+from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.model.site import Site
 
@@ -94,22 +93,8 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def controller_help(
-    controller: str | None, *, module: str, purpose: str | None, common: list[Parameter]
-) -> str:
-    """Return the help of a controller's node.
-
-    Args:
-        controller: a name, or ``package.module:Class``; None if it is missing.
-        module: the node's module in this package.
-        purpose: what the node does.
-        common: the node's own parameters, without the controller's.
-    """
-    choice = None if controller is None else find_controller(controller)
-    name, declared = ("NAME", ()) if choice is None else (choice.reference, choice.kind.parameters)
-    start = f"-p {declared[0].name}:={declared[0].default}" if declared else "--params-file FILE"
-    return node_help(
-        f"{module} --controller {name}",
-        f"{purpose}\nControllers: {', '.join(BUILT_IN)}.",
-        lambda _: [*common, *declared], f"--ros-args {start}",
-    )
+def of_reference(
+    parameters: Callable[[ControllerChoice | None], list[Parameter]]
+) -> Callable[[str | None], list[Parameter]]:
+    """Return a function that finds a controller by its name, and returns its node's parameters."""
+    return lambda name: parameters(None if name is None else find_controller(name))

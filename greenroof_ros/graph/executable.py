@@ -26,7 +26,6 @@ from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
 from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
-from greenroof_ros.model.site import Site
 
 
 class _Parser(argparse.ArgumentParser):
@@ -38,7 +37,8 @@ class _Parser(argparse.ArgumentParser):
 
 
 def node_command(
-    make: Callable[..., Any], help_of: Callable[..., str], option: str = "",
+    make: Callable[..., Any], module: str, purpose: str | None,
+    parameters: Callable[[Any], Iterable[Parameter]], option: str = "",
     spin: Callable[[Any, Callable[[], None]], None] | None = None,
 ) -> Callable[[], NoReturn]:
     """Return the executable of a node.
@@ -46,7 +46,10 @@ def node_command(
     Args:
         make: returns the node, or the nodes of this process; called with the value of the option,
             if there is an option.
-        help_of: returns the text of ``--help``; called likewise, with None if the value is missing.
+        module: the node's module in this package, for ``--help``.
+        purpose: what the node does; a module docstring.
+        parameters: returns all parameters that the node declares for a site, or for the value of
+            the option, None if it is missing.
         option: the option that the node requires, such as ``--of``; empty for none.
         spin: runs the nodes and calls its second argument, which can raise, 20 times a second; None
             for a node of a simulated graph.
@@ -65,7 +68,8 @@ def node_command(
         arguments = parser.parse_args(argv[1:])
         of = [arguments.value] if option else []
         if arguments.help:
-            print(help_of(*of))
+            usage = f"{module} {option} VALUE" if option else module
+            print(node_help(usage, purpose, parameters(*of or [default_site()])))
             return EXIT_DONE
         if of == [None]:
             parser.error(f"{option} is missing")
@@ -74,30 +78,25 @@ def node_command(
     return main
 
 
-def node_help(
-    module: str, purpose: str | None, parameters: Callable[[Site], Iterable[Parameter]],
-    example: str,
-) -> str:
+def node_help(module: str, purpose: str | None, parameters: Iterable[Parameter]) -> str:
     """Return the text of a node's ``--help``.
 
     Args:
         module: its module in this package, and the arguments that it requires.
         purpose: what it does; a module docstring.
-        parameters: returns all parameters that it declares for a site.
-        example: the arguments in the example.
+        parameters: all parameters that it declares.
     """
-    start = f"python -m greenroof_ros.{module}"
     lines = [
-        f"usage: {start} [--help] [--ros-args ...]\n",
+        f"usage: python -m greenroof_ros.{module} [--help] [--ros-args ...]\n",
         f"{purpose}".strip().replace("``", "`"),
         "\nparameters, after --ros-args as -p NAME:=VALUE or by --params-file FILE:",
     ]
-    for parameter in parameters(default_site()):
+    for parameter in parameters:
         lines += (f"  {parameter.name} ({_about(parameter)})", textwrap.fill(
             parameter.description, 96, initial_indent=" " * 6, subsequent_indent=" " * 6,
             break_on_hyphens=False,
         ))
-    return "\n".join([*lines, f"\nexample:\n  {start} {example}"])
+    return "\n".join(lines)
 
 
 def _about(parameter: Parameter) -> str:

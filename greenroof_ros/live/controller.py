@@ -13,7 +13,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -35,7 +34,7 @@ from greenroof_ros.controllers.failure import ControllerError, find_place, locat
 from greenroof_ros.controllers.onoff import FRACTION, OnOff
 from greenroof_ros.controllers.protocol import ControllerClass, set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
-from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
+from greenroof_ros.graph.controller_parameters import ControllerParameters, of_reference
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.live.engine import RECOVERY, Levels, live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
@@ -382,10 +381,9 @@ def make_node(controller: str) -> LiveControllerNode:
         raise
 
 
-_help = partial(
-    controller_help, module="live.controller", purpose=__doc__, common=parameters(None)
+main = live_command(
+    make_node, "live.controller", __doc__, of_reference(parameters), "--controller"
 )
-main = live_command(make_node, _help, "--controller")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,6 @@ from greenroof_ros.common.files import state_directory
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.states import DriveState, PumpState
 from greenroof_ros.common.times import boot_time, suspended_time
-from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.drive_file import MAX_RAMP_S, find_drive_file
@@ -466,10 +464,7 @@ def _fault(status: DriveStatus | None) -> str:
     return "" if status is None or status.timed_out else status.fault
 
 
-main = live_command(PumpNode, partial(
-    node_help, "live.pump", __doc__, parameters,
-    "--ros-args -p drive:=danfoss_fc202 -p address:=gateway://127.0.0.1:5020",
-))
+main = live_command(PumpNode, "live.pump", __doc__, parameters)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,6 @@ from rclpy.serialization import deserialize_message
 from greenroof_ros.common.conditions import Diagnosis, identity_of
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.model.site import Site
@@ -142,10 +141,7 @@ class LiveRecorderNode(LiveNode):
             self.get_logger().error(problem or self._bag.problem)
 
 
-main = live_command(LiveRecorderNode, partial(
-    node_help, "live.recorder", __doc__, parameters,
-    "--ros-args -p directory:=/var/lib/greenroof/bag -p total_limit:=2000.0",
-))
+main = live_command(LiveRecorderNode, "live.recorder", __doc__, parameters)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ from typing import Any
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.live.devices.modbus_sensor import ModbusReader, SensorLine
 from greenroof_ros.live.devices.mqtt_sensor import MqttReader
@@ -23,7 +22,6 @@ from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS, ModbusSens
 from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.live.live_diagnostics import ERROR, STALE, WARN
 from greenroof_ros.live.node import LiveNode, live_command
-from greenroof_ros.model.site import Site
 
 # After this many periods without a reading, good or bad, the reader of a device is treated as hung.
 _PERIODS = 5
@@ -31,7 +29,7 @@ _PERIODS = 5
 _AWAITED_S = 5.0
 
 
-def parameters(site: Site | None = None) -> list[Parameter]:
+def parameters(site: object = None) -> list[Parameter]:
     """Return the parameters of sensor nodes, which are the same at every site."""
     return list(dict.fromkeys(LIMITS[quantity.topic_name] for quantity in QUANTITIES.values()))
 
@@ -126,13 +124,7 @@ def sensor_nodes(file: str) -> list[SensorNode]:
     return nodes
 
 
-def _help(file: str | None) -> str:
-    return node_help(
-        "live.sensors --sensors FILE", __doc__, parameters, "--ros-args -p level_limit:=4.0"
-    )
-
-
-main = live_command(sensor_nodes, _help, "--sensors")
+main = live_command(sensor_nodes, "live.sensors", __doc__, parameters, "--sensors")
 
 
 if __name__ == "__main__":

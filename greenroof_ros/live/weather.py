@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from array import array
 from datetime import datetime, timedelta, timezone
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +33,6 @@ from greenroof_ros.forecast.service import (
     Service,
 )
 from greenroof_ros.formats.forecasts import IssuedForecast
-from greenroof_ros.graph.executable import node_help
 from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.live.engine import live_parameters
@@ -277,10 +275,7 @@ class LiveWeatherNode(LiveNode):
         self.reports.diagnose(part, bad, well, WARN, problem.code if problem else "")
 
 
-main = live_command(LiveWeatherNode, partial(
-    node_help, "live.weather", __doc__, parameters,
-    "--ros-args -p forecast:=forecast.csv",
-))
+main = live_command(LiveWeatherNode, "live.weather", __doc__, parameters)
 
 
 if __name__ == "__main__":

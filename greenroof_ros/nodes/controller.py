@@ -6,7 +6,6 @@ or any class as ``package.module:Class``; the node is named after it.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 from greenroof_ros.common.interface import optional_topics
@@ -14,7 +13,7 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.decide import decide, may_decide, read_statistics, shape_rain
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
-from greenroof_ros.graph.controller_parameters import ControllerParameters, controller_help
+from greenroof_ros.graph.controller_parameters import ControllerParameters, of_reference
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node import SimulationNode
@@ -85,10 +84,9 @@ class ControllerNode(SimulationNode):
         return {"solver": read_statistics(self._controller)}
 
 
-_help = partial(
-    controller_help, module="nodes.controller", purpose=__doc__, common=parameters(None)
+main = node_command(
+    ControllerNode, "nodes.controller", __doc__, of_reference(parameters), "--controller"
 )
-main = node_command(ControllerNode, _help, "--controller")
 
 
 if __name__ == "__main__":

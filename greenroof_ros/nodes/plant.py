@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import secrets
 import time
-from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock
@@ -20,7 +19,7 @@ from greenroof_ros.common.errors import OccupiedError, rename_keys
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.states import PLANT
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
-from greenroof_ros.graph.executable import node_command, node_help
+from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.node import SimulationNode
@@ -264,10 +263,7 @@ class PlantNode(SimulationNode):
         }
 
 
-main = node_command(PlantNode, partial(
-    node_help, "nodes.plant", __doc__, parameters,
-    "--ros-args -p record:=true -p run_length:=3600",
-))
+main = node_command(PlantNode, "nodes.plant", __doc__, parameters)
 
 
 if __name__ == "__main__":

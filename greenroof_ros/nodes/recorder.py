@@ -13,7 +13,7 @@ from greenroof_ros.common.interface import recorded_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
-from greenroof_ros.graph.executable import node_command, node_help
+from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError, decode_clock
 from greenroof_ros.graph.node import SimulationNode
@@ -172,10 +172,7 @@ class RecorderNode(SimulationNode):
             self._close()
 
 
-main = node_command(RecorderNode, partial(
-    node_help, "nodes.recorder", __doc__, parameters,
-    "--ros-args -p directory:=my_bag -p controller:=mpc",
-))
+main = node_command(RecorderNode, "nodes.recorder", __doc__, parameters)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from array import array
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 from greenroof_ros.common.errors import rename_keys
@@ -13,7 +12,7 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
 from greenroof_ros.forecast.choice import INPUTS, MODELS, PERFECT, ForecastChoice, choose
 from greenroof_ros.forecast.resampling import make_forecast
-from greenroof_ros.graph.executable import node_command, node_help
+from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import LockstepError, WithFront
 from greenroof_ros.graph.node import SimulationNode
@@ -143,10 +142,7 @@ class WeatherNode(SimulationNode):
         return tick
 
 
-main = node_command(WeatherNode, partial(
-    node_help, "nodes.weather", __doc__, parameters,
-    "--ros-args -p forecast:=persistence",
-))
+main = node_command(WeatherNode, "nodes.weather", __doc__, parameters)
 
 
 if __name__ == "__main__":
