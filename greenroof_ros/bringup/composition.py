@@ -166,9 +166,7 @@ class Composition:
     def parameter_changes(self) -> dict[str, Any]:
         """The changes of the controller's parameters during the run, and their number."""
         controller = self._nodes.get(self._run.controller.name)
-        if controller is None:
-            return {"parameter_changes": [], "parameter_change_count": 0}
-        return controller.progress()
+        return {} if controller is None else controller.progress()
 
     @property
     def results(self) -> dict[str, Any]:

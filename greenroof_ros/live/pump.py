@@ -275,7 +275,7 @@ class PumpNode(LiveNode):
             self._reported_at = now
             self._acquire_state()
             self._pump_reports.update(
-                now, self._site, self._state, self._decision, self._control.dose,
+                now, self._site, self._state, self._decision, self._control.doses.last,
                 self._ledger.problem, self._second_pump(),
             )
 
@@ -393,7 +393,7 @@ class PumpNode(LiveNode):
 
     def progress(self) -> dict[str, Any]:
         """Return the values that bringup shows and waits for."""
-        record, decision, dose = self._ledger.record, self._decision, self._control.dose
+        record, decision, dose = self._ledger.record, self._decision, self._control.doses.last
         active_hold = self._ledger.active_hold
         return {
             "pump_state": self._state.state, "pump_why": self._state.why,
@@ -409,7 +409,7 @@ class PumpNode(LiveNode):
                 "until": record.hold_until, "said": active_hold.sentence,
             } if active_hold else None,
             "max_dose": self._site.max_dose,
-            "min_dose": self._control.min_dose,
+            "min_dose": self._control.min_pulse,
             "no_dose": self._control.dose_refusal,
             "dose": None if dose is None else {**asdict(dose), "said": dose.sentence},
         }

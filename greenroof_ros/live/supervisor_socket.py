@@ -45,17 +45,10 @@ def _is_status(value: object) -> bool:
 # Checks of the types that readers of a report rely on.
 _IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
     **dict.fromkeys((
-        "node", "role", "process", "pump_state", "pump_why", "failure", "fault", "unknown",
-        "drive_state",
+        "node", "role", "process", "pump_state", "pump_why", "failure", "drive_state",
     ), _is_text),
-    **dict.fromkeys(("cistern_level", "roof_level", "command", "flow", "speed"), _is_number),
+    **dict.fromkeys(("cistern_level", "roof_level", "command"), _is_number),
     **dict.fromkeys(("warnings", "waiting"), _is_list),
-    "stands": lambda value: isinstance(value, bool),
-    "hold": lambda value: value is None
-    or (isinstance(value, dict) and _is_text(value.get("said"))),
-    "tick": lambda value: type(value) is int,
-    "refused": lambda value: isinstance(value, dict)
-    and all(type(count) is int for count in value.values()),
     "diagnoses": lambda value: isinstance(value, dict) and all(map(_is_status, value.values())),
 }
 

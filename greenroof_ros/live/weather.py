@@ -7,7 +7,6 @@ fetched forecast needs no disk: its file is an archive, read once at the start.
 from __future__ import annotations
 
 import math
-from array import array
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -33,22 +32,16 @@ from greenroof_ros.forecast.service import (
     Service,
 )
 from greenroof_ros.formats.forecasts import IssuedForecast
-from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
+from greenroof_ros.graph.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
 from greenroof_ros.live.engine import live_parameters
 from greenroof_ros.live.live_diagnostics import ERROR, WARN
 from greenroof_ros.live.live_input import LiveInput
 from greenroof_ros.live.node import LiveNode, live_command
-from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 
 # How long the start waits for the first forecast (s); most files take less.
 _FIRST_READ_S = 1.0
-_FROST = "/weather/frost"
-_RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"
-_RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST = (
-    "/forecast/precipitation", "/forecast/evapotranspiration",
-)
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 
 
@@ -120,11 +113,7 @@ class LiveWeatherNode(LiveNode):
         self._rain_gauge, self._thermometer = (
             self.subscribe(name, optional=True) for name in _GAUGES
         )
-        # Prefix of each forecast: the time of its issue, and the ends of its steps (s from now).
-        self._front = array("d", [math.nan, *look_ahead_ends(site, values["horizon"])[1:]])
-        self.open_outputs(
-            _FROST, _RAIN, _EVAPOTRANSPIRATION, _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST
-        )
+        self._weather = WeatherOutputs(self, site, values["horizon"])
 
     def on_inputs(self) -> None:
         """Publish what is known now; readers notice a missing value by its age."""
@@ -149,20 +138,19 @@ class LiveWeatherNode(LiveNode):
         why = "no reading of a thermometer"
         if thermometer.received and thermometer.problem is not None:
             why = thermometer.problem.sentence
-        self.publish(_FROST, self._frost(temperature, f"{why}{instead}"))
+        self.publish(FROST, self._frost(temperature, f"{why}{instead}"))
         evapotranspiration: float | None
         if outlook is not None:
-            self.publish(_RAIN_FORECAST, WithFront(self._front, outlook.rain))
-            self.publish(
-                _EVAPOTRANSPIRATION_FORECAST, WithFront(self._front, outlook.evapotranspiration)
+            self._weather.publish_forecasts(
+                outlook.issued, outlook.rain, outlook.evapotranspiration
             )
             rain, evapotranspiration = outlook.rain_now, outlook.evapotranspiration_now
         else:
             evapotranspiration = self._site.climatic_evapotranspiration(self._month(now))
         if rain is not None:
-            self.publish(_RAIN, rain)
+            self.publish(RAIN, rain)
         if evapotranspiration is not None:
-            self.publish(_EVAPOTRANSPIRATION, evapotranspiration)
+            self.publish(EVAPOTRANSPIRATION, evapotranspiration)
         instead = "unknown" if forecast is None else "forecast"
         self._diagnose_gauge("rain gauge", self._rain_gauge, f"the present rain is {instead}")
         self._diagnose_gauge(
@@ -221,7 +209,6 @@ class LiveWeatherNode(LiveNode):
             self.reports.diagnose("forecast", Diagnosis.of(code, why=why), cause=unreadable)
             return None
         assert outlook.issued is not None
-        self._front[0] = outlook.issued.timestamp()
         issued, wrong = to_people(outlook.issued), Diagnosis.if_any("forecast_short", short)
         if problem:
             wrong = Diagnosis.of("forecast_unreadable", issued=issued, why=problem)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from array import array
 from dataclasses import replace
 from typing import Any
 
@@ -14,19 +12,14 @@ from greenroof_ros.forecast.choice import INPUTS, MODELS, PERFECT, ForecastChoic
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.messages import LockstepError, WithFront
+from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
-from greenroof_ros.model.look_ahead import look_ahead_ends
+from greenroof_ros.graph.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries
 
-_FROST = "/weather/frost"
-_RAIN, _EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"
-_RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST = (
-    "/forecast/precipitation", "/forecast/evapotranspiration",
-)
 # A parameter of a node must have a value: this one stands for the usual delay (h).
 _USUAL_DELAY = -1.0
 
@@ -102,29 +95,20 @@ class WeatherNode(SimulationNode):
             values["all_members"],
         )
         self._start_ns, self._tick_ns = epoch_ns(start), round(site.tau * 1e9)
-        # Prefix of each forecast: the time of its issue, NaN if it has none, and the ends of its
-        # steps (s from now).
-        self._front = array("d", [math.nan, *look_ahead_ends(site, values["horizon"])[1:]])
         self._time = self.subscribe(CLOCK)
-        self.open_outputs(
-            _FROST, _RAIN, _EVAPOTRANSPIRATION, _RAIN_FORECAST, _EVAPOTRANSPIRATION_FORECAST
-        )
+        self._weather = WeatherOutputs(self, site, values["horizon"])
 
     def on_inputs(self) -> None:
         """Publish the weather of the tick, and the forecasts known at that time."""
         tick = self._tick(self._time.value)
         hour, forecast = self._series.at(tick), self._forecast
-        issued = forecast.issued(tick)
-        self._front[0] = math.nan if issued is None else issued.timestamp()
         # The controller's inputs come first, since it takes the longest.
-        self.publish(_FROST, hour.frost)
-        self.publish(_RAIN_FORECAST, WithFront(self._front, forecast.precipitation(tick)))
-        self.publish(
-            _EVAPOTRANSPIRATION_FORECAST,
-            WithFront(self._front, forecast.evapotranspiration(tick)),
+        self.publish(FROST, hour.frost)
+        self._weather.publish_forecasts(
+            forecast.issued(tick), forecast.precipitation(tick), forecast.evapotranspiration(tick)
         )
-        self.publish(_RAIN, hour.precipitation)
-        self.publish(_EVAPOTRANSPIRATION, hour.evapotranspiration)
+        self.publish(RAIN, hour.precipitation)
+        self.publish(EVAPOTRANSPIRATION, hour.evapotranspiration)
         self.set_time(self._time.value)
 
     def _tick(self, time_ns: int) -> int:

@@ -14,7 +14,7 @@ from greenroof_ros.common.conditions import (
     read_interlocks,
 )
 from greenroof_ros.live.pumping.delivery import DeliveryCheck
-from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Dose, Doses
+from greenroof_ros.live.pumping.dose import FULL, INTERLOCK, UNSEEN, Doses
 from greenroof_ros.live.pumping.interlocks import evaluate
 from greenroof_ros.live.pumping.ledger import SAVE_EVERY_S, Ledger
 from greenroof_ros.live.pumping.limits import Pulses, PumpLimits, PumpSettings
@@ -68,7 +68,13 @@ class Decision:
 
 
 class PumpControl:
-    """Turns commands into speeds, and keeps the pump off while an interlock is active."""
+    """Turns commands into speeds, and keeps the pump off while an interlock is active.
+
+    Attributes:
+        doses: the dose that waits, runs, or ended a moment ago.
+        min_pulse: the smallest volume that can be delivered (m3), so also of a dose; infinite until
+            the level is known.
+    """
 
     def __init__(
         self, site: Site, settings: PumpSettings, ledger: Ledger, drive_stops_after: float
@@ -90,10 +96,10 @@ class PumpControl:
         self._limits = PumpLimits(site, settings, ledger)
         self._pulses = Pulses(site, settings)
         self._delivery = DeliveryCheck(site, settings)
-        self._doses = Doses(site, ledger.now)
+        self.doses = Doses(site, ledger.now)
         # Why the pump must not run, at the last step.
         self._inhibit_reason = "it has not been checked yet"
-        self._min_pulse = math.inf  # at the last level (m3)
+        self.min_pulse = math.inf
         self._setpoint: float | None = None
         # Speed that the slowest allowed ramp has reached on the way to the requested speed (share
         # of the rated speed); 1 at first, since the pump may have been running.
@@ -108,19 +114,9 @@ class PumpControl:
         self._max_speed = 1.0
 
     @property
-    def dose(self) -> Dose | None:
-        """The dose that waits, runs, or ended a moment ago; None if there is none."""
-        return self._doses.last
-
-    @property
     def dose_refusal(self) -> str:
         """Why any dose would be refused now, regardless of its volume; empty if it would not."""
-        return self._doses.refusal(self._inhibit_reason)
-
-    @property
-    def min_dose(self) -> float:
-        """The smallest volume that can be delivered (m3): the pump's minimum pulse."""
-        return self._min_pulse
+        return self.doses.refusal(self._inhibit_reason)
 
     def request_dose(self, request: float, volume: float) -> str:
         """Accept a request for a dose (returns an empty string), or return why it is refused.
@@ -129,8 +125,8 @@ class PumpControl:
             request: time at which it was made (s since 1970), which is its id.
             volume: requested volume (m3).
         """
-        return self._doses.request(
-            request, volume, self._ledger.now, self._min_pulse, self._inhibit_reason
+        return self.doses.request(
+            request, volume, self._ledger.now, self.min_pulse, self._inhibit_reason
         )
 
     def reset(self) -> str:
@@ -182,7 +178,7 @@ class PumpControl:
         self._delivery.step(dt, None, None, 0.0, volume)
         self._blind_for += dt
         self._pulses.clear()
-        self._doses.end(UNSEEN, f"no one watched the pump for {dt:.0f} s")
+        self.doses.end(UNSEEN, f"no one watched the pump for {dt:.0f} s")
         if self._setpoint is not None:
             self._limits.switch(False)
         self._setpoint = None
@@ -214,8 +210,8 @@ class PumpControl:
         # A meter may show no flow while the pump runs: a valve is closed, or the meter is broken.
         minimum = max(flow, computed or 0.0)
         self._count(dt, observed.speed, unseen, minimum)
-        under_way = self._doses.present is not None
-        self._doses.advance(drive_dt, max(minimum, unseen) * dt)
+        under_way = self.doses.present is not None
+        self.doses.advance(drive_dt, max(minimum, unseen) * dt)
         self._pulses.count(flow * dt, dt)
         undelivered = self._delivery.step(
             dt, observed.cistern_level, observed.roof_level, minimum * dt, max(flow, unseen) * dt,
@@ -231,10 +227,10 @@ class PumpControl:
             command = 1.0
         full = observed.roof_level is not None and observed.roof_level >= self._site.z_veg
         if full:
-            self._doses.end(FULL, "the roof is at its target")
-        if under_way and self._doses.present is None:
+            self.doses.end(FULL, "the roof is at its target")
+        if under_way and self.doses.present is None:
             self._pulses.clear()  # commands during a dose leave nothing outstanding
-        dosed = command is not None and self._doses.present is not None
+        dosed = command is not None and self.doses.present is not None
         if observed.speed is None and not backwards:
             missing.append(Diagnosis.of("drive_speed_unknown"))
         if not observed.drive_ready and not backwards:
@@ -250,12 +246,12 @@ class PumpControl:
             state = _STATES[read_interlocks()[first].kind]
             why = "; ".join(reason.sentence for reason in active.values())
             self._pulses.clear()
-            self._doses.end(INTERLOCK, why, first)
+            self.doses.end(INTERLOCK, why, first)
             self._inhibit_reason = why
         else:
             assert command is not None
             assert observed.cistern_level is not None
-            self._min_pulse = self._pulses.min_pulse(observed.cistern_level)
+            self.min_pulse = self._pulses.min_pulse(observed.cistern_level)
             if dosed:
                 command = self._dose_command(observed.cistern_level)
             setpoint, why = self._follow(command, full, observed.cistern_level, warnings)
@@ -263,11 +259,11 @@ class PumpControl:
             self._inhibit_reason = "the roof is at its target" if full else ""
             assert observed.roof_level is not None
             room = self._site.x2_star - self._site.roof_volume(observed.roof_level)
-            if not full and room < self._min_pulse:
+            if not full and room < self.min_pulse:
                 self._inhibit_reason = (
                     "the roof needs less than the pump's minimum pulse to reach its target"
                 )
-            if (dose := self._doses.present) is not None:
+            if (dose := self.doses.present) is not None:
                 dose.begun, dose.why = dose.begun or setpoint is not None, why
                 why = f"a dose of {dose.volume:g} m3: {why}"
         if (setpoint is None) != (self._setpoint is None):
@@ -298,7 +294,7 @@ class PumpControl:
     def _dose_command(self, cistern_level: float) -> float:
         """Return the command for the present dose: at least the minimum share, to avoid pulses."""
         maximum = flow_at(self._site, 1.0, cistern_level)
-        return max(self._doses.share(maximum), self._pulses.min_share(cistern_level))
+        return max(self.doses.share(maximum), self._pulses.min_share(cistern_level))
 
     def _flow(
         self, observed: Observation, computed: float | None, warnings: list[Diagnosis]

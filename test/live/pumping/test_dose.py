@@ -31,7 +31,7 @@ def ask(rig: Rig, volume: float = 0.2, age: float = 0.0) -> str:
 
 
 def end(rig: Rig) -> tuple[str, str]:
-    dose = rig.control.dose
+    dose = rig.control.doses.last
     assert dose is not None
     return dose.over, dose.cause
 
@@ -76,7 +76,7 @@ def test_the_controller_commands_on_after_it(rig: Rig) -> None:
 )
 def test_what_is_refused(rig: Rig, volume: float, age: float, words: str) -> None:
     assert words in ask(rig, volume, age)
-    assert rig.control.dose is None
+    assert rig.control.doses.last is None
     assert rig.run(30, 0.0).speed is None
 
 

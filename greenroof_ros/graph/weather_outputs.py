@@ -1,0 +1,41 @@
+"""What a weather node publishes: the present weather, frost, and both forecasts."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from datetime import datetime
+from typing import Any
+
+from greenroof_ros.graph.graph_node import GraphNode
+from greenroof_ros.graph.messages import WithFront
+from greenroof_ros.model.look_ahead import look_ahead_ends
+from greenroof_ros.model.site import Site
+
+FROST = "/weather/frost"
+RAIN, EVAPOTRANSPIRATION = "/weather/precipitation", "/weather/evapotranspiration"
+_FORECASTS = "/forecast/precipitation", "/forecast/evapotranspiration"
+
+
+class WeatherOutputs:
+    """The outputs of a weather node."""
+
+    def __init__(self, node: GraphNode, site: Site, horizon: float) -> None:
+        """Open the topics.
+
+        Args:
+            node: the node.
+            site: the site.
+            horizon: how far the forecasts reach (h).
+        """
+        self.publish = node.publish
+        # Prefix of each forecast: the time of its issue (s since 1970), and the ends of its steps
+        # (s from now).
+        self._front = array("d", [math.nan, *look_ahead_ends(site, horizon)[1:]])
+        node.open_outputs(FROST, RAIN, EVAPOTRANSPIRATION, *_FORECASTS)
+
+    def publish_forecasts(self, issued: datetime | None, *forecasts: Any) -> None:
+        """Publish the forecasts of rain and evapotranspiration, with the time of their issue."""
+        self._front[0] = math.nan if issued is None else issued.timestamp()
+        for topic, forecast in zip(_FORECASTS, forecasts, strict=True):
+            self.publish(topic, WithFront(self._front, forecast))
