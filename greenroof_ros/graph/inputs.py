@@ -47,7 +47,7 @@ class Input:
         return not self.refusal
 
     @property
-    def problem(self) -> Diagnosis | None:
+    def diagnosis(self) -> Diagnosis | None:
         """Why the newest value must not be acted on; None if it may be."""
         if self.good:
             return None

@@ -322,8 +322,8 @@ class LiveControllerNode(LiveNode):
 
     def _bad_forecasts(self) -> str:
         return "; ".join(
-            problem.sentence for forecast in (self._rain, self._evapotranspiration)
-            if (problem := forecast.problem) is not None
+            diagnosis.sentence for forecast in (self._rain, self._evapotranspiration)
+            if (diagnosis := forecast.diagnosis) is not None
         )
 
     def _diagnose_forecast(self) -> None:
@@ -343,7 +343,7 @@ class LiveControllerNode(LiveNode):
         if needs and self._stand_in_since:
             case, values["since"] = "onoff", self._stand_in_since
         forecast = self._evapotranspiration if self._rain.good else self._rain
-        bad = forecast.problem
+        bad = forecast.diagnosis
         values["topic"] = forecast.publishers.full_name
         self.reports.diagnose(
             "forecast", Diagnosis.of("no_forecast", case, **values), level=WARN,

@@ -85,40 +85,40 @@ class LiveDiagnostics(NodeDiagnostics):
         self._published_at = 0.0
 
     def diagnose(
-        self, part: str, problem: Diagnosis | None, well: str = "", level: bytes = ERROR,
+        self, part: str, diagnosis: Diagnosis | None, well: str = "", level: bytes = ERROR,
         cause: str = "", *, log: bool = True,
     ) -> None:
         """Set the diagnosis of a part; a change is logged, and reported soon.
 
         Args:
             part: the part's name.
-            problem: what is wrong; None if nothing is.
+            diagnosis: what is wrong; None if nothing is.
             well: the sentence to report if nothing is.
-            level: of the problem: ``WARN``, ``ERROR`` or ``STALE``; or ``OK`` if it is as intended.
+            level: ``WARN``, ``ERROR`` or ``STALE``; or ``OK`` if it is as intended.
             cause: the code of its cause; empty if unknown.
             log: false for a message that changes too often to be logged.
         """
         before = self.diagnoses.get(part)
-        if problem is None:
-            problem, level = Diagnosis("", well), OK
+        if diagnosis is None:
+            diagnosis, level = Diagnosis("", well), OK
         since, began = time.time(), time.monotonic()
         if before is not None and identity_of({**before.values, "code": before.code}) == (
-            identity_of({**problem.values, "code": problem.code})
+            identity_of({**diagnosis.values, "code": diagnosis.code})
         ):
             since, began = before.since, before.began
-        diagnosis = self.diagnoses[part] = PartStatus(
-            level, problem.sentence, problem.code, cause, since, began, problem.values,
+        status = self.diagnoses[part] = PartStatus(
+            level, diagnosis.sentence, diagnosis.code, cause, since, began, diagnosis.values,
         )
-        if not log or diagnosis == before:
+        if not log or status == before:
             return
         self.urgent = True
         logger = self._node.get_logger()
         if level == WARN:
-            logger.warning(diagnosis.message)
+            logger.warning(status.message)
         elif level != OK:
-            logger.error(diagnosis.message)
+            logger.error(status.message)
         elif before is not None:
-            logger.info(diagnosis.message)
+            logger.info(status.message)
 
     def publish(self, values: dict[str, Any]) -> None:
         """Report the state of the node with these values, and of its parts.

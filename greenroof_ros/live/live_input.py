@@ -101,12 +101,12 @@ class LiveInput(Input):
     Attributes:
         publishers: the topic's publishers.
         rules: the rules.
-        problem: which rule is broken; None if the newest value may be acted on.
+        diagnosis: which rule is broken; None if the newest value may be acted on.
         received: whether any message was received.
         optional: whether the node acts without it.
     """
 
-    problem: Diagnosis | None = Diagnosis("input_waiting")
+    diagnosis: Diagnosis | None = Diagnosis("input_waiting")
 
     def __init__(self, publishers: LivePublishers, rules: InputRules, *, optional: bool) -> None:
         """Start without a value.
@@ -126,7 +126,7 @@ class LiveInput(Input):
     @property
     def good(self) -> bool:
         """Whether the newest value may be acted on."""
-        return self.problem is None
+        return self.diagnosis is None
 
     def receive(self, message: bytes) -> None:
         """Receive the value of a message, or 0 if the value must be refused, and check it."""
@@ -145,7 +145,7 @@ class LiveInput(Input):
 
     def check(self) -> None:
         """Check the newest value at the present time."""
-        self.problem = self.rules.check(boot_time(), self.publishers.describe_second())
+        self.diagnosis = self.rules.check(boot_time(), self.publishers.describe_second())
 
     def refuse(self, why: str) -> None:
         """Refuse the newest value, because the node cannot act on it.
@@ -169,6 +169,6 @@ def bad_inputs(inputs: Iterable[Input]) -> Diagnosis | None:
 
     That is the first that breaks a rule, or else the first that is awaited.
     """
-    problems = [problem for entry in inputs if (problem := entry.problem) is not None]
-    worst = min(problems, key=lambda each: each.code in AWAITED, default=None)
-    return join_diagnoses(problems, worst)
+    diagnoses = [diagnosis for entry in inputs if (diagnosis := entry.diagnosis) is not None]
+    worst = min(diagnoses, key=lambda each: each.code in AWAITED, default=None)
+    return join_diagnoses(diagnoses, worst)

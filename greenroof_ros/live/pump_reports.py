@@ -90,24 +90,24 @@ class PumpReports:
             if part := read_interlocks()[row.unknown].input if row.unknown else "":
                 parts.setdefault(part, []).append(row.name)
         for part, names in parts.items():
-            problem, level = bad_inputs(self._inputs[name] for name in names), ERROR
-            if problem is None:  # perhaps a good value keeps the pump off
-                level, problem = WARN, next((
+            diagnosis, level = bad_inputs(self._inputs[name] for name in names), ERROR
+            if diagnosis is None:  # perhaps a good value keeps the pump off
+                level, diagnosis = WARN, next((
                     reason for code, reason in decision.interlocks.items()
                     if part in read_interlocks()[code].explained_by
                 ), None)
             elif part == "frost":
-                level, problem = WARN, problem.change_code(self._cause("frost_unknown"))
+                level, diagnosis = WARN, diagnosis.change_code(self._cause("frost_unknown"))
             well = " and ".join(name.replace("_", " ") for name in names)
-            self._reports.diagnose(part, problem, f"known: {well}", level)
+            self._reports.diagnose(part, diagnosis, f"known: {well}", level)
 
     def _cause(self, code: str) -> str:
         """Return the code that caused an interlock; empty if unknown."""
-        problem = bad_inputs(self._inputs[row.name] for row in INPUTS if row.unknown == code)
-        if problem is None:
+        diagnosis = bad_inputs(self._inputs[row.name] for row in INPUTS if row.unknown == code)
+        if diagnosis is None:
             return ""
-        unknown = code == "frost_unknown" and problem.code == "input_refused"  # NaN: unknown
-        return "temperature_unknown" if unknown else problem.code
+        unknown = code == "frost_unknown" and diagnosis.code == "input_refused"  # NaN: unknown
+        return "temperature_unknown" if unknown else diagnosis.code
 
     def _diagnose_dose(self, dose: Dose | None) -> None:
         """Report the progress of a dose and, for a minute, how it ended."""
@@ -135,17 +135,17 @@ class PumpReports:
             return
         self._reports.hardware = snapshot.identity
         warning = "; ".join(filter(None, (snapshot.problem, status.warning)))
-        level, problem = WARN, None
+        level, diagnosis = WARN, None
         if status.fault:
-            level, problem = ERROR, drive_fault(status.fault, status.runs_on)
+            level, diagnosis = ERROR, drive_fault(status.fault, status.runs_on)
         elif not status.remote:
             more = {"problem": warning} if warning else {}
-            problem = Diagnosis.of("drive_local", "local", *more, **more)
+            diagnosis = Diagnosis.of("drive_local", "local", *more, **more)
         elif snapshot.second_master:
-            problem = snapshot.second_master
+            diagnosis = snapshot.second_master
         elif warning:
-            problem = Diagnosis.of("drive_warning", warning=warning)
-        self._reports.diagnose("drive", problem, f"connected to {snapshot.identity}", level)
+            diagnosis = Diagnosis.of("drive_warning", warning=warning)
+        self._reports.diagnose("drive", diagnosis, f"connected to {snapshot.identity}", level)
         self._diagnose_timeout(snapshot)
 
     def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
@@ -153,12 +153,12 @@ class PumpReports:
         well = f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s"
         if guard is not None and guard.traps:
             well += f"; beware: {guard.traps}"
-        problem, level = self._exchange.timeout_problem(snapshot), ERROR
-        if problem is None:
-            problem, level = snapshot.unguarded, WARN
+        diagnosis, level = self._exchange.timeout_problem(snapshot), ERROR
+        if diagnosis is None:
+            diagnosis, level = snapshot.unguarded, WARN
         elif self._waived:
-            problem, level = problem.change_code("drive_timeout_waived"), WARN
-        self._reports.diagnose("drive timeout", problem, well, level)
+            diagnosis, level = diagnosis.change_code("drive_timeout_waived"), WARN
+        self._reports.diagnose("drive timeout", diagnosis, well, level)
 
 
 def second_publisher(publishers: Publishers, code: str) -> Diagnosis | None:

@@ -118,12 +118,12 @@ class LiveRecorderNode(LiveNode):
         if now - self._updated_at > _UPDATE_S:
             self._updated_at = now
             DISK.do(partial(self._bag.flush_if_due, now))
-        directory, why, problem = str(self._bag.directory), self._bag.problem, None
+        directory, why, diagnosis = str(self._bag.directory), self._bag.problem, None
         if DISK.late:
-            problem = Diagnosis.of("not_recorded", "late", directory=directory)
+            diagnosis = Diagnosis.of("not_recorded", "late", directory=directory)
         elif why:
-            problem = Diagnosis.of("not_recorded", "why", why=why)
-        self.reports.diagnose("recording", problem, f"recording to {directory}")
+            diagnosis = Diagnosis.of("not_recorded", "why", why=why)
+        self.reports.diagnose("recording", diagnosis, f"recording to {directory}")
 
     def progress(self) -> dict[str, Any]:
         """Return the bag's path, and the numbers of messages recorded and lost since this start."""

@@ -136,8 +136,8 @@ class LiveWeatherNode(LiveNode):
         )
         thermometer = self._thermometer
         why = "no reading of a thermometer"
-        if thermometer.received and thermometer.problem is not None:
-            why = thermometer.problem.sentence
+        if thermometer.received and thermometer.diagnosis is not None:
+            why = thermometer.diagnosis.sentence
         self.publish(FROST, self._frost(temperature, f"{why}{instead}"))
         evapotranspiration: float | None
         if outlook is not None:
@@ -228,16 +228,16 @@ class LiveWeatherNode(LiveNode):
             self.reports.diagnose("frost", None, "the temperature is known")
             return float(temperature <= 0)
         level, case = (ERROR, "off") if math.isnan(self._unknown_frost) else (WARN, "may_run")
-        problem = Diagnosis.of("temperature_unknown", case, why=why)
-        self.reports.diagnose("frost", problem.change_code(self._temperature_code()), level=level)
+        diagnosis = Diagnosis.of("temperature_unknown", case, why=why)
+        self.reports.diagnose("frost", diagnosis.change_code(self._temperature_code()), level=level)
         return self._unknown_frost
 
     def _temperature_code(self) -> str:
         """Return the code for an unknown temperature, by what the site has."""
         thermometer = self._thermometer
-        problem = thermometer.problem
-        if thermometer.received and problem is not None and problem.code == "input_recovering":
-            return problem.code
+        diagnosis = thermometer.diagnosis
+        if thermometer.received and diagnosis is not None and diagnosis.code == "input_recovering":
+            return diagnosis.code
         if thermometer.received or thermometer.publishers.count:
             return "thermometer_lost"
         return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
@@ -248,18 +248,18 @@ class LiveWeatherNode(LiveNode):
             self._gauges.add(part)
         if not gauge.received:
             return
-        bad, well, problem = None, f"{gauge.name} is good", gauge.problem
+        bad, well, diagnosis = None, f"{gauge.name} is good", gauge.diagnosis
         if part not in self._gauges and not gauge.publishers.count:
             well = f"no one publishes {gauge.name}"
-        elif problem is not None and problem.code == "input_recovering" and (
+        elif diagnosis is not None and diagnosis.code == "input_recovering" and (
             part not in self._gauges  # it has just come for the first time
         ):
-            well = problem.sentence
-        elif problem is not None:
+            well = diagnosis.sentence
+        elif diagnosis is not None:
             bad = Diagnosis.of(
-                "gauge_bad", problem=problem, instead=instead, topic=gauge.publishers.full_name
+                "gauge_bad", problem=diagnosis, instead=instead, topic=gauge.publishers.full_name
             )
-        self.reports.diagnose(part, bad, well, WARN, problem.code if problem else "")
+        self.reports.diagnose(part, bad, well, WARN, diagnosis.code if diagnosis else "")
 
 
 main = live_command(LiveWeatherNode, "live.weather", __doc__, parameters)

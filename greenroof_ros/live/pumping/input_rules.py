@@ -311,10 +311,10 @@ class InputRules:
             now: s.
             publishers: what is wrong with them; empty if there is only one.
         """
-        problem = self._broken_rule(now, publishers)
-        if problem is not None:
+        diagnosis = self._broken_rule(now, publishers)
+        if diagnosis is not None:
             self._good_since = None
-            self._broken = replace(problem, values={**problem.values, "topic": self._topic})
+            self._broken = replace(diagnosis, values={**diagnosis.values, "topic": self._topic})
             return self._broken
         if self._good_since is None:
             self._good_since = now
