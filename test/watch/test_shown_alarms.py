@@ -174,6 +174,24 @@ def test_events_of_a_hold_and_a_fault() -> None:
     assert list_events(alarms)[0].items() >= {"at": 5.0, "what": "99"}.items()
 
 
+@pytest.mark.parametrize(("code", "said", "advised"), [
+    ("stands_unknown", {"stands": False, "speed": None}, "Go and see"),
+    ("drive_fault", {"stands": False, "speed": None}, "clear the fault"),
+    ("hold", {"stands": True, "hold": HOLD}, "greenroof release"),
+    ("stop_not_followed", {"stands": False, "speed": 0.8, "hold": HOLD}, "at its drive's panel"),
+])
+def test_a_state_of_the_pump_that_its_cause_does_not_tell(
+    code: str, said: dict[str, Any], advised: str
+) -> None:
+    """Its own advice comes first: the drive's alarm must not hide a reset, a release or a check."""
+    alarms = heard((0.0, pump(WRONG, ("pump", ERROR, "why", code), **said)))
+    assert list(follows(alarms).items()) == [("/pump: pump", None), ("/pump: drive", None)]
+    assert advised in advice(alarms)
+    alarms.update(3.6, 3.6)  # the last report of a node that is silent now
+    assert rows(alarms)["/pump: pump"]["follows"] is None
+    assert "The pump's state is unknown: it may be running" in advice(alarms)
+
+
 def test_the_order_of_alarms() -> None:
     """The pump's state, then errors, stale parts and warnings; other devices last."""
     other = WireStatus("/camera", ERROR, "no picture")
