@@ -13,6 +13,7 @@ from page_inputs import ERROR, HELD, HOLD, OK, STALE, WARN, node
 from greenroof_ros.common.alarms import advise
 from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.watch.alarms import choose_advice, count_alarms, list_alarms, list_events
+from greenroof_ros.watch.document import make_document
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.wire import WireStatus
 
@@ -135,6 +136,13 @@ def test_what_is_wrong_with_a_node(
     assert {row["id"]: (row["level"], row["what"]) for row in present_rows} == alarms_then
     assert happened(alarms) == events
     assert {row["code"] for row in present_rows} <= read_conditions().keys()
+
+
+def test_what_may_still_come_is_a_note_while_a_site_starts() -> None:
+    alarms = heard(*each_quarter(5, pump(WRONG, up_s=9)))
+    assert not list_alarms(alarms) and not list_events(alarms)
+    notes = make_document(alarms, 5.0)["notes"]
+    assert notes[:2] == ["The site is starting. Not there yet:", "/pump: drive: no connection."]
 
 
 def test_events_of_parameters_and_warnings() -> None:
