@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
 
 from greenroof_ros.common.command_line import Parser, command
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.files import add_path_to_errors
+from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.experiment.run_directory import writable
 
 # A report's directory holds this file and figures/.
@@ -96,18 +93,13 @@ def main() -> None:
         from greenroof_ros.analysis.report.sources import find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
     former = _former_report(output, figures.is_figure, force=arguments.force)
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"),
-        console=Console(stderr=True), transient=True,
-    ) as progress:
-        sources = find_runs(
-            arguments.paths, arguments.site, partial(progress.track, description="reading runs")
-        )
-        report = Report(sources)
+    with ProgressBar() as progress:
+        report = Report(find_runs(arguments.paths, arguments.site, progress.show))
         made = list(figures.make_figures(report))
         with writable(output):
             (output / "figures").mkdir(parents=True, exist_ok=True)
-        for figure in progress.track(made, description="drawing figures"):
+        for number, figure in enumerate(made):
+            progress.show(f"drawing {figure.name}", number / len(made))
             figure.save(output / "figures")
     with add_path_to_errors(output / _PAGE):
         (output / _PAGE).write_text(page.render(report, made), encoding="utf-8")

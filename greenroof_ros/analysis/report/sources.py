@@ -72,14 +72,14 @@ class Sources:
 
 def find_runs(
     paths: Sequence[Path], site_file: Path | None = None,
-    track: Callable[[Sequence[Path]], Iterable[Path]] = iter,
+    show: Callable[[str, float], None] = lambda text, share: None,
 ) -> Sources:
     """Find the runs under some paths, and read the bags.
 
     Args:
         paths: study directories, run directories and bags.
         site_file: the site of all bags, instead of the site file next to each.
-        track: shows the progress.
+        show: shows the progress: a text, and the share of the paths that are read.
 
     Raises:
         ConfigurationError: a path is none of these, its content is wrong, two have one name, or no
@@ -100,7 +100,8 @@ def find_runs(
             )
         named[name] = path
     sources, single = Sources(), dict[Path, ReportedRun]()
-    for path in track(paths):
+    for number, path in enumerate(paths):
+        show(f"reading {path}", number / len(paths))
         name = run_directory(path).resolve().name
         if (path / "results.csv").is_file():
             if site_file is not None:
