@@ -134,12 +134,12 @@ class Table:
                 raise self.refuse(f"{wrong}{why}", cell or "")
 
     def read_number(
-        self, row: Row, column: str, limits: Range, missing: Container[str] = (), hint: str = ""
+        self, row: Row, column: str, limits: Range, missing: Container[str] = ()
     ) -> float:
         """Return a number, or NaN for a text that stands for a missing value.
 
         Raises:
-            ConfigurationError: the cell is not a number in these limits; ``hint`` ends the message.
+            ConfigurationError: the cell is not a number in these limits.
         """
         text = self.cell(row, column)
         if text in missing:
@@ -147,7 +147,7 @@ class Table:
         try:
             return limits.check(read_number(text))
         except ValueError:
-            raise self.refuse(limits.expected(text) + hint, column, row) from None
+            raise self.refuse(limits.expected(text), column, row) from None
 
     def read_time(
         self, row: Row, column: str, parse: Callable[[str], datetime] = parse_time,

@@ -214,7 +214,7 @@ def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
 Values = NDArray[np.float64]
 Days = NDArray[np.datetime64]
 
-_MM_PER_MJ = 0.408  # per m2, FAO-56 Eq. 20
+_MM_PER_MJ = 0.408  # water that radiation could evaporate, per m2, FAO-56 Eq. 20
 _DAY_S = 86400
 _PART_S = 300
 # Minimum share of a day with temperatures to know its extremes, and how far away they may be (d).
@@ -231,11 +231,6 @@ def extraterrestrial_radiation(latitude: float, days: Days) -> Values:
     return np.asarray(model.ts_param["R_a"], dtype=np.float64)
 
 
-def evaporable(radiation: Values) -> Values:
-    """Depth of water (mm) that radiation (MJ/m2) could evaporate, FAO-56 Eq. 20."""
-    return _MM_PER_MJ * radiation
-
-
 def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:
     """Reference evapotranspiration of whole days (mm/day), FAO-56 Eq. 52, shape (days,).
 
@@ -249,7 +244,7 @@ def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) ->
         minimum: lowest temperature of each day (degC).
         maximum: highest temperature of each day (degC).
     """
-    radiation = evaporable(extraterrestrial_radiation(latitude, days))
+    radiation = _MM_PER_MJ * extraterrestrial_radiation(latitude, days)
     warmth = (minimum + maximum) / 2 + 17.8
     return np.asarray(np.maximum(0.0, 0.0023 * warmth * np.sqrt(maximum - minimum) * radiation))
 

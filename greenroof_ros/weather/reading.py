@@ -218,22 +218,21 @@ def _drop_partial_hours(records: Records) -> Records:
     )
 
 
-def find_files(names: Iterable[str], key: str, directory: Path = Path()) -> list[Path]:
+def find_files(names: Iterable[str], key: str) -> list[Path]:
     """Return the files that names and patterns (``data/2021_*.csv``) stand for, each once.
 
     A name with ``*``, ``?`` or ``[`` is a pattern unless a file has that name.
 
     Args:
-        names: of files, relative to the directory.
+        names: of files.
         key: option or parameter with the names, for messages.
-        directory: base of the names.
 
     Raises:
         ConfigurationError: a pattern matches no file, or there are no names.
     """
     files: list[Path] = []
     for name in names:
-        path = directory / name
+        path = Path(name)
         matches = [path]
         if not path.exists() and glob.has_magic(name):
             matches = [Path(match) for match in sorted(glob.glob(str(path)))]  # noqa: PTH207

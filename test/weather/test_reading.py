@@ -288,8 +288,9 @@ def test_files_whose_hours_begin_at_different_minutes(
     )
 
 
-def test_names_and_patterns(tmp_path: Path) -> None:
+def test_names_and_patterns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A name as it is, a pattern sorted, each file once; the name of a file is not a pattern."""
+    monkeypatch.chdir(tmp_path)
     for name in ("b-1.csv", "b-2.csv", "a.csv", "c[1].csv"):
         (tmp_path / name).write_text("")
     for names, expected in (
@@ -298,9 +299,9 @@ def test_names_and_patterns(tmp_path: Path) -> None:
         (["absent.csv"], ["absent.csv"]),  # reading it is an error
         ([str(tmp_path / "b-[1].csv")], ["b-1.csv"]),
     ):
-        assert [path.name for path in find_files(names, "--weather", tmp_path)] == expected
+        assert [path.name for path in find_files(names, "--weather")] == expected
     refusal(
-        find_files, ["a.csv", "d-*.csv"], "--weather", tmp_path,
+        find_files, ["a.csv", "d-*.csv"], "--weather",
         match=r"--weather = 'd-\*\.csv': matches no file",
     )
 

@@ -150,7 +150,7 @@ def round_value(value: float | None) -> float | None:
 
 def series_panel(
     lines: alt.Chart, field: str, names: list[str], title: str | list[str], *, legend: str = "",
-    below: Sequence[alt.Chart] = (), height: int = 190, zoom: bool = False,
+    below: Sequence[alt.Chart] = (), zoom: bool = False,
 ) -> Panel:
     """Return a panel of lines; on the page a click on its legend shows one line alone.
 
@@ -161,7 +161,6 @@ def series_panel(
         title: of the panel.
         legend: its title.
         below: charts to draw underneath the lines.
-        height: see :class:`Panel`.
         zoom: whether Shift and the wheel zoom along x; the wheel alone still scrolls the page.
     """
     number = next(_NUMBERS)
@@ -173,4 +172,4 @@ def series_panel(
         lines = lines.add_params(alt.selection_interval(
             name=f"zoom_{number}", encodings=["x"], bind="scales", zoom="wheel![event.shiftKey]"
         ))
-    return Panel(alt.layer(*below, lines) if below else lines, title, height)
+    return Panel(alt.layer(*below, lines) if below else lines, title)
