@@ -138,25 +138,15 @@ class SampleAndHold:
         self._period, self.has_acted = period, False
         self._due = boot_time() + min(period, _FIRST_S)
 
-    def receiver(
-        self, entry: LiveInput, callback: Callable[[Any], None] | None
-    ) -> Callable[[bytes], None]:
-        """Check an input from now on; return the receiver of its messages.
-
-        Args:
-            entry: the input.
-            callback: called with each value; None for none.
-        """
+    def receiver(self, entry: LiveInput) -> Callable[[bytes], None]:
+        """Check an input from now on; return the receiver of its messages."""
         self.inputs.append(entry)
 
         def on_message(message: bytes) -> None:
             now = boot_time()
             self._handle_pause(now)
-            if now < self._ignoring_until:
-                return
-            entry.receive(message)
-            if callback is not None:
-                callback(entry.value)
+            if now >= self._ignoring_until:
+                entry.receive(message)
 
         return on_message
 

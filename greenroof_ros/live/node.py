@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from rclpy.executors import SingleThreadedExecutor
 
@@ -85,14 +85,12 @@ class LiveNode(GraphNode):
         return site
 
     def subscribe(
-        self, name: str, callback: Callable[[Any], None] | None = None, *,
-        optional: bool = False, level: LevelRule | None = None,
+        self, name: str, *, optional: bool = False, level: LevelRule | None = None
     ) -> LiveInput:
         """Open an input and return it.
 
         Args:
             name: the topic's name in the interface.
-            callback: called with each value as it arrives; None for none.
             optional: whether the node acts without it.
             level: the additional rule for a level; None for another input.
         """
@@ -103,7 +101,7 @@ class LiveNode(GraphNode):
             topic=publishers.full_name, limit_name=limit, level=level,
         )
         self.inputs[name] = entry = LiveInput(publishers, rules, optional=optional)
-        self._open(publishers, self._engine.receiver(entry, callback))
+        self._open(publishers, self._engine.receiver(entry))
         return entry
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
