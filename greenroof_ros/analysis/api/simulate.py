@@ -323,11 +323,11 @@ def make_table(site: Site, ticks: Trajectory) -> polars.DataFrame:
     with require_extra("study"):
         import polars
 
-        from greenroof_ros.analysis.report.bags import samples_of
+        from greenroof_ros.analysis.report.bags import make_samples
     # Not divided by polars, which multiplies by the reciprocal: other bits than the plant's.
     computed = {"cistern_level_m": ticks.cistern / site.a1, "roof_level_m": ticks.roof / site.a2}
     if site.drainage_storage is not None:
-        computed[LAYER.name] = samples_of(site, ticks).layer
+        computed[LAYER.name] = make_samples(site, ticks).layer
     frame = frame.with_columns(polars.Series(name, computed[name]) for name in computed)
     order = (column.name for column in COLUMNS if column.name in frame.columns)
     return frame.select("time", "time_s", *order)

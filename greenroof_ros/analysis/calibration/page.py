@@ -18,7 +18,7 @@ from greenroof_ros.analysis.report.drawing import (
     round_value,
     series_panel,
 )
-from greenroof_ros.analysis.report.page import page_of
+from greenroof_ros.analysis.report.page import make_page
 from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, Values, name_time
 from greenroof_ros.model.site import site_parameters
 
@@ -47,7 +47,7 @@ def render(
         _draw(quantity, record, halves, getattr(fit.simulated, quantity))
         for quantity in record.measured
     ]
-    return page_of(
+    return make_page(
         __package__, figures, record=record, rain=float(np.nansum(record.rain)),
         parameters=fit.parameters, known=known, scores=scores, name_time=name_time, shown=_shown,
         site_file=site_file, spans=spans, warnings=warnings, notes=notes,

@@ -121,7 +121,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
             "a bag (with metadata.yaml) or an .mcap file", file=path,
         )
     if trajectory is not None:
-        row = row_of(row, site, trajectory)
+        row = complete_row(row, site, trajectory)
         zone = trajectory.start.tzinfo
     row["window"] = ", ".join([
         row["site"], row["weather"] if about.own else name,
@@ -161,7 +161,7 @@ def _moment(seconds: float, zone: tzinfo | None) -> str:
     return to_people(datetime.fromtimestamp(seconds, zone or timezone.utc).replace(microsecond=0))
 
 
-def row_of(known: Row, site: Site, trajectory: Trajectory) -> Row:
+def complete_row(known: Row, site: Site, trajectory: Trajectory) -> Row:
     """Return a run's row: the results that are known, and the others from its trajectory.
 
     Sums are Euler's: a value holds from its sample to the next, over the difference of their times.
@@ -171,14 +171,14 @@ def row_of(known: Row, site: Site, trajectory: Trajectory) -> Row:
     pumped = trajectory.pump_flow[:-1] * np.diff(trajectory.time)
     return {
         "cistern_m3": float(trajectory.cistern[0]), "roof_m3": float(trajectory.roof[0]),
-        **totals_of(site, samples_of(site, trajectory)), **known,
+        **totals_of(site, make_samples(site, trajectory)), **known,
         "start": trajectory.start.isoformat(),
         "hours": float(trajectory.time[-1] - trajectory.time[0]) / 3600,
         "frost_pumped_m3": float(pumped[frost].sum()),
     }
 
 
-def samples_of(site: Site, trajectory: Trajectory) -> Samples:
+def make_samples(site: Site, trajectory: Trajectory) -> Samples:
     """Return a whole run as samples. Whether a tank's flows were limited is unknown.
 
     The drainage layer of a measured soil is computed from percolation; it begins with the site's

@@ -98,18 +98,18 @@ class Figure:
             file.write_bytes(vl_convert.svg_to_png(vectors, scale=2))
 
 
-def distinguish_series(name: str, values: list[str], title: str) -> dict[str, Any]:
-    """Distinguish the series of a field by colour and by dashes; see :func:`cycled`.
+def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
+    """Distinguish the series of a field by colour and by dashes; see :func:`cycle_choices`.
 
     Without series there is no legend: vega gives an empty one a size that is not a number.
     """
     legend = alt.Legend(symbolSize=600, symbolType="stroke") if values else None
     return {
         "color": alt.Color(
-            f"{name}:N", title=title or None, scale=cycle_choices(COLOURS, values), legend=legend
+            f"{name}:N", title=None, scale=cycle_choices(COLOURS, values), legend=legend
         ),
         "strokeDash": alt.StrokeDash(
-            f"{name}:N", title=title or None, scale=cycle_choices(_DASHES, values), legend=legend
+            f"{name}:N", title=None, scale=cycle_choices(_DASHES, values), legend=legend
         ),
     }
 
@@ -149,7 +149,7 @@ def round_value(value: float | None) -> float | None:
 
 
 def series_panel(
-    lines: alt.Chart, field: str, names: list[str], title: str | list[str], *, legend: str = "",
+    lines: alt.Chart, field: str, names: list[str], title: str | list[str], *,
     below: Sequence[alt.Chart] = (), zoom: bool = False,
 ) -> Panel:
     """Return a panel of lines; on the page a click on its legend shows one line alone.
@@ -159,14 +159,13 @@ def series_panel(
         field: that distinguishes the lines.
         names: of the lines, the values of ``field``.
         title: of the panel.
-        legend: its title.
         below: charts to draw underneath the lines.
         zoom: whether Shift and the wheel zoom along x; the wheel alone still scrolls the page.
     """
     number = next(_NUMBERS)
     chosen = alt.selection_point(name=f"chosen_{number}", fields=[field], bind="legend")
     opacity = alt.when(chosen).then(alt.value(1.0)).otherwise(alt.value(0.1))
-    series = distinguish_series(field, names, legend)
+    series = distinguish_series(field, names)
     lines = lines.encode(**series, strokeOpacity=opacity).add_params(chosen)
     if zoom:
         lines = lines.add_params(alt.selection_interval(

@@ -48,9 +48,9 @@ def make_figures(report: Report) -> Iterator[Figure]:
     windows = {f"{number}": cases for number, cases in enumerate(report.windows(), start=1)}
     if len(report.cases) > 1:
         for name, cases in windows.items():
-            yield deviation(cases, name)
+            yield draw_deviation(cases, name)
     if any(case.relative is not None for case in report.cases):
-        yield relative(report)
+        yield draw_relative(report)
     for number, place in enumerate(report.places(), start=1):
         yield from _over_time(place, f"{number}")
 
@@ -124,7 +124,7 @@ def _height(rows: Rows) -> int:
     return max(60, 18 * len({row["case"] for row in rows}))
 
 
-def deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
+def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
     """Return the total deviation of a window's cases, a panel for each initial state."""
     panels, data = list[Panel](), dict[str, Rows]()
     for initial in dict.fromkeys(case.place[1] for case in cases):
@@ -148,7 +148,7 @@ def deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
 # --- seasons of several years ---------------------------------------------------------------------
 
 
-def relative(report: Report) -> Figure:
+def draw_relative(report: Report) -> Figure:
     """Return the deviations relative to on/off with their intervals, a panel for each place."""
     panels, data = list[Panel](), dict[str, Rows]()
     for place in report.places():

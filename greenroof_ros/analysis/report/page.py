@@ -17,7 +17,7 @@ from greenroof_ros.experiment.summary import format_versions, versions
 from greenroof_ros.model.site import Site, site_parameters
 
 
-def page_of(package: str, figures: Sequence[Figure], **values: object) -> str:
+def make_page(package: str, figures: Sequence[Figure], **values: object) -> str:
     """Return a package's ``page.html``, which can extend this package's templates.
 
     It is an error if a value that a template uses is missing.
@@ -49,7 +49,7 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
         {**({"run": run.name} if len(report.runs) > 1 else {}), **alarm}
         for run in report.runs for alarm in run.alarms
     ]
-    return page_of(
+    return make_page(
         __package__, figures,
         report=report,
         tables=make_tables(report),

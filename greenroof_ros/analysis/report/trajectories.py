@@ -169,7 +169,7 @@ def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> a
     charts: list[Any] = [
         _rained(longest, x.title(None)).properties(width=_WIDTH, height=_RAIN_HEIGHT)
     ]
-    series = distinguish_series("controller", list(runs), "")
+    series = distinguish_series("controller", list(runs))
     legend = alt.Legend(symbolType="stroke", symbolSize=600, columns=4)
     for channel in series.values():
         channel.legend = legend if len(runs) > 1 else None
