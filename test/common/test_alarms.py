@@ -324,23 +324,3 @@ def test_every_code_has_advice_for_whoever_stands_at_the_pump(role: str) -> None
     assert "greenroof release --namespace site1" in advise("hold", "pump", "/site1/pump")
     assert advise("hold", "", "/camera") == FOREIGN
     assert advise("of another version", "pump", "/pump") == OTHER
-
-
-def test_the_table_of_interlocks() -> None:
-    """Each needs someone at the pump, has a part that reports more, or its own text states all.
-
-    It names only parts that nodes report.
-    """
-    complete = {"cistern_low", "quiet_hours", "max_run", "daily_volume", "daily_run"}
-    parts = {
-        "command", "delivery", "drive", "drive timeout", "flow", "forecast", "frost", "inputs",
-        "levels", "state file", "thermometer",
-    }
-    conditions, interlocks = read_conditions(), read_interlocks()
-    assert {
-        code for code, interlock in interlocks.items()
-        if not conditions[code].needs_operator and not interlock.parts
-    } == complete
-    named = [each.explained_by for each in conditions.values()]
-    named += [interlock.parts for interlock in interlocks.values()]
-    assert set().union(*named) <= parts
