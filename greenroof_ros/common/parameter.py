@@ -216,7 +216,7 @@ def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
         if name in entries:
             fields[name] = _value(key.kind, entries[name], key.entry, (*parts, name))
         elif not key.optional:
-            raise _refuse((*parts, name), f"is missing: {key.entry.meaning}")
+            raise _refuse((*parts, name), f"is missing: {key.entry.description}")
     return kind(**fields)
 
 
@@ -240,8 +240,8 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
     if is_dataclass(kind):
         return _record(kind, value, parts)
     if origin is tuple:
-        if not isinstance(value, list):
-            raise _refuse(parts, "must be a list", value)
+        if not isinstance(value, (list, tuple)):
+            raise _refuse(parts, f"must be a list ({entry.meaning})", value)
         return tuple(
             _value(inner[0], item, entry, (*parts, str(number)))
             for number, item in enumerate(value, start=1)
@@ -268,17 +268,15 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
         return value
     if kind is str:
         if not isinstance(value, str) or not (value.strip() or value in entry.among):
-            raise _refuse(parts, "must be text", value)
+            raise _refuse(parts, f"must be text ({entry.meaning})", value)
         if entry.among and value not in entry.among:
             raise _refuse(parts, describe_choices([*filter(None, entry.among)], value), value)
         return " ".join(value.split())
     if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
         value = int(value, 16)
-    try:
-        return replace(entry.range, whole=kind in (int, Word), words=entry.among).check(value)
-    except ValueError as error:
-        example = ", such as 0x047E or 1150" if kind is Word else ""
-        raise _refuse(parts, f"{error}{example}", value) from None
+    allowed = replace(entry.range, whole=kind in (int, Word), words=entry.among)
+    example = ", such as 0x047E or 1150" if kind is Word else ""
+    return allowed.read(value, key=".".join(parts), about=f"{example} ({entry.meaning})")
 
 
 def suggest_parameter(name: str, names: Iterable[str]) -> str:

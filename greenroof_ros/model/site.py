@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta, timezone, tzinfo
 from functools import cached_property
@@ -12,10 +13,10 @@ from pathlib import Path
 from typing import Any, TypeAlias
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.errors import ConfigurationError, suggest_names
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
-from greenroof_ros.common.parameter import Parameter, entry, keys, parameters_of
+from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
 from greenroof_ros.common.times import LAST_YEAR
 from greenroof_ros.model.quiet_hours import QuietHours
 
@@ -37,13 +38,18 @@ _FOLLOW = {
     "initial_roof": ("a2",),
     "initial_layer": ("a2",),
 }
-_CLIMATE = "monthly_evapotranspiration"
-_QUIET, _ZONE = "quiet_hours", "time_zone"
-_OF_CLOCK = {
-    _QUIET: 'must be times of day in brackets, such as ["22:00-06:00", "12:00-13:30"], and must '
-    "leave time to pump",
-    _ZONE: "must be the IANA name of a time zone that this machine knows (package tzdata), such as "
-    "America/Toronto",
+# Parameters of the clock, and what makes its part: fails if a value is wrong.
+_OF_CLOCK: dict[str, tuple[Callable[[Any], object], str]] = {
+    "quiet_hours": (
+        lambda intervals: QuietHours(intervals, timezone.utc),
+        'must be times of day in brackets, such as ["22:00-06:00", "12:00-13:30"], and must leave '
+        "time to pump",
+    ),
+    "time_zone": (
+        ZoneInfo,
+        "must be the IANA name of a time zone that this machine knows (package tzdata), such as "
+        "America/Toronto",
+    ),
 }
 _Entry: TypeAlias = "tuple[Path | None, int | None, Any]"
 """File and line of a value, None if a program gives it, and the value."""
@@ -62,7 +68,7 @@ _TOGETHER = (
     (("mains_level", "mains_flow"), ()),
     (("low_outlet_level", "low_outlet_radius"), ()),
     (("initial_cistern", "initial_roof"), ()),
-    ((_QUIET,), (_ZONE,)),
+    (("quiet_hours",), ("time_zone",)),
 )
 
 
@@ -371,16 +377,6 @@ def site_parameters() -> list[Parameter]:
     return parameters_of(Site)
 
 
-def _changes(current: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what changes in a site's values if some get other ones, which volumes follow."""
-    new = {**current, **values}
-    for volume, factors in _FOLLOW.items():
-        if volume in current and volume not in values:
-            ratio = math.prod(new.get(name, 1.0) / current.get(name, 1.0) for name in factors)
-            new[volume] = current[volume] * ratio
-    return {key: value for key, value in new.items() if value != current.get(key)}
-
-
 def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
     """Return the text of a complete site file, which :func:`read_site` reads as a site.
 
@@ -449,10 +445,16 @@ def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
     site = _site_of(entries, path)
     if not changes:
         return site
-    given = _values_of({name: (None, None, value) for name, value in changes.items()})
-    current = {key: value for key, (_, _, value) in entries.items()}
-    new = {name: (None, None, value) for name, value in _changes(current, given).items()}
-    return _site_of({**entries, **new}, path)
+    new = {**entries, **{name: (None, None, value) for name, value in changes.items()}}
+    with _add_place_to_errors(new, path):
+        changed = _record_of(new)
+    for volume, factors in _FOLLOW.items():
+        ratio = math.prod(
+            (getattr(changed, name) or 1.0) / (getattr(site, name) or 1.0) for name in factors
+        )
+        if volume in entries and volume not in changes and ratio != 1:
+            new[volume] = (None, None, getattr(site, volume) * ratio)
+    return _site_of(new, path)
 
 
 def check_site(site: Site) -> Site:
@@ -468,78 +470,38 @@ def check_site(site: Site) -> Site:
 
 def _site_of(entries: Mapping[str, _Entry], path: Path | None = None) -> Site:
     """Return the site of checked entries, from a file unless a program gives them."""
-    values = _values_of(entries)
-    for key in keys(Site):
-        if not key.optional and key.name not in {*values, *_FOLLOW_FROM}:
-            unit = "" if key.entry.unit in ("", "1") else f"{key.entry.unit}, "
-            raise ConfigurationError(
-                f"is missing ({unit}{key.entry.meaning}): add it, or begin the file with "
-                "'extends: site.yaml' to use the paper's values for all keys that are missing",
-                file=path, key=key.name,
-            )
-    for name in _FOLLOW_FROM.keys() - values.keys():
-        values[name] = _product(name, values)
-    site = Site(**values)
-    for name, expected in _contradictions(site, entries):
-        raise _refusal(entries, name, expected)
+    with _add_place_to_errors(entries, path):
+        site = _record_of(entries)
+        for name, expected in _contradictions(site, entries):
+            raise ConfigurationError(expected, key=name, value=entries[name][2])
     return site
 
 
-def _refusal(entries: Mapping[str, _Entry], key: str, expected: str) -> ConfigurationError:
-    file, line, value = entries[key]
-    return ConfigurationError(expected, file=file, line=line, key=key, value=value)
+def _record_of(entries: Mapping[str, _Entry]) -> Site:
+    """Return the site of entries, each checked alone."""
+    values = {name: value for name, (_, _, value) in entries.items()}
+    computed = _FOLLOW_FROM.keys() - values.keys()
+    site = make_record(Site, {**values, **dict.fromkeys(computed, 1.0)})
+    products: dict[str, Any] = {name: _product(name, asdict(site)) for name in computed}
+    return replace(site, **products)
 
 
-def _values_of(entries: Mapping[str, _Entry]) -> dict[str, Any]:
-    """Return the value of each entry, in its parameter's type.
-
-    Raises:
-        ConfigurationError: one is unknown, of the wrong kind or out of range.
-    """
-    by_name = {key.name: key for key in keys(Site)}
-    values: dict[str, Any] = {}
-    for name, (file, line, value) in entries.items():
-        if name not in by_name:
-            raise ConfigurationError(
-                "has no effect any more; delete it" if name.startswith("pumps_in_")
-                else f"is not a parameter of a site; {suggest_names(name, by_name)}",
-                file=file, line=line, key=name,
+@contextmanager
+def _add_place_to_errors(entries: Mapping[str, _Entry], path: Path | None) -> Iterator[None]:
+    """Add file and line to an error about an entry, or how to add a missing one."""
+    try:
+        yield
+    except ConfigurationError as error:
+        name, expected = str(error.key).partition(".")[0], error.expected
+        file, line, _ = entries.get(name, (path, None, None))
+        if name not in entries:
+            expected += (
+                "; add it, or begin the file with 'extends: site.yaml' to use the paper's values "
+                "for all keys that are missing"
             )
-        key = by_name[name]
-        allowed = replace(key.entry.range, whole=key.kind is int)
-        if name == _CLIMATE:
-            if not isinstance(value, (list, tuple)) or len(value) != 12 or any(
-                month not in allowed for month in value
-            ):
-                raise _refusal(
-                    entries, name,
-                    f"must be twelve numbers in brackets, January to December, each {allowed}",
-                )
-            values[name] = tuple(map(float, value))
-        elif name in _OF_CLOCK:
-            try:
-                values[name] = _of_clock(name, value)
-            except (TypeError, OSError, ValueError, KeyError):
-                raise _refusal(entries, name, _OF_CLOCK[name]) from None
-        else:
-            values[name] = allowed.read(
-                value, file=file, line=line, key=name, about=f" ({key.entry.meaning})"
-            )
-    return values
-
-
-def _of_clock(name: str, value: Any) -> tuple[str, ...] | str:
-    """Return the value of ``quiet_hours`` or ``time_zone``.
-
-    Raises:
-        TypeError, OSError, ValueError, KeyError: it is invalid.
-    """
-    if name == _ZONE and isinstance(value, str):
-        return ZoneInfo(value).key
-    if name == _ZONE or not isinstance(value, (list, tuple)):
-        raise TypeError
-    QuietHours(value, timezone.utc)
-    return tuple(value)
+        raise ConfigurationError(
+            expected, file=file, line=line, key=error.key, value=error.value
+        ) from None
 
 
 def _standard_offsets(zone: str) -> list[float]:
@@ -564,13 +526,24 @@ def _other_zone(zone: str, utc_offset: float, offsets: list[float]) -> str:
     return expected
 
 
-def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, str]]:
+def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str, str]]:
     """Yield each parameter that contradicts others, and what would be right.
 
     Args:
         site: with each parameter in its range.
         entries: names of the parameters that its file has.
     """
+    for name in entries:
+        if getattr(site, name) is None:
+            yield name, "needs a value; leave this line out if there is none"
+    for name, (make, expected) in _OF_CLOCK.items():
+        try:
+            if name in entries:
+                make(getattr(site, name))
+        except (OSError, ValueError, KeyError):
+            yield name, expected
+    if site.monthly_evapotranspiration and len(site.monthly_evapotranspiration) != 12:
+        yield "monthly_evapotranspiration", "must be twelve numbers, January to December"
     for name, topic in (("z_o", "/cistern/level"), ("z_veg", "/roof/level")):
         high = read_topics()[topic].high
         if _ABOVE_OUTLET * getattr(site, name) > high:
@@ -586,7 +559,7 @@ def _contradictions(site: Site, entries: Container[str]) -> Iterator[tuple[str, 
     if site.time_zone is not None and site.utc_offset is not None:
         offsets = _standard_offsets(site.time_zone)
         if site.utc_offset not in offsets:
-            yield _ZONE, _other_zone(site.time_zone, site.utc_offset, offsets)
+            yield "time_zone", _other_zone(site.time_zone, site.utc_offset, offsets)
     outlet, name, suction = site.min_outlet_level, "z_o", site.suction_level
     if site.low_outlet_level is not None:
         name = "low_outlet_level"

@@ -107,7 +107,8 @@ def test_of_a_site(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "expected"),
     [
-        ("quiet_hours", "[22]", "must be times of day in brackets"),
+        ("quiet_hours", "22:00-06:00", "must be a list (times of day in which the pump stays off"),
+        ("quiet_hours", '["22"]', "must be times of day in brackets"),
         ("quiet_hours", '["24:00-06:00"]', "must be times of day in brackets"),
         ("quiet_hours", '["06:00-06:00"]', "must be times of day in brackets"),
         ("quiet_hours", '["00:00-12:00", "12:00-24:00"]', "and must leave time to pump"),
