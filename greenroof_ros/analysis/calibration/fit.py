@@ -242,9 +242,6 @@ def fit(
             columns.append((differences(moved, 0.0) - base) / (moved[place] - share))
         return np.column_stack(columns)
 
-    def identify() -> tuple[Steps, list[str]]:
-        return _identify([span.name for span in every], jacobian())
-
     from scipy.optimize import least_squares  # half a second, and not needed for a refusal
 
     def solve() -> OptimizeResult:
@@ -260,7 +257,8 @@ def fit(
         at[free] = solution.x
         return solution
 
-    free, _ = identify()
+    names = [span.name for span in every]
+    free, _ = _identify(names, jacobian())
     # Between a large store with little evaporation and a small store with much, there is a ridge
     # that no search crosses.
     grid = itertools.product(*(
@@ -273,7 +271,7 @@ def fit(
     solve()
     # Again at the solution: it may identify other parameters than the start of the search.
     stage = 3
-    free, why = identify()
+    free, why = _identify(names, jacobian())
     at[~free] = as_it_was[~free]
     stage = 4
     solution = solve()
@@ -282,10 +280,11 @@ def fit(
     robust = 1 + (solution.fun / _ROBUST_FROM) ** 2
     rows = jacobian() * robust[:, None] ** -0.75
     half = np.full(len(every), np.nan)
-    half[free] = np.hypot(
-        compute_intervals(rows[:, free], solution.fun * robust**0.25, weeks),
-        _find_shift(rows[:, free], rows[:, ~free], at[~free]),
-    )
+    # How far the fitted parameters follow each held one to the end of its range that is further.
+    follows = np.linalg.lstsq(rows[:, free], rows[:, ~free], rcond=None)[0]
+    shift = np.linalg.norm(follows * np.maximum(at[~free], 1 - at[~free]), axis=1)
+    own = compute_intervals(rows[:, free], solution.fun * robust**0.25, weeks)
+    half[free] = np.hypot(own, shift)
     parameters = list(map(_judge, every, at.tolist(), half.tolist(), why))
     if record.step_s > _DRAINAGE_STEP_S:
         assert site.drainage_time is not None
@@ -348,22 +347,6 @@ def _identify(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]
     return free, why
 
 
-def _find_shift(own: Values, fixed: Values, shares: Values) -> Values:
-    """Return how far the fitted parameters move if the fixed ones are elsewhere in their ranges.
-
-    Args:
-        own: Jacobian of the fitted parameters, shape (n, fitted).
-        fixed: Jacobian of the fixed parameters, shape (n, fixed).
-        shares: values of the fixed parameters, as shares of their ranges, shape (fixed,).
-
-    Returns:
-        Shares of the ranges, shape (fitted,): the root of the sum of squares over the fixed
-        parameters, each moved to the end of its range that is further away.
-    """
-    follows = np.linalg.lstsq(own, fixed, rcond=None)[0]
-    return np.asarray(np.linalg.norm(follows * np.maximum(shares, 1 - shares), axis=1))
-
-
 def _judge(parameter: FitRange, share: float, half: float, why: str) -> FittedParameter:
     """Return a parameter with its interval, and the reason if something is wrong with it.
 
@@ -385,11 +368,18 @@ def _judge(parameter: FitRange, share: float, half: float, why: str) -> FittedPa
     return FittedParameter(parameter.name, value, low, high, reason)
 
 
-def find_moves(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -> Values:
-    """Return how far a least-squares fit moves without each group, shape (groups, parameters).
+def compute_intervals(
+    jacobian: Values, residuals: Values, groups: NDArray[np.int64]
+) -> Values:
+    """Return half of each parameter's 95 % interval, by :func:`compute_half_intervals`.
 
-    The fit is treated as linear: without a group of Jacobian J_g and residuals r_g the parameters
-    move by (J'J - J_g'J_g)^-1 J_g' r_g.
+    The fit is treated as linear: without a group of residuals r_g and Jacobian J_g, the parameters
+    move by (J'J - J_g'J_g)^-1 J_g' r_g. If few groups have most of the information about a
+    parameter, its variance is less certain. The degrees of freedom are Kish's effective number of
+    groups less one, sum(w)^2 / sum(w^2) - 1, where w is the information that is lost without a
+    group; at least 1. With equal groups they are the number of groups less one. If one group alone
+    determines nearly everything about a parameter, nothing shows how it would vary, and its half is
+    infinite.
 
     Args:
         jacobian: at the fit, shape (n, parameters).
@@ -397,66 +387,17 @@ def find_moves(jacobian: Values, residuals: Values, groups: NDArray[np.int64]) -
         groups: number of each residual's group, shape (n,). Residuals of one group may depend on
             each other.
     """
-    normal = jacobian.T @ jacobian
-    moved = []
+    moved, kept = [], []
     for group in np.unique(groups):
-        own = jacobian[groups == group]
-        moved.append(np.linalg.pinv(normal - own.T @ own) @ (own.T @ residuals[groups == group]))
-    return np.array(moved)
-
-
-def count_freedom(jacobian: Values, groups: NDArray[np.int64]) -> Values:
-    """Return the degrees of freedom of each parameter's jackknife variance.
-
-    That variance is a sum of squares of what :func:`find_moves` returns. If residuals are
-    independent with equal variances, it is nearly chi-squared, with the degrees of freedom that
-    match its mean and variance (Satterthwaite's; Bell and McCaffrey, Survey Methodology 28, 2002,
-    169-181). If all groups are equally informative about a parameter, the degrees are the number of
-    groups less one. If some are more informative there are fewer, and Student's t is wider (Imbens
-    and Kolesar 2016, doi:10.1162/REST_a_00552).
-
-    Args:
-        jacobian: at the fit, shape (n, parameters).
-        groups: number of each residual's group, shape (n,).
-    """
-    normal = jacobian.T @ jacobian
-    own = np.array([
-        jacobian[groups == group].T @ jacobian[groups == group] for group in np.unique(groups)
-    ])
-    without = np.linalg.pinv(normal - own)
-    # Moves are linear in the residuals. These are their covariances between groups, by parameter.
-    shares = own @ without
-    alone = np.einsum("gkp,gkp->gp", without, shares)
-    shared = np.einsum("gkp,kl,hlp->pgh", shares, np.linalg.pinv(normal), shares)
-    covariance = np.einsum("gp,gh->pgh", alone, np.eye(len(own))) - shared
-    return np.asarray(
-        np.einsum("pgg->p", covariance) ** 2 / np.einsum("pgh,pgh->p", covariance, covariance)
-    )
-
-
-def compute_intervals(
-    jacobian: Values, residuals: Values, groups: NDArray[np.int64]
-) -> Values:
-    """Return half of each parameter's 95 % interval; few groups may determine most of it.
-
-    By :func:`compute_half_intervals` with the degrees of :func:`count_freedom`. If one group alone
-    determines nearly everything about a parameter, nothing shows how it would vary, and its half is
-    infinite.
-
-    Args:
-        jacobian: at the fit, shape (n, parameters).
-        residuals: there, shape (n,).
-        groups: number of each residual's group, shape (n,).
-    """
-    numbers = np.unique(groups)
-    without = np.array([_measure_information(jacobian[groups != group]) for group in numbers])
-    alone = without.min(axis=0) < (1 - _ALONE) * _measure_information(jacobian)
-    half = np.full(len(alone), np.inf)
-    if len(numbers) > 1 and not alone.all():
-        degrees = np.where(alone, 1.0, count_freedom(jacobian, groups))
-        moved = find_moves(jacobian, residuals, groups)
-        half = np.where(alone, np.inf, compute_half_intervals(moved, degrees))
-    return half
+        own = groups == group
+        rest = jacobian[~own]
+        moved.append(np.linalg.pinv(rest.T @ rest) @ (jacobian[own].T @ residuals[own]))
+        kept.append(_measure_information(rest))
+    whole = _measure_information(jacobian)
+    lost = whole - kept
+    degrees = np.maximum(1.0, lost.sum(axis=0) ** 2 / np.sum(lost**2, axis=0) - 1)
+    half = compute_half_intervals(np.array(moved), degrees)
+    return np.where(lost.max(axis=0) >= _ALONE * whole, np.inf, half)
 
 
 def _measure_information(jacobian: Values) -> Values:
@@ -473,21 +414,16 @@ def _measure_information(jacobian: Values) -> Values:
     return np.array(unexplained)
 
 
-def compute_half_intervals(moved: Values, freedom: Values | None = None) -> Values:
+def compute_half_intervals(moved: Values, degrees: Values | int) -> Values:
     """Return half of each 95 % interval, from how each value moves without one group.
 
-    Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t. With a single
-    group the halves are infinite.
+    Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t.
 
     Args:
         moved: shape (groups, values); a constant added to all groups does not matter.
-        freedom: degrees of freedom of each value; None for the number of groups less one.
+        degrees: of freedom of each value; with equal groups their number less one.
     """
-    count = len(moved)
-    if count < 2:  # without the only group nothing is left
-        return np.full(moved.shape[1], np.inf)
-    variance = np.var(moved, axis=0) * (count - 1)
     from scipy.stats import t as student  # half of all import time, and not needed for a refusal
 
-    quantile = student.ppf((1 + _CONFIDENCE) / 2, max(1, count - 1) if freedom is None else freedom)
-    return np.asarray(quantile * np.sqrt(variance))
+    variance = np.var(moved, axis=0) * (len(moved) - 1)
+    return np.asarray(student.ppf((1 + _CONFIDENCE) / 2, degrees) * np.sqrt(variance))

@@ -126,7 +126,7 @@ def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
 
     [c_hat] = heights(np.array([flow])).tolist()
     moved = np.stack([without, heights(without)], axis=-1)
-    half, of_height = compute_half_intervals(moved).tolist()
+    half, of_height = compute_half_intervals(moved, len(moved) - 1).tolist()
     held = "the data cannot tell it apart from c_hat"
     return PumpFit(
         replace(site, c_hat=c_hat),
