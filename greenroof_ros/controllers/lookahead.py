@@ -106,10 +106,6 @@ class Lookahead:
             "members was wrong",
         ),
         Parameter(
-            "cvar_level", 0.0, "1", 0.0, 0.99, "share of the members to leave out, those with "
-            "the smallest deviation: 0 for the mean of all, 0.8 for the worst fifth",
-        ),
-        Parameter(
             "min_on", 0.0, "s", 0.0, 86_400.0, "the pumps' minimum time on, in a simulation not "
             "below pump_min_on: filling takes this long, so that they do not run on at the level",
         ),
@@ -132,7 +128,6 @@ class Lookahead:
         days_after: float,
         max_command: float,
         recourse: float,
-        cvar_level: float,
         min_on: float,
         observer_time_constant: float,
         waiting_budget: float,
@@ -154,7 +149,7 @@ class Lookahead:
             [*_merge_steps(forecast_edges, site.tau, 0.0), *days],
             [*_merge_steps(forecast_edges, max(site.tau, _MIN_STEP_S), _MIN_SHARE), *days],
         ]
-        self._program = OrderUpTo(site, cvar_level)
+        self._program = OrderUpTo(site)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self._policy: Policy | None = None

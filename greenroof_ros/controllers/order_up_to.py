@@ -109,8 +109,7 @@ class OrderUpTo:
 
     The decision, y or to leave the roof alone, is the same for all members of a group, by the mean
     over them; each member has its own V. If V were averaged as well, each step would draw a new
-    member, and the sums of storms would be lost. With ``risk`` only the worst members count: the
-    conditional value at risk of V over a group.
+    member, and the sums of storms would be lost.
 
     V is stored at nodes of the volume, dense around the target and one at it, and interpolated
     linearly between them.
@@ -120,19 +119,15 @@ class OrderUpTo:
     always enough, s has one node.
     """
 
-    def __init__(
-        self, site: Site, risk: float = 0.0, fine: tuple[int, int] = (900, 300)
-    ) -> None:
+    def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
         """Set the site.
 
         Args:
             site: its parameters.
-            risk: share of the members, the better ones, that do not count (1), below 1.
             fine: nodes below and above the target, for a single forecast.
         """
         self._target = site.x2_star
         self._site = site
-        self._risk = risk
         self._fine = fine
         self._soil = soil_of(site)
         self._cistern = Cistern(site)
@@ -354,7 +349,7 @@ class OrderUpTo:
         result = free
         for index, members in enumerate(groups):
             ours = holding[members]
-            best = _find_minimum_onward(self._over_members(ours))
+            best = _find_minimum_onward(ours.mean(axis=0))
             filled = level = roof[best]
             if strong:
                 costs, contents = ours[..., best[0]], self._contents[best]
@@ -367,20 +362,10 @@ class OrderUpTo:
             if flow > 0:
                 costs = costs + (filled - roof) * (contents - self._contents[dry]) / (2 * flow)
             waiting = free[members][..., dry]
-            fills = self._over_members(costs) < self._over_members(waiting)
+            fills = costs.mean(axis=0) < waiting.mean(axis=0)
             levels[index] = np.where(fills, level, -1.0)
             result[members, :, dry] = np.where(fills, costs, waiting)
         return result, levels
-
-    def _over_members(self, values: Array) -> Array:
-        """Return the mean over members; if ``risk`` is above 0, over the worst of them."""
-        if len(values) == 1:
-            return np.asarray(values[0])
-        if not self._risk:
-            return np.asarray(values.sum(axis=0) / len(values))
-        counted = len(values) * (1 - self._risk)
-        weights = np.clip(counted - np.arange(len(values)), 0.0, 1.0) / counted
-        return np.asarray((np.sort(values, axis=0)[::-1] * weights[:, None, None]).sum(axis=0))
 
     def _deviation(self, before: Array, after: Array) -> Array:
         r"""Return the mean of \|x - x*\| on a straight path between two volumes (m3)."""

@@ -177,7 +177,7 @@ def test_what_the_command_notes_is_a_warning(way: Callable[..., Any]) -> None:
 
 @pytest.mark.parametrize(("kind", "further"), [
     (AnticipatingOnOff, {"fraction": 1.0}),
-    (Lookahead, {"max_command": 1.0, "recourse": 48.0, "cvar_level": 0.0, "min_on": 0.0}),
+    (Lookahead, {"max_command": 1.0, "recourse": 48.0, "min_on": 0.0}),
 ])
 def test_an_instance_goes_on_with_what_it_has_learned(
     kind: Any, further: dict[str, float]
