@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping
-from datetime import datetime, timezone
 from functools import partial
 from typing import Any
 
@@ -13,10 +11,9 @@ from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_namespace, 
 from greenroof_ros.watch.document import list_present, make_document, summarize
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.words import SPACE, UNKNOWN
+from greenroof_ros.watch.words import SPACE
 
 WARNING, ALARM, NOTHING = 1, 2, 3
-_STATES = {EXIT_DONE: "well", WARNING: "warning", ALARM: "alarm", NOTHING: "nothing running"}
 
 # How long it subscribes at least, once it has found a node, and how long in all (s). Each node
 # reports at least once a second, but the middleware may take seconds to find it.
@@ -41,7 +38,7 @@ _EPILOG = """\
 examples:
   greenroof status
   ssh pi@roof greenroof status          from another machine
-  greenroof status --json --namespace site1
+  greenroof status --namespace site1
 
 exit codes, as monitoring plug-ins have them: 0 well, 1 warning, 2 alarm, 3 nothing is running, or
 the command failed or was used wrongly
@@ -54,9 +51,6 @@ def make_parser() -> Parser:
         prog="greenroof status", usage="%(prog)s [options]", description=_DESCRIPTION,
         epilog=_EPILOG,
     )
-    parser.add_argument(
-        "--json", action="store_true", help="print it as JSON, with numbers in SI units",
-    )
     add_namespace(parser)
     return parser
 
@@ -68,13 +62,11 @@ def main() -> int:
     store = GraphStore(arguments.namespace)
     with Feed(store):
         shown = _read_status(store)
-        code = _judge(shown)
-        values = _list_values(store, shown, code)
-    if arguments.json:
-        text = json.dumps(values, indent=2, ensure_ascii=False)
-    else:
-        text = "\n".join(_write_lines(shown, code, values["pump_stands"]))
-    print(text.replace(SPACE, " "))
+        with store.lock:
+            pump = None if store.is_lost(store.pump) else store.pump
+    code = _judge(shown)
+    lines = _write_lines(shown, code, None if pump is None else pump.values.get("stands"))
+    print("\n".join(lines).replace(SPACE, " "))
     return code
 
 
@@ -134,42 +126,10 @@ def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> li
     warning = filter(None, [shown["stop"]["warning"]])
     lines += [*warning, *map(_write_alarm, told["alarms"]), *shown["notes"]]
     if (hidden := len(lines) - _MAX_LINES + 1) > 1:
-        lines[-hidden:] = [f"and {hidden} more: see 'greenroof watch', or --json"]
+        lines[-hidden:] = [f"and {hidden} more: see 'greenroof watch'"]
     return lines
 
 
 def _write_alarm(row: Mapping[str, Any]) -> str:
     follows = f"; follows from {row['follows']}" if row["follows"] else ""
     return f"{_LEVELS[row['level']]}: {row['id']}: {row['what']}{follows}"
-
-
-def _list_values(store: GraphStore, shown: Mapping[str, Any], code: int) -> dict[str, Any]:
-    """Return the status as data; None is *unknown*."""
-    tiles, now = shown["tiles"], shown["time"]["now"]
-    controller = tiles["controller"]["value"]
-    with store.lock:
-        forecast, factor = store.forecast, store.factor
-        command = store.present_value("/pump/command")
-        pump = None if store.is_lost(store.pump) else store.pump
-    amount = None if forecast is None or now is None else forecast.amount(now)
-    return {
-        "status": _STATES[code],
-        "exit_code": code,
-        **summarize(shown),
-        "mode": shown["mode"],
-        "namespace": shown["namespace"],
-        "time": None if now is None
-        else datetime.fromtimestamp(now, timezone.utc).isoformat(timespec="seconds"),
-        "times_real_time": factor,
-        "cistern_level_m": tiles["cistern"]["number"],
-        "roof_level_m": tiles["roof"]["number"],
-        "pump": tiles["pump"]["state"],
-        "pump_why": tiles["pump"]["why"],
-        "pump_stands": None if pump is None else pump.values.get("stands"),
-        "pump_flow_m3_s": tiles["pump"]["number"],
-        "command": command,
-        "controller": None if controller == UNKNOWN else controller,
-        "rain_m_s": tiles["rain"]["number"],
-        "forecast_rain_m": None if amount is None else amount.mean,
-        "forecast_reach_s": None if amount is None else amount.reach_s,
-    }
