@@ -140,11 +140,10 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     """Read each used topic of a bag, ordered by time.
 
     The topics may be in a namespace, such as /site1/roof/level; the result has their plain names.
-    If the bag has the graph's clock, its times count: a bag of a simulation that was recorded
-    without simulated time has the times of arrival.
 
     Raises:
-        ConfigurationError: the bag is damaged, or lacks a needed topic.
+        ConfigurationError: the bag is damaged, lacks a needed topic, or has the times at which the
+            messages of a simulation arrived.
     """
     with require_extra("study"):
         from rosbags import typesys
@@ -181,43 +180,14 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     silent = [topic for topic in _NEEDED if topic not in times]
     if silent:
         raise ConfigurationError(f"holds no message of {', '.join(silent)}", file=bag)
-    arrived = {topic: np.array(stamps) for topic, stamps in times.items()}
-    if _CLOCK in arrived:
-        arrived = _convert_to_clock(bag, arrived, np.array(values[_CLOCK]))
-    return {topic: _Series(stamps, np.array(values[topic])) for topic, stamps in arrived.items()}
-
-
-def _convert_to_clock(bag: Path, arrived: Mapping[str, Stamps], clock: Stamps) -> dict[str, Stamps]:
-    """Return the simulated times of the messages of each topic but the clock (ns).
-
-    A topic with as many messages as the clock has one for each tick. Otherwise a message belongs to
-    the last tick whose clock message arrived before it.
-
-    Args:
-        bag: for messages.
-        arrived: when the messages arrived (ns), by topic.
-        clock: values of the clock's messages (ns).
-
-    Raises:
-        ConfigurationError: the clock goes back: the bag holds more than one run.
-    """
-    back = np.flatnonzero(np.diff(clock) < 0)
-    if len(back):
-        before, after = (from_epoch_ns(int(clock[back[0] + step])).isoformat() for step in (0, 1))
+    # A recorder with simulated time stamps each message with a value of the clock.
+    if _CLOCK in times and not set(times.pop(_CLOCK)) & set(values.pop(_CLOCK)):
         raise ConfigurationError(
-            f"goes back from {before} to {after}: record each run in a bag of its own",
-            file=bag, key=_CLOCK,
+            "has the times at which the messages of a simulation arrived, not simulated times: "
+            "record with 'ros2 bag record --use-sim-time', or use the bag in the run's directory",
+            file=bag,
         )
-    stamps = {}
-    for topic, own in arrived.items():
-        if topic == _CLOCK:
-            continue
-        if len(own) == len(clock):
-            stamps[topic] = clock
-        else:
-            tick = np.searchsorted(arrived[_CLOCK], own, side="right") - 1
-            stamps[topic] = clock[np.maximum(tick, 0)]
-    return stamps
+    return {topic: _Series(np.array(times[topic]), np.array(values[topic])) for topic in times}
 
 
 def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str]) -> None:

@@ -8,7 +8,6 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -156,70 +155,31 @@ def test_a_real_sites_bag(tmp_path: Path) -> None:
     assert trajectory.pump_flow.tolist() == [1e-6] * 8 and notes == []
 
 
-# --- bags of `ros2 bag record` without simulated time ---------------------------------------------
-
-
-def recorded_fast(
-    directory: Path, count: int, *, begin: int = 0, lost: int = 0, ticks: Sequence[int] = (),
-    namespace: str = "",
-) -> Path:
-    """Write a bag of a simulation at a hundred times real time, with arrival as the log time.
-
-    The roof's level in tick k is k * 1e-5 m, and the pump's flow 0.004 m3/s. The clock is missing
-    before tick ``begin``, and so are the first ``lost`` levels.
-
-    Args:
-        directory: of the bag.
-        count: number of ticks of 1 s.
-        begin: first tick with a clock.
-        lost: first tick with a roof's level.
-        ticks: simulated time of each clock message (s); by default the tick.
-        namespace: of the graph.
-    """
-    arrival = [10**15 + tick * 10**7 for tick in range(count)]
-    return write_bag(directory, {
-        f"{namespace}/clock": (arrival[begin:], (ticks or range(count))[begin:]),
-        f"{namespace}/roof/level": (arrival[lost:], [1e-5 * k for k in range(lost, count)]),
-        f"{namespace}/cistern/level": (arrival, [2.0] * count),
-        f"{namespace}/pump/command": (arrival, [0.0] * count),
-        f"{namespace}/pump/flow": (arrival, [0.004] * count),
-    })
+# --- other bags of a simulation, and what is no bag -----------------------------------------------
 
 
 @pytest.mark.parametrize("namespace", ["", "/site1"])
-def test_a_bag_with_arrival_times_has_the_times_of_its_clock(
-    tmp_path: Path, namespace: str
-) -> None:
-    """600 s in 6 s; as a bag, and as its .mcap file alone."""
-    bag = recorded_fast(tmp_path / "bag", 601, namespace=namespace)
+def test_a_bag_of_a_simulation_needs_simulated_times(tmp_path: Path, namespace: str) -> None:
+    """A hundred times real time: 20 s in 0.2 s. As a bag, and as its .mcap file alone.
+
+    With ``--use-sim-time`` a message has the time of the last clock message before it.
+    """
+    arrived, simulated = ([tick * unit for tick in range(21)] for unit in (10**7, 10**9))
+    late = [0, *simulated[:-1]]
+    topics = {
+        f"{namespace}/clock": range(21), f"{namespace}/roof/level": [1e-3] * 21,
+        f"{namespace}/cistern/level": [2.0] * 21, f"{namespace}/pump/command": [0.0] * 21,
+        f"{namespace}/pump/flow": [0.004] * 21,
+    }
+    bags = {
+        name: write_bag(tmp_path / name, {topic: (stamps, of) for topic, of in topics.items()})
+        for name, stamps in (("arrived", [stamp + 10**15 for stamp in arrived]), ("late", late))
+    }
     if namespace:
-        (bag,) = bag.rename(tmp_path / "other").glob("*.mcap")
-        bag = bag.rename(tmp_path / "run.mcap")
-    row = row_of_run(bag)
-    assert row["hours"] == pytest.approx(600 / 3600, abs=1e-12)
-    assert row["pumped_m3"] == pytest.approx(0.004 * 600)
-    trajectory, _ = loaded(bag)
-    assert trajectory.start.timestamp() == START_NS / 1e9
-    assert trajectory.time.tolist() == list(range(601))
-    assert trajectory.roof == pytest.approx(68.8e-5 * np.arange(601))
-
-
-@pytest.mark.parametrize("missing", ["clock", "levels"])
-def test_a_recording_that_began_late_has_each_message_in_its_tick(
-    tmp_path: Path, missing: str
-) -> None:
-    """The first ten messages of the clock, or of the roof's level, were not recorded."""
-    late = {"begin": 10} if missing == "clock" else {"lost": 10}
-    trajectory, _ = loaded(recorded_fast(tmp_path / "bag", 100, **late))
-    assert trajectory.time.tolist() == list(range(90))
-    assert trajectory.start.timestamp() == START_NS / 1e9 + 10
-    assert trajectory.roof == pytest.approx(68.8e-5 * np.arange(10, 100))
-
-
-def test_a_bag_of_two_runs_is_refused(tmp_path: Path) -> None:
-    bag = recorded_fast(tmp_path / "bag", 20, ticks=[*range(10), *range(10)])
-    with pytest.raises(ConfigurationError, match=r"/clock: goes back from .*:09\+00:00 to .*:00"):
-        loaded(bag)
+        bags = {name: next(bag.glob("*.mcap")) for name, bag in bags.items()}
+    with pytest.raises(ConfigurationError, match="record with 'ros2 bag record --use-sim-time'"):
+        loaded(bags["arrived"])
+    assert loaded(bags["late"])[0].time.tolist() == list(range(20))
 
 
 def test_a_file_that_is_no_bag_is_refused(tmp_path: Path) -> None:
