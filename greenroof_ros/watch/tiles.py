@@ -208,7 +208,7 @@ def _read_pump_state(store: GraphStore, report: PumpState | None) -> tuple[str, 
     )
     if pumped is None:
         return "unknown", ""
-    if pumps_run(store.site, pumped):
+    if (share and pumped > 0) or pumps_run(store.site, pumped):
         return "running", ""
     return "off", "nothing is commanded" if share == 0 else ""
 
