@@ -13,6 +13,7 @@ from string import Formatter
 from typing import Any
 
 from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.times import duration
 
 LATCHED, INHIBIT, PERMISSIVE = "latched", "inhibit", "permissive"
 
@@ -202,7 +203,7 @@ class _Formatter(Formatter):
     def format_field(self, value: Any, spec: str) -> str:
         if spec != "duration":
             return str(super().format_field(value, spec))
-        return f"{math.ceil(value)} s" if value < 120 else f"{math.ceil(value / 60)} min"
+        return duration(math.ceil(value))
 
 
 _FORMATTER = _Formatter()

@@ -152,9 +152,6 @@ def _list_notes(store: GraphStore, hidden: int) -> list[str]:
     weather = store.graph.node("weather")
     if weather is not None and (source := weather.text("forecast_by")):
         notes.append(f"{source[:1].upper()}{source[1:]}.")
-    silent = store.silent_s
-    if store.mode != "none" and silent and all(newest.stale for newest in store.newest.values()):
-        notes.insert(0, f"No values have come for {words.write_duration(silent)}.")
     return [note for note in notes if note]
 
 

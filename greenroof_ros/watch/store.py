@@ -18,6 +18,7 @@ from greenroof_ros.common.alarms import Alarm, Judge
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.states import PUMP, PUMP_STATES, PumpState
+from greenroof_ros.common.times import duration
 from greenroof_ros.model.look_ahead import MAX_MEMBERS
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.watch import wire, words
@@ -89,10 +90,6 @@ class TopicValue:
             self._received, self._received_at = False, wall
         usual = float(np.median(self._intervals)) if self._intervals else 0.0
         self.stale = not ended and wall - self._received_at > max(_STALE_S, INTERVALS * usual)
-
-    def silent_s(self, wall: float) -> float:
-        """Return how long ago a value came (s of wall time); 0 if none ever did."""
-        return 0.0 if self._received_at is None else max(0.0, wall - self._received_at)
 
 
 class GraphStore:
@@ -207,18 +204,13 @@ class GraphStore:
             ) > _SET_BACK_S:
                 self._forget_values()
                 self.add_event(
-                    f"The system's clock was set back by {words.write_duration(back)}: the charts "
-                    "start again"
+                    f"The system's clock was set back by {duration(round(back))}: the charts start "
+                    "again"
                 )
             self.wall = wall
             for newest in self.newest.values():
                 newest.update(wall, ended=self.ended)
             self._judge(wall)
-
-    @property
-    def silent_s(self) -> float:
-        """How long no value of any topic has come (s); 0 if none ever did."""
-        return min((newest.silent_s(self.wall) for newest in self.newest.values()), default=0.0)
 
     @property
     def ended(self) -> bool:

@@ -74,21 +74,11 @@ def write_command(share: float) -> str:
     return write_value("/pump/command", share)
 
 
-def write_duration(seconds: float) -> str:
-    """Write a duration as people write it: ``40 s``, ``12 min``, ``3.5 h``."""
-    if not math.isfinite(seconds):
-        return UNKNOWN
-    if seconds < 172800:
-        return duration(round(seconds)).replace(" ", SPACE)
-    days = seconds / 86400
-    return write_quantity(days, "days", 0 if f"{days:.1f}".endswith(".0") else 1)
-
-
 def write_horizon(seconds: float) -> str:
     """Write how far ahead a forecast or plan reaches, from 90 min on in whole hours: ``12 h``."""
-    if 5400 <= seconds < 172800:
+    if seconds >= 5400:
         return write_quantity(seconds / 3600, "h", 0)
-    return write_duration(seconds)
+    return duration(round(seconds)).replace(" ", SPACE)
 
 
 def convert_time(seconds: float, zone: tzinfo) -> datetime | None:

@@ -105,7 +105,7 @@ def test_volume_per_day() -> None:
     rig.run(600, 1.0)
     assert rig.decisions[-1].state == "held"
     assert rig.decisions[-1].why.startswith("1.0")
-    assert "the limit is 1 m3, and the pump may run again in 1461 min" in rig.decisions[-1].why
+    assert "the limit is 1 m3, and the pump may run again in 24.3 h" in rig.decisions[-1].why
     # Beyond it: a step at maximum flow, and what flows while the pump comes to rest.
     assert 1.0 <= rig.delivered <= 1.03
     rig.ledger.count(1800 + 86_400 - 600 - 10, 0.0, 0.0)
@@ -118,7 +118,7 @@ def test_a_run_without_a_break() -> None:
     rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, max_run=99.5))
     rig.run(200, 0.3, until=lambda decision: decision.state == "held")
     assert rig.decisions[-1].why.startswith(
-        "it ran for 100 s without a break; it rests until the command is 0, or for 100 s"
+        "it ran for 2 min without a break; it rests until the command is 0, or for 2 min"
     )
     begun = rig.now
     rig.run(200, 0.3, until=lambda decision: decision.speed is not None)
