@@ -131,7 +131,7 @@ def decoder(type_name: str) -> Callable[[bytes], Any]:
     """Return a function that reads the value from a message of a type; see :func:`encoder`."""
     return {
         "std_msgs/msg/Float64": _decode_number,
-        "std_msgs/msg/Float64MultiArray": _decode_numbers,
+        "std_msgs/msg/Float64MultiArray": lambda message: decode_numbers(message).values,
         "rosgraph_msgs/msg/Clock": decode_clock,
     }[type_name]
 
@@ -175,18 +175,18 @@ def _encode_numbers(
     return bytes(head) + front.tobytes() + values.astype("<f8").tobytes()
 
 
-def _decode_numbers(message: bytes) -> array[float] | NDArray[np.float64]:
+def decode_numbers(message: bytes) -> WithFront:
+    """Return the numbers of a message, in the shape of its layout, and those in front of them."""
     if len(message) >= _ROW.size:
         header, dimensions, offset, size = _ROW.unpack_from(message)
         if (header, dimensions, size) == (_HEADER, 0, (len(message) - _ROW.size) // 8):
-            values = array("d")
-            values.frombytes(message[_ROW.size + 8 * offset :])
-            return values
+            numbers = array("d", message[_ROW.size :])
+            return WithFront(numbers[:offset], numbers[offset:])
     received = deserialize_message(message, Float64MultiArray)
-    data: array[float] = received.data[received.layout.data_offset :]
-    shape = [dimension.size for dimension in received.layout.dim]
+    offset, shape = received.layout.data_offset, [each.size for each in received.layout.dim]
+    front, data = received.data[:offset], received.data[offset:]
     if len(shape) < 2:
-        return data
+        return WithFront(front, data)
     if math.prod(shape) != len(data):
         raise LockstepError(f"a message has {len(data)} values, but its layout is {shape}")
-    return np.asarray(data).reshape(shape)
+    return WithFront(front, np.asarray(data).reshape(shape))

@@ -42,7 +42,7 @@ _SAVE_S = 600.0
 # How long the end waits for that at most (s).
 _SAVED_S = 10.0
 
-_CLOCK = "/clock"
+_CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
 
 class Feed:
@@ -247,7 +247,7 @@ class Feed:
                 stamp_ns, statuses = received
                 self._store.add_statuses(time.monotonic(), statuses, stamp_ns)
         elif name == _CLOCK:
-            if (time_ns := wire.read_clock(message)) is not None:
+            if (time_ns := wire.read_value(_CLOCK_TYPE, message)) is not None:
                 self._times.receive_clock(number, time_ns)
         elif time_ns := self._times.time_of(self._topics[name], number, arrived_ns):
             self._store.receive(name, time_ns, message)

@@ -23,7 +23,7 @@ from greenroof_ros.watch.registry import Registry
 
 # How often new messages are passed on (s).
 _POLL_S = 0.05
-_CLOCK = "/clock"
+_CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
 
 def refuse_unusable(port: int) -> None:
@@ -110,7 +110,7 @@ class FoxgloveServer:
             if self._times.update(now):
                 self._time_ns = 0
                 self._server.clear_session()
-        if name == _CLOCK and (time_ns := wire.read_clock(message)) is not None:
+        if name == _CLOCK and (time_ns := wire.read_value(_CLOCK_TYPE, message)) is not None:
             self._times.receive_clock(number, time_ns)
         if time_ns := self._times.time_of(self._topics[name], number, arrived_ns):
             self._waiting.append((time_ns, name, message))

@@ -246,11 +246,11 @@ class GraphStore:
         if topic in (PLAN, RAIN_FORECAST):
             if (rows := wire.read_rows(message)) is not None:
                 if topic == PLAN:
-                    self.add_plan(time_ns, rows[0])
+                    self.add_plan(time_ns, np.asarray(rows.values))
                 else:
-                    self.add_forecast(time_ns, *rows)
+                    self.add_forecast(time_ns, np.asarray(rows.values), np.asarray(rows.front))
         elif self._interface[topic].type == _NUMBER:
-            value = wire.read_number(message)
+            value = wire.read_value(_NUMBER, message)
             if value is not None:
                 self.add(topic, time_ns, value)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:
+    from greenroof_ros.graph.messages import WithFront
 
 _NS = 1_000_000_000
 # The largest message that is read (bytes): an ensemble of forecasts has some hundred thousand.
@@ -35,45 +35,28 @@ class WireStatus:
     values: Mapping[str, str] = field(default_factory=dict)
 
 
-def _read_message(type_name: str, message: bytes) -> Any:
-    """Return a message as an object of its ROS class; None if it is not whole, or too large."""
-    from rclpy.serialization import deserialize_message  # only who joins a graph has ROS
-
-    from greenroof_ros.graph.messages import message_class
-
+def _read(message: bytes, decode: Callable[[bytes], Any]) -> Any:
+    """Return what a message holds; None if it is not whole, or too large."""
     if len(message) > _MAX_BYTES:
         return None
     with suppress(Exception):  # of the middleware, or a text that is not UTF-8
-        return deserialize_message(message, message_class(type_name))
+        return decode(message)
     return None
 
 
-def read_number(message: bytes) -> float | None:
-    """Return the value of a ``std_msgs/msg/Float64``."""
-    read = _read_message("std_msgs/msg/Float64", message)
-    return None if read is None else float(read.data)
+def read_value(type_name: str, message: bytes) -> Any:
+    """Return the value of a message of a type, as :func:`greenroof_ros.graph.messages.decoder`."""
+    from greenroof_ros.graph.messages import decoder  # only who joins a graph has ROS
+
+    return _read(message, decoder(type_name))
 
 
-def read_clock(message: bytes) -> int | None:
-    """Return the time of a ``rosgraph_msgs/msg/Clock`` (ns since 1970)."""
-    read = _read_message("rosgraph_msgs/msg/Clock", message)
-    return None if read is None else _read_stamp(read.clock)
+def read_rows(message: bytes) -> WithFront | None:
+    """Return the numbers of a ``std_msgs/msg/Float64MultiArray``, and those in front of them."""
+    from greenroof_ros.graph.messages import decode_numbers
 
-
-def read_rows(message: bytes) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the numbers of a ``std_msgs/msg/Float64MultiArray``, and those in front of them.
-
-    The numbers have the shape of the layout, if that has at least two dimensions. ``data_offset``
-    skips those in front: for a forecast when it was issued and when its steps end.
-    """
-    read = _read_message("std_msgs/msg/Float64MultiArray", message)
-    if read is None:
-        return None
-    front, numbers = np.split(np.asarray(read.data, np.float64), [read.layout.data_offset])
-    shape = [dimension.size for dimension in read.layout.dim]
-    with suppress(ValueError):  # of another size
-        return numbers.reshape(shape) if len(shape) >= 2 else numbers, front
-    return None
+    rows: WithFront | None = _read(message, decode_numbers)
+    return rows
 
 
 def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
@@ -81,10 +64,14 @@ def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
 
     Texts and lists that are longer than the limits above are cut: no honest sender has such.
     """
-    read = _read_message("diagnostic_msgs/msg/DiagnosticArray", message)
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.serialization import deserialize_message
+
+    read = _read(message, lambda whole: deserialize_message(whole, DiagnosticArray))
     if read is None:
         return None
-    return _read_stamp(read.header.stamp), [
+    stamp = read.header.stamp
+    return int(stamp.sec) * _NS + int(stamp.nanosec), [
         # An unknown level is treated as ERROR, the worst that someone can do something about.
         WireStatus(
             status.name[:_TEXT], level if (level := status.level[0]) <= 3 else 2,
@@ -93,7 +80,3 @@ def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
         )
         for status in read.status[:_STATUSES]
     ]
-
-
-def _read_stamp(time: Any) -> int:
-    return int(time.sec) * _NS + int(time.nanosec)
