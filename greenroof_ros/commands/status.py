@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, add_namespace, command
-from greenroof_ros.watch.document import list_present, make_document, summarize
+from greenroof_ros.watch.document import join_summary, list_present, make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import SPACE
@@ -109,11 +109,11 @@ def _judge(shown: Mapping[str, Any]) -> int:
 
 
 def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> list[str]:
-    tiles, told = shown["tiles"], summarize(shown)
+    tiles, summary, advice = shown["tiles"], join_summary(shown), shown["advice"]
     if code == NOTHING:
-        return [f"{told['summary']} {told['advice']}"]
+        return [f"{summary} {advice}"]
     where = filter(None, (shown["heading"], shown["namespace"], shown["time"]["text"]))
-    lines = [told["summary"], f"What to do: {told['advice']}", "; ".join(where)]
+    lines = [summary, f"What to do: {advice}", "; ".join(where)]
     for name in _TILES:
         tile = tiles[name]
         why = tile.get("why", "")
@@ -124,7 +124,7 @@ def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> li
         )))
         lines.append(f"{tile['label']:14} {tile['value']:14} {sentence}".rstrip())
     warning = filter(None, [shown["stop"]["warning"]])
-    lines += [*warning, *map(_write_alarm, told["alarms"]), *shown["notes"]]
+    lines += [*warning, *map(_write_alarm, list_present(shown)), *shown["notes"]]
     if (hidden := len(lines) - _MAX_LINES + 1) > 1:
         lines[-hidden:] = [f"and {hidden} more: see 'greenroof watch'"]
     return lines

@@ -46,6 +46,9 @@ _MAX_OVER, _MAX_ABOUT = 20, 10
 # What is done in a terminal of the site's machine, for a person at the pump.
 _RESET = "greenroof reset, in a terminal of its machine"
 
+# Ends of the names of statuses about what a node receives: they explain nothing elsewhere.
+_OF_INPUTS = ": inputs", ": refused"
+
 OTHER = "There is no advice for this; read the log of the node that reports it."
 FOREIGN = "Reported by another device or program, not by the green roof: see its instructions."
 """Advice for unknown codes, and for other devices, about which nothing is known here."""
@@ -227,8 +230,8 @@ class NodeReport:
         state: one of :mod:`greenroof_ros.common.states`.
         values: what else it reports.
         began: when it was first received; this and the next two by the steady clock (s).
-        received_at: when it was last received.
-        since: when it entered its state.
+        received_at: when it was last received; at first ``began``.
+        since: when it entered its state; at first ``began``.
         heard: when it was last received, in the graph's time (s since 1970).
         parts: its parts, by name.
         refused_at: when its count of refused values last grew (steady clock, s).
@@ -243,14 +246,15 @@ class NodeReport:
     state: str
     values: Mapping[str, Any]
     began: float
-    received_at: float
-    since: float
     heard: float = 0.0
     parts: dict[str, PartReport] = field(default_factory=dict)
     refused_at: float = -math.inf
     refused: tuple[str, ...] = ()
     ended: str = ""
     lost: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        self.received_at = self.since = self.began
 
     @property
     def has_ended(self) -> bool:
@@ -548,8 +552,11 @@ def _find_candidates(
         yield node
     if condition is None:
         return
-    if not part:
-        yield from _find_awaited(node, diagnosis, diagnoses)
+    if not part:  # nodes wrong as a whole that are waited for
+        for name, other in diagnoses.items():
+            waited_for = {name.rpartition("/")[2], other.role} & {*diagnosis.about}
+            if name != node and ": " not in name and waited_for:
+                yield name
     elif condition.no_data:
         yield from _find_publishers(diagnosis, diagnoses)
     more: Sequence[str] = condition.explained_by
@@ -560,19 +567,9 @@ def _find_candidates(
         # A part of the pump node that stops the pump because of that input reports more.
         yield from (
             name for name, other in diagnoses.items()
-            if other.role == PUMP and not name.endswith((": inputs", ": refused"))
+            if other.role == PUMP and not name.endswith(_OF_INPUTS)
             and {*other.about} & {*diagnosis.about}
         )
-
-
-def _find_awaited(
-    node: str, diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
-) -> Iterator[str]:
-    """Yield nodes wrong as a whole that are waited for."""
-    for name, other in diagnoses.items():
-        waited_for = {name.rpartition("/")[2], other.role} & {*diagnosis.about}
-        if name != node and ": " not in name and waited_for:
-            yield name
 
 
 def _find_publishers(
@@ -585,6 +582,6 @@ def _find_publishers(
     roles.discard(diagnosis.role)
     names = [
         name for name, other in diagnoses.items()
-        if other.role in roles and not name.endswith((": inputs", ": refused"))
+        if other.role in roles and not name.endswith(_OF_INPUTS)
     ]
     yield from sorted(names, key=lambda name: ": " in name)

@@ -56,8 +56,7 @@ class SiteAlarms:
         now = time.monotonic()
         for name in self._processes[process]:
             known = self._nodes.setdefault(name, NodeReport(
-                f"{self._namespace}/{name}", _role_of(name), "", STARTING, {}, now, now, now,
-                time.time(),
+                f"{self._namespace}/{name}", _role_of(name), "", STARTING, {}, now, time.time(),
             ))
             known.ended = text
 
@@ -85,7 +84,7 @@ class SiteAlarms:
         if node is None or node.process != process:
             node = self._nodes[name] = NodeReport(
                 f"{self._namespace}/{name}", report.get("role", ""), process, report["state"],
-                report, wall, wall, wall,
+                report, wall,
             )
         node.receive(wall, now, report["state"], report)
         node.heard -= wall - report.get("published_at", wall)

@@ -14,7 +14,7 @@ from typing import Any
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.common.processes import Signals
 from greenroof_ros.common.standard_error import print_line
-from greenroof_ros.watch.document import list_present, make_document, summarize
+from greenroof_ros.watch.document import join_summary, list_present, make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError
 from greenroof_ros.watch.home_assistant import (
@@ -230,5 +230,10 @@ def _round_number(topic: str, value: float | None) -> float | None:
 
 def make_alarms(shown: Mapping[str, Any]) -> dict[str, Any]:
     """Return the summary, what to do, and the present alarms, as in the document."""
-    told = summarize(shown, "since")
-    return told | {"alarms": told["alarms"][:_MAX_ALARMS]}
+    keys = "code", "level", "id", "what", "do", "follows", "since"
+    return {
+        "summary": join_summary(shown),
+        "advice": shown["advice"],
+        "alarms": [{key: row[key] for key in keys} for row in list_present(shown)[:_MAX_ALARMS]],
+        "notes": [*filter(None, [shown["stop"]["warning"]]), *shown["notes"]],
+    }

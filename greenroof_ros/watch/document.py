@@ -115,23 +115,10 @@ def list_present(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [row for row in shown["alarms"] if row["over"] is None]
 
 
-def summarize(shown: Mapping[str, Any], *more: str) -> dict[str, Any]:
-    """Return what people must know of a document: summary, advice, present alarms and notes.
-
-    Args:
-        shown: the document.
-        more: further entries of each alarm.
-    """
+def join_summary(shown: Mapping[str, Any]) -> str:
+    """Return the summary of a document as one text."""
     summary = shown["tiles"]["summary"]
-    return {
-        "summary": f"{summary['word']} {summary['sentence']}",
-        "advice": shown["advice"],
-        "alarms": [
-            {key: row[key] for key in ("code", "level", "id", "what", "do", "follows", *more)}
-            for row in list_present(shown)
-        ],
-        "notes": [*filter(None, [shown["stop"]["warning"]]), *shown["notes"]],
-    }
+    return f"{summary['word']} {summary['sentence']}"
 
 
 def _write_heading(store: GraphStore) -> str:

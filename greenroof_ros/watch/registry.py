@@ -176,7 +176,7 @@ class Registry:
         if node is None:
             if not self._make_room(wall):
                 return None
-            node = Node(name, role, process, state, values, wall, wall, wall)
+            node = Node(name, role, process, state, values, wall)
             node.replace_process(self._latest.get(name))
             if name in self._latest:
                 self._on_event(f"{name} was started again")

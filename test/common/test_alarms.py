@@ -242,7 +242,7 @@ def test_causes(
 
 def node(state: str = "ready", **values: Any) -> NodeReport:
     """Return a weather node that was first received at 0 s."""
-    report = NodeReport("/weather", "weather", "host 1", state, {}, 0.0, 0.0, 0.0)
+    report = NodeReport("/weather", "weather", "host 1", state, {}, 0.0)
     report.receive(0.0, NOON, state, values)
     return report
 
@@ -286,7 +286,7 @@ def test_what_is_wrong_with_a_node() -> None:
 
 def test_a_part_reports_code_start_age_and_subject() -> None:
     """What is no number or time is left out, and topics lose the namespace."""
-    report = NodeReport("/site1/pump", "pump", "host 1", "ready", {}, 0.0, 0.0, 0.0)
+    report = NodeReport("/site1/pump", "pump", "host 1", "ready", {}, 0.0)
     report.receive(0.0, NOON, "ready", {})
     report.receive_part("drive", 0.0, OK, "well", {})
     for values, since, age in (
