@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.bringup.watchdog import Watchdog
-from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.progress import RunProgress
 from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.graph.messages import LockstepError, describe
+from greenroof_ros.graph.domain import ros_arguments
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.nodes.controller import ControllerNode
@@ -58,14 +56,9 @@ class Composition:
         self._run, self._record = run, record
         self._external = external
         self._progress = progress
-        # rcl's own log files would grow in the user's home.
         self._arguments = [
-            "greenroof", "--ros-args", "--disable-external-lib-logs", "--disable-stdout-logs",
+            "greenroof", *ros_arguments(parameters, namespace), "--disable-stdout-logs",
         ]
-        for file in parameters:
-            self._arguments += ["--params-file", str(file)]
-        if namespace:
-            self._arguments += ["-r", f"__ns:={namespace}"]
         self._nodes: dict[str, SimulationNode] = {}
         self._checks = 0
         self._finished_at = time.monotonic()
@@ -175,11 +168,3 @@ class Composition:
         solver = {"solver": None} if controller is None else controller.result
         recorder = self._nodes[RECORDER].result if self._record else {"messages": None}
         return {**self._nodes["plant"].result, **solver, **recorder}
-
-    def explain(self, error: Exception) -> tuple[str, int]:
-        """Return why a run failed, in a sentence, and the exit code."""
-        if isinstance(error, ConfigurationError):
-            return str(error), exit_code(error)
-        if isinstance(error, (LockstepError, OSError)):
-            return str(error), EXIT_FAILED
-        return describe(error), EXIT_FAILED

@@ -31,6 +31,7 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.arguments import add_graph_arguments
 from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
+from greenroof_ros.graph.messages import explain
 from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.recording.bag_reader import count_ticks
 
@@ -124,7 +125,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
                 status, reason, code = summary.INTERRUPTED, str(error), EXIT_INTERRUPTED
                 print_line(reason)
             except Exception as error:
-                status, reason, code = summary.FAILED, *graph.explain(error)
+                status, reason, code = summary.FAILED, *explain(error)
                 print_line(f"error: {reason}")
             signals.ignore()
             failure = reason or None

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -104,6 +104,20 @@ def join() -> Any:
         signal_handler_options=SignalHandlerOptions.NO,
     )
     return context
+
+
+def ros_arguments(parameters: Iterable[Path], namespace: str) -> list[str]:
+    """Return the ROS arguments of bringup's nodes; rcl writes no log files of its own.
+
+    They would grow for months in the user's home, and a hung disk would stop the node.
+
+    Args:
+        parameters: ROS 2 parameter files; later files override earlier ones.
+        namespace: of the nodes, such as ``/site1``; empty for none.
+    """
+    files = [word for file in parameters for word in ("--params-file", str(file))]
+    remapped = ["-r", f"__ns:={namespace}"] if namespace else []
+    return ["--ros-args", "--disable-external-lib-logs", *files, *remapped]
 
 
 def _domain() -> int:

@@ -16,13 +16,12 @@ from greenroof_ros.common.command_line import (
     EXIT_FAILED,
     EXIT_USAGE,
     command,
-    exit_code,
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.graph.graph_node import GraphNode
-from greenroof_ros.graph.messages import LockstepError
+from greenroof_ros.graph.messages import LockstepError, explain
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
 from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
@@ -141,9 +140,8 @@ def run_nodes(
                 refuse_unknown(node, sys.argv)
             spin(nodes, signals.check)
         except (ConfigurationError, LockstepError, OSError) as error:
-            usage = isinstance(error, ConfigurationError)
-            code, failure = exit_code(error) if usage else EXIT_FAILED, str(error)
-            print(f"error: {error}", file=sys.stderr)
+            failure, code = explain(error)
+            print(f"error: {failure}", file=sys.stderr)
         except InterruptedRun:
             pass
         finally:

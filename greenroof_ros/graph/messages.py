@@ -27,7 +27,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, Float64MultiArray, String
 
-from greenroof_ros.common.errors import HangError
+from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
+from greenroof_ros.common.errors import ConfigurationError, HangError
 from greenroof_ros.common.interface import Qos
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
@@ -50,6 +51,14 @@ def describe(error: Exception) -> str:
         return str(error)
     place = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
+
+
+def explain(error: Exception) -> tuple[str, int]:
+    """Return why a node or a run failed, in a sentence, and the exit code."""
+    if isinstance(error, ConfigurationError):
+        return str(error), exit_code(error)
+    known = isinstance(error, (LockstepError, OSError))
+    return str(error) if known else describe(error), EXIT_FAILED
 
 
 class WithFront(NamedTuple):
