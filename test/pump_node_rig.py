@@ -79,7 +79,7 @@ class PumpRig:
         """Start the node, by default with the simulated drive; its state file is kept."""
         settings = {
             "drive": guarding("abb_acs880", self.cwd),
-            "address": address or self.drive.address, "exchange_period": 0.05,
+            "address": address or self.drive.address,
             "site_file": parameters.get("site_file") or self.site(), "recovery_time": 0.3,
             "state_file": self.cwd / "state.json", **MIN_TIMES, **parameters,
         }

@@ -58,15 +58,8 @@ _AGAIN_S, _REPORT_S = 0.5, 0.2
 _OWN = (
     *CHOICE,
     Parameter(
-        "exchange_period", 0.1, "s", 0.02, 1.0, "time between two rounds of requests to the drive",
-    ),
-    Parameter(
         "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "maximum communication timeout that the "
         "drive itself may have",
-    ),
-    Parameter(
-        "run_without_drive_timeout", False, meaning="run the pump although the drive itself "
-        "would run on when this machine fails: DANGEROUS",
     ),
     Parameter(
         "local_settings_stop_the_pump", False, meaning="confirms that someone has set the pump "
@@ -108,17 +101,14 @@ class PumpNode(LiveNode):
             )
         endpoint = _read_endpoint(values, self.get_name())
         self._exchange = DriveExchange(
-            endpoint, values["exchange_period"], timeout_limit_s=values["drive_timeout_limit"],
+            endpoint, timeout_limit_s=values["drive_timeout_limit"],
             stops_locally=values["local_settings_stop_the_pump"],
         )
-        self._timeout_waived: bool = values["run_without_drive_timeout"]
         settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
         settings["min_speed"] = max(settings["min_speed"], endpoint.file.min_speed)
         self._settings = PumpSettings(**settings)
         # Time after which a drive that is not responding is stopped (s).
         self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + MAX_RAMP_S
-        if self._timeout_waived:
-            self._drive_stops_after = math.inf
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
         self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
         self._ledger = Ledger(self._state_file, time.time)
@@ -143,9 +133,7 @@ class PumpNode(LiveNode):
             for row in INPUTS
         }
         self._flows = self.subscribe("/pump/flow", optional=True).publishers
-        self._pump_reports = PumpReports(
-            self.reports, self._by_name, self._exchange, waived=self._timeout_waived
-        )
+        self._pump_reports = PumpReports(self.reports, self._by_name, self._exchange)
         self.open_outputs("/pump/flow", "/pump/state")
         self._open_service("stop", SetBool, self._stop_or_release)
         self._open_service(
@@ -321,7 +309,7 @@ class PumpNode(LiveNode):
         """Yield why a drive that answers must not be run yet: nothing might stop it."""
         yield from filter(None, (
             snapshot.unguarded,
-            None if self._timeout_waived else self._exchange.timeout_problem(snapshot),
+            self._exchange.timeout_problem(snapshot),
             Diagnosis.if_any("state_not_kept", self._unsaved),
         ))
 

@@ -21,8 +21,7 @@ class PumpReports:
     """Sets the diagnoses of the pump node's parts; words with numbers in them are not logged."""
 
     def __init__(
-        self, reports: LiveDiagnostics, inputs: Mapping[str, LiveInput], exchange: DriveExchange,
-        *, waived: bool,
+        self, reports: LiveDiagnostics, inputs: Mapping[str, LiveInput], exchange: DriveExchange
     ) -> None:
         """Report nothing yet.
 
@@ -31,10 +30,8 @@ class PumpReports:
             inputs: of the node, by their names in
                 :mod:`greenroof_ros.live.pumping.pump_inputs`.
             exchange: the communication with the drive.
-            waived: whether the drive may run without its own communication timeout.
         """
         self._reports, self._inputs, self._exchange = reports, inputs, exchange
-        self._waived = waived
 
     def update(
         self, now: float, site: Site, state: PumpState, decision: Decision, dose: Dose | None,
@@ -156,8 +153,6 @@ class PumpReports:
         diagnosis, level = self._exchange.timeout_problem(snapshot), ERROR
         if diagnosis is None:
             diagnosis, level = snapshot.unguarded, WARN
-        elif self._waived:
-            diagnosis, level = diagnosis.change_code("drive_timeout_waived"), WARN
         self._reports.diagnose("drive timeout", diagnosis, well, level)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 
-from greenroof_ros.live.devices.exchange import FIRST_WAIT_S, SILENCE_MARGIN_S
+from greenroof_ros.live.devices.exchange import FIRST_WAIT_S, PERIOD_S, SILENCE_MARGIN_S
 from greenroof_ros.live.devices.stop_monitor import RUNS_ON_S, VISIBLE_S
 from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.live.pump import parameters as parameters_of_pump
@@ -37,12 +37,12 @@ def bounds(site: Site) -> dict[str, float]:
         site: of the campaign.
     """
     pump = {parameter.name: parameter.default for parameter in parameters_of_pump(site)}
-    exchange, follow, ramp, averaging, tolerance, delivery = (
+    follow, ramp, averaging, tolerance, delivery = (
         float(pump[name])
-        for name in ("exchange_period", "follow_time", "drive_ramp", "averaging_time",
-                     "level_tolerance", "min_delivery")
+        for name in ("follow_time", "drive_ramp", "averaging_time", "level_tolerance",
+                     "min_delivery")
     )
-    exchange *= 2
+    exchange = 2 * PERIOD_S
     end = exchange + RAMP_S + SLACK_S
     # The line is left silent if the speed has not fallen for this long.
     runs_on = RUNS_ON_S + VISIBLE_S + SILENCE_MARGIN_S + DRIVE_TIMEOUT_S + exchange + end

@@ -24,6 +24,8 @@ from greenroof_ros.live.devices.stop_monitor import (
     StopMonitor,
 )
 
+# Time between two rounds of requests (s).
+PERIOD_S = 0.1
 # Wait before a new attempt to connect (s): the first, and the longest.
 FIRST_WAIT_S, MAX_WAIT_S = 0.25, 5.0
 # A drive being stopped must not keep its speed for longer than this (s), or it is
@@ -152,7 +154,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     def __init__(
         self,
         endpoint: Endpoint,
-        period_s: float = 0.25,
+        period_s: float = PERIOD_S,
         dead_man_s: float = 1.0,
         *,
         timeout_s: float = 0.5,

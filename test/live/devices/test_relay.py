@@ -62,7 +62,7 @@ class Bench(Asking):
         self.relay = Simulator(
             "drive_simulator", "--drive", make, "--at", str(self.at), "--timeout", f"{TIMER_S:g}"
         )
-        super().__init__(DriveExchange(self.at, 0.1, **special))
+        super().__init__(DriveExchange(self.at, **special))
 
     @property
     def closed(self) -> bool:

@@ -151,9 +151,8 @@ def test_the_table_is_whole() -> None:
         topic.max_age.parameter for topic in read_topics().values() if topic.max_age
     }
     of_nodes = {
-        "state_file", "recovery_time", "exchange_period", "drive_timeout_limit",
-        "local_settings_stop_the_pump", "run_without_drive_timeout", "unknown_frost_may_pump",
-        "frozen_movement", "jump_tolerance",
+        "state_file", "recovery_time", "drive_timeout_limit", "local_settings_stop_the_pump",
+        "unknown_frost_may_pump", "frozen_movement", "jump_tolerance",
     }
     named = {name for row in INTERLOCKS.values() for name in row.limit}
     assert named <= settings | of_inputs | of_nodes

@@ -72,7 +72,7 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
     with Simulator(
         "drive_simulator", "--drive", make, "--port", "0", "--ramp", "0.4", "--timeout", "2"
     ) as drive, closing(
-        DriveExchange(DriveEndpoint(file, parse_address(drive.address)), period_s=0.1)
+        DriveExchange(DriveEndpoint(file, parse_address(drive.address)))
     ) as exchange:
 
         def reached(speed: float) -> bool:

@@ -107,7 +107,7 @@ def test_one_command_is_a_site_with_its_drive(tmp_path: Path) -> None:
     assert isinstance(sensor, ModbusSensor)
     before = read_once(sensor)
     endpoint = read_endpoint(find_drive_file("danfoss_fc202"), at, "at")
-    with closing(DriveExchange(endpoint, 0.1)) as exchange:
+    with closing(DriveExchange(endpoint)) as exchange:
         exchange.start()
         until(lambda: exchange.request_speed(1.0) or read_once(sensor) < before - 0.002, 30)
     site.process.send_signal(signal.SIGINT)
