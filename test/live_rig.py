@@ -19,11 +19,12 @@ QUICK = "/**:\n  ros__parameters:\n    recovery_time: 1.0\n"
 
 @contextmanager
 def live(
-    domain: int, cwd: Path, *arguments: str, code: int = 0, stderr: int | None = None
+    domain: int, cwd: Path, *arguments: str, code: int = 0, stderr: int | None = None,
+    command: tuple[str, ...] = ("bringup.live",),
 ) -> Iterator[Process]:
     """Bring up a site; on request it must end as expected, together with all of its nodes."""
     process = Process(
-        domain, "bringup.live", "--state", "run", *arguments, cwd=cwd, stderr=stderr,
+        domain, *command, "--state", "run", *arguments, cwd=cwd, stderr=stderr,
     )
     yield process
     nodes = process.nodes().values()

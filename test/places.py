@@ -38,6 +38,8 @@ def words_of(module: str) -> list[str]:
     """Return what starts a module with ``python -m``: a command, a rig, or a node: nodes.plant."""
     if module in _RIGS:
         return ["rig_simulators", module]
+    if module == "restarting":
+        return [module]
     if module.startswith("quick_"):
         return ["quick_checks", *_COMMANDS[module.removeprefix("quick_")]]
     command = _COMMANDS.get(module)

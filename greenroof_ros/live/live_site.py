@@ -212,11 +212,6 @@ def make_parser() -> Parser:
         help="external: your own node publishes weather and forecast",
     )
     group.add_argument(
-        "--restarts", type=make_number_type(0, 1000, int), default=10, metavar="N",
-        help="a node that fails is started again after 1, 2, 4, ... 10 s; after more than N times "
-        "in ten minutes the site is stopped (default: %(default)s)",
-    )
-    group.add_argument(
         "--state", type=Path, default=Path("live"), metavar="DIR",
         help="directory for what must survive a restart (a stop, a fault, the pump's use of 24 "
         "h), bag, logs and summary (default: live)",

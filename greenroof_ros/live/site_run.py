@@ -92,8 +92,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         supervisor = LiveSupervisor(
             state / "log", configuration.parameters, arguments.namespace,
             site.drive.stopper() if site.drive is not None else None,
-            record.alarms.fail, silence_s=arguments.peer_limit, restarts=arguments.restarts,
-            prepare=configuration.write,
+            record.alarms.fail, silence_s=arguments.peer_limit, prepare=configuration.write,
         )
         try:
             record.write(summary.RUNNING)

@@ -30,7 +30,7 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.processes import child_environment
 from greenroof_ros.common.states import PUMP, READY, RECORDER
-from greenroof_ros.graph.domain import LEASE
+from greenroof_ros.graph.domain import LEASE, ros_arguments
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.live.supervisor_socket import SOCKET, read_report
 
@@ -55,7 +55,8 @@ _PAUSE_S = 1.0
 SILENT_S = 2.0
 # The longest wait before a restart (s): it is 1, 2, 4, ... s, by the restarts in the last 10 min.
 _MAX_WAIT_S = 10.0
-_WINDOW_S = 600.0
+# A node may be restarted this often within ten minutes; one more failure stops the site.
+MAX_RESTARTS, _WINDOW_S = 10, 600.0
 # How long a killed node is still treated as a second publisher after its restart (s).
 _LIVE_LEASE_S = "3"
 # Nodes without which the site works; a node that needs a gauge reports its absence itself.
@@ -202,7 +203,7 @@ class LiveSupervisor:
     def __init__(
         self, logs: Path, parameters: Sequence[Path], namespace: str,
         stop_drive: StopDrive | None, on_failure: Callable[[str, str], None], *,
-        silence_s: float, restarts: int, prepare: Callable[[], Mapping[str, str]],
+        silence_s: float, prepare: Callable[[], Mapping[str, str]],
     ) -> None:
         """Start nothing yet.
 
@@ -214,7 +215,6 @@ class LiveSupervisor:
             on_failure: called with a node's name and a text if the node failed without ending the
                 run, or the drive had to be stopped in its place.
             silence_s: how long a node may be silent before it is killed (s).
-            restarts: most restarts of one node within ten minutes; one more stops the site.
             prepare: called before each start of a node; returns additions to its environment, or
                 raises an :class:`OSError`.
         """
@@ -226,18 +226,11 @@ class LiveSupervisor:
         self._logs: dict[str, RotatingFileHandler] = {}
         self._records: dict[str, _NodeRecord] = {}
         self._silence_s = silence_s
-        self._restarts = restarts
         self._prepare = prepare
         self._stopper = ThreadPoolExecutor(1)
         self._stopper.submit(int)  # start its thread now: later the system may be out of threads
         self._stopping: Future[tuple[bool, str]] | None = None
-        # rcl would also write log files, on the node's thread: they would grow for months, and a
-        # hung disk would stop the node.
-        self._ros_arguments = ["--ros-args", "--disable-external-lib-logs"]
-        for file in parameters:
-            self._ros_arguments += ["--params-file", str(file)]
-        if namespace:
-            self._ros_arguments += ["-r", f"__ns:={namespace}"]
+        self._ros_arguments = ros_arguments(parameters, namespace)
         self._selector = selectors.DefaultSelector()
         self._read_at = time.monotonic()
 
@@ -446,7 +439,7 @@ class LiveSupervisor:
         record, code = self._records[name], self.nodes[name].process.returncode
         while record.restarts and now - record.restarts[0] > _WINDOW_S:
             record.restarts.popleft()
-        too_often, instead = len(record.restarts) >= self._restarts, record.start.instead
+        too_often, instead = len(record.restarts) >= MAX_RESTARTS, record.start.instead
         given_up = too_often or (record.was_ready and code == EXIT_USAGE)
         replaced = instead(self._reason(name, failure)) if instead and given_up else ()
         if replaced:

@@ -160,10 +160,9 @@ def test_a_live_site_with_drive_and_sensors(
     """The controller pumps and the roof rises; an unstoppable drive is reported as running.
 
     Everything missing at the start has a line with what to do, and the list shrinks as things
-    arrive. In a namespace; the drive's own timeout is off, so it stops nothing here.
+    arrive. In a namespace; at the end the drive's own timeout is off, so it stops nothing.
     """
-    hardware.inject("timeout_off")
-    options = hardware.be_a_site("    run_without_drive_timeout: true\n")
+    options = hardware.be_a_site()
     levels = site.watcher.collect("/roof/level", namespace="/site1")
     options += ("--namespace", "site1", "--peer-limit", "60")
 
@@ -187,13 +186,15 @@ def test_a_live_site_with_drive_and_sensors(
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump")
         assert levels[0] == pytest.approx(0.0457 / 1.3, abs=1e-3)  # the paper's low roof
         site.until(lambda: levels[-1] > levels[0] + 0.0005, 60, "a roof that rises")
-        # A pump node that hangs keeps the drive running, and only bringup can stop it.
+        # A pump node that hangs keeps the drive running until bringup stops it.
         os.kill(process.nodes()["pump"], signal.SIGSTOP)
         site.until(lambda: hardware.speed() == 0, 60, "the stop of a pump node that hangs")
         site.until(lambda: hardware.speed() > 0.9, 60, "the pump after that")
+        hardware.inject("timeout_off")
         hardware.inject("refused")
     assert hardware.speed() > 0.9
     printed = process.stderr()
+    assert "did not stop the drive; bringup ordered the drive to stop" in printed
     assert "waiting for the pump to come to rest" in printed
     assert "error: interrupted by SIGTERM; bringup could not stop the drive: " in printed
     assert "THE PUMP MAY BE RUNNING" in printed
@@ -471,11 +472,8 @@ def test_a_controller_that_ends_its_process(domain: int, tmp_path: Path, site: S
         "        return super().command(*inputs)\n"
     )
     (tmp_path / "nodes.yaml").write_text(QUICK)
-    options = (
-        *EXTERNAL, "--controller", "mine:Mine", "--node-parameters", "nodes.yaml",
-        "--restarts", "1",
-    )
-    with live(domain, tmp_path, *options):
+    options = (*EXTERNAL, "--controller", "mine:Mine", "--node-parameters", "nodes.yaml")
+    with live(domain, tmp_path, *options, command=("restarting", "1")):
         site.values = {**LEVELS, "/weather/frost": 0.0}
         site.until(lambda: newest(commands) == 0.3, 60, "its commands")
         (tmp_path / "fault").touch()

@@ -33,7 +33,7 @@ TOO_LONG_S = 60
 class Site:
     """A supervisor, and a record of what its nodes and drive have done."""
 
-    def __init__(self, directory: Path, silence_s: float = 5.0, restarts: int = 9) -> None:
+    def __init__(self, directory: Path, silence_s: float = 5.0) -> None:
         """Begin without a node."""
         self.directory, self.marks = directory, directory / "marks"
         self.marks.mkdir()
@@ -47,7 +47,7 @@ class Site:
 
         self.supervisor = LiveSupervisor(
             directory, [], "", stop_drive, lambda *failure: self.failures.append(failure),
-            silence_s=silence_s, restarts=restarts, prepare=dict,
+            silence_s=silence_s, prepare=dict,
         )
         self._ending = ExitStack()
         self._ending.enter_context(self.supervisor)
@@ -101,7 +101,9 @@ def site(
 ) -> Iterator[Site]:
     """A site; a test can set its supervisor's limits."""
     monkeypatch.setenv("PYTHONPATH", f"{CHECKOUT}{os.pathsep}{Path(__file__).parent}")
-    site = Site(tmp_path, **getattr(request, "param", {}))
+    values = dict(getattr(request, "param", {}))
+    monkeypatch.setattr(supervisor, "MAX_RESTARTS", values.pop("restarts", 10))
+    site = Site(tmp_path, **values)
     yield site
     site.end()
 
@@ -343,7 +345,7 @@ def few_files_left(number: int) -> Iterator[None]:
 def test_a_start_for_which_there_are_too_few_files(site: Site, files: int) -> None:
     """Wherever they run out, it is an error that can be handled, and nothing is left open."""
     nodes = LiveSupervisor(
-        site.directory, [], "", None, print, silence_s=5.0, restarts=1, prepare=dict
+        site.directory, [], "", None, print, silence_s=5.0, prepare=dict
     )
     gc.collect()  # close now what earlier tests left open
     before = _open_files()
@@ -374,34 +376,11 @@ def test_a_node_that_cannot_be_started_again_for_now(
     ]
 
 
-# What a node of another version, or a broken one, may report.
-_STRANGE = [
-    [], 7, "ready", {}, {"state": "flying"}, {"state": ["ready"]},
-    *(
-        {"state": "ready", key: value}
-        for key in ("diagnoses", "warnings", "waiting", "refused", "pump_state", "pump_why",
-                    "stands", "command", "cistern_level", "roof_level", "tick", "failure")
-        for value in (None, 7, "x", [1], {"x": [1]}, {"x": ["OK"]}, {"x": "y"}, [["OK", "well"]],
-                      {"drive": {"level": 2, "message": "x", "values": {"code": 7}}})
-    ),
-]
-
-
-def test_what_a_node_of_another_version_reports(tmp_path: Path) -> None:
-    """Readers continue, and show what can be read."""
-    shown: list[str] = []
-    alarms = SiteAlarms(tmp_path, "", [NodeStart("pump", "small_node")], shown.append)
-    start = _StartReport()
-    for strange in _STRANGE:
-        report = read_report(json.dumps(strange).encode())
-        last = {} if report is None else {"pump": report}
-        assert bool(last) == (isinstance(strange, dict) and strange.get("state") == "ready")
-        alarms.update(last)
-        start.update(alarms.judge, last, "")
-        describe_site(last)
+def test_a_report_of_another_version_is_none() -> None:
+    for report in ([], 7, "ready", {}, {"state": "ready"}, {"state": "ready", "version": "0.9.0"}):
+        assert read_report(json.dumps(report).encode()) is None
     for line in (b"", b"{", b"\xff", b"[" * 100_000):
         assert read_report(line) is None
-    assert not shown
 
 
 def test_what_systemd_and_the_start_say_of_the_pump(

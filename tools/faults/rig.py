@@ -339,8 +339,7 @@ class SiteRig(Rig):
             "--controller", self.controller, "--site", str(self.site_file),
             "--sensors", str(read), "--forecast", str(self.forecast),
             "--drive", self.drive_file, "--drive-at", self.drive_at,
-            "--state", str(self.output), "--restarts", "1000",
-            "--node-parameters", str(self.parameters),
+            "--state", str(self.output), "--node-parameters", str(self.parameters),
         )
         return Address("127.0.0.1", bench)
 
@@ -359,7 +358,7 @@ class SiteRig(Rig):
 
     def bring_up(self) -> Process:
         wait(lambda: self.truth.samples, 10, "no speed of the drive")
-        return Process(self.domain, "bringup.live", *self._options, cwd=self.directory)
+        return Process(self.domain, "restarting", "1000", *self._options, cwd=self.directory)
 
     def levels(self) -> tuple[float, float]:
         """Return the true levels of cistern and roof (m)."""
@@ -478,9 +477,9 @@ class PlayedRig(Rig):
     def bring_up(self) -> Process:
         self.players = Players(self.watcher, self.truth, self.site, self.topics)
         return Process(
-            self.domain, "bringup.live", "--controller", CONTROLLER,
+            self.domain, "restarting", "1000", "--controller", CONTROLLER,
             "--site", str(self.site_file), "--sensors", "external", "--weather", "external",
-            *self._pump(), "--state", str(self.output), "--restarts", "1000",
+            *self._pump(), "--state", str(self.output),
             "--node-parameters", str(self.parameters), cwd=self.directory,
         )
 

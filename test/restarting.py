@@ -1,0 +1,12 @@
+"""A live site with another maximum of restarts of a node, as ``-m restarting 1000 ...``."""
+
+from __future__ import annotations
+
+import sys
+
+from greenroof_ros.bringup.live import main
+from greenroof_ros.live import supervisor
+
+if __name__ == "__main__":
+    supervisor.MAX_RESTARTS = int(sys.argv.pop(1))
+    main()
