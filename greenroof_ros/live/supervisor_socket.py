@@ -9,67 +9,31 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from greenroof_ros.common.states import STATES
+from greenroof_ros import __version__
 
 # Environment variable with the file descriptor of a process's end of the socket to its supervisor.
 # Its nodes write their reports to it, one JSON object per line, with the keys "node" (the node's
-# name; may be missing if the process has only one) and "state".
+# name; may be missing if the process has only one), "state" and "version" (of the package).
 SOCKET = "GREENROOF_ROS_SUPERVISOR"
 
 
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
-
-
-def _is_number(value: object) -> bool:
-    """Whether it is a number, or None for unknown."""
-    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
-
-
-def _is_list(value: object) -> bool:
-    return isinstance(value, list) and all(map(_is_text, value))
-
-
-def _is_status(value: object) -> bool:
-    """Whether it is the status of a part, as on /diagnostics."""
-    if not isinstance(value, dict) or not isinstance(values := value.get("values"), dict):
-        return False
-    texts = value.get("message"), *values.values()
-    return value.get("level") in range(4) and all(map(_is_text, texts))
-
-
-# Checks of the types that readers of a report rely on.
-_IS_AS_EXPECTED: dict[str, Callable[[Any], bool]] = {
-    **dict.fromkeys((
-        "node", "role", "process", "pump_state", "pump_why", "failure", "drive_state",
-    ), _is_text),
-    **dict.fromkeys(("cistern_level", "roof_level", "command"), _is_number),
-    **dict.fromkeys(("warnings", "waiting"), _is_list),
-    "diagnoses": lambda value: isinstance(value, dict) and all(map(_is_status, value.values())),
-}
-
-
 def read_report(line: bytes) -> dict[str, Any] | None:
-    """Return the report in a line from the socket; None if it is not a report.
+    """Return the report in a line from the socket; None if it is not a report of this version.
 
     A restarted node can have another version than its supervisor, if the package was updated in
-    between. Entries whose type is not the one that readers expect are dropped.
+    between: it is not heard until the site is restarted.
     """
     try:
         report = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(report, dict) or report.get("state") not in STATES:
+    if not isinstance(report, dict) or report.get("version") != __version__:
         return None
-    valid = {
-        key: value for key, value in report.items()
-        if key not in _IS_AS_EXPECTED or _IS_AS_EXPECTED[key](value)
-    }
-    return {"warnings": [], "refused": {}, **valid}
+    return {"warnings": [], **report}
 
 
 class SupervisorSocket:
@@ -92,7 +56,8 @@ class SupervisorSocket:
         A report that is larger than the socket's buffer is sent in pieces, and always whole.
         """
         if self._enabled:
-            self._next[report.get("node", "")] = f"{json.dumps(report)}\n".encode()
+            line = json.dumps({**report, "version": __version__})
+            self._next[report.get("node", "")] = f"{line}\n".encode()
             self._send()
 
     def _send(self) -> bool:

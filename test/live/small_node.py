@@ -14,11 +14,14 @@ import sys
 import time
 from pathlib import Path
 
+from greenroof_ros import __version__
+
 SOCKET = int(os.environ["GREENROOF_ROS_SUPERVISOR"])
 
 
 def report(state: str, **values: object) -> None:
-    os.write(SOCKET, (json.dumps({"state": state, **values}) + "\n").encode())
+    content = {"state": state, "version": __version__, **values}
+    os.write(SOCKET, (json.dumps(content) + "\n").encode())
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from greenroof_ros import __version__
 from greenroof_ros.common.alarm_log import ALARMS, read_alarms
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.times import iso
@@ -82,8 +83,8 @@ def test_console_record_summary_and_page_have_the_same_alarms(
         said = reports_at(now)
         for node, (values, statuses) in said.items():
             line = {
-                "node": node, "state": "ready", **values, "diagnoses": statuses,
-                "published_at": 1000.0 + math.floor(now),
+                "node": node, "state": "ready", "version": __version__, **values,
+                "diagnoses": statuses, "published_at": 1000.0 + math.floor(now),
             }
             received[node] = read_report(json.dumps(line).encode())
         for node, (dies, _) in DEATHS.items():
