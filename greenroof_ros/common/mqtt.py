@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 _ADDRESS = re.compile(
-    r"(?P<scheme>mqtts?)://(?P<host>[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*|\[[0-9A-Fa-f:]+\])"
-    r"(:(?P<port>\d{1,5}))?/?"
+    r"([a-z]+)://([A-Za-z0-9_-]{1,63}(?:\.[A-Za-z0-9_-]{1,63})*\.?|\[[0-9A-Fa-f:]+\])"
+    r"(?::(\d{1,5}))?/?"
 )
+_STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 _PORT, _TLS_PORT = 1883, 8883
 # Keep-alive (s): a broker that is silent for one and a half times as long is treated as lost.
 _KEEP_ALIVE_S = 5
@@ -55,6 +56,14 @@ class Broker:
         return f"{'mqtts' if self.tls else 'mqtt'}://{host}:{self.port}"
 
 
+def parse_host(text: str) -> tuple[str, str, int | None] | None:
+    """Return scheme, host and port of ``SCHEME://HOST[:PORT]``; None if it is not such a text."""
+    match = _ADDRESS.fullmatch(text)
+    if match is None or not 0 < int(match[3] or 1) < 65536:
+        return None
+    return match[1], match[2].strip("[]"), int(match[3]) if match[3] else None
+
+
 def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> Broker:
     """Return the broker at an address.
 
@@ -67,19 +76,18 @@ def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> B
     Raises:
         ConfigurationError: it is not such an address, or has certificates but no TLS.
     """
-    match = _ADDRESS.fullmatch(text)
-    port = int(match["port"]) if match and match["port"] else None
-    if match is None or (port is not None and not 0 < port < 65536):
+    scheme, host, port = parse_host(text) or ("", "", None)
+    if scheme not in ("mqtt", "mqtts"):
         raise ConfigurationError(
             "must be mqtt://HOST[:PORT], or mqtts://HOST[:PORT] over TLS", key=key, value=text
         )
-    tls = match["scheme"] == "mqtts"
+    tls = scheme == "mqtts"
     if authority and not tls:
         raise ConfigurationError(
             "certificates can be used only with mqtts://HOST[:PORT]", key=key, value=text
         )
     return Broker(
-        match["host"].strip("[]"), port or (_TLS_PORT if tls else _PORT), tls,
+        host, port or (_TLS_PORT if tls else _PORT), tls,
         Path(login) if login else None, Path(authority) if authority else None,
     )
 
@@ -105,6 +113,25 @@ def parse_topic(
             "must be mqtt://HOST[:PORT]/TOPIC, the topic without # and +", key=key, value=text
         )
     return parse_broker(scheme + mark + place, key, login, authority), topic
+
+
+def parse_path(path: str) -> list[str | int]:
+    """Return the names and indices of a path in JSON, such as ``sensors[0].distance``."""
+    return [int(index) if index else name for index, name in _STEP.findall(path)]
+
+
+def value_at(content: Any, path: str) -> Any:
+    """Return the value at a path in JSON.
+
+    Raises:
+        LookupError: there is none.
+    """
+    try:
+        for step in parse_path(path):
+            content = content[step]
+    except TypeError:
+        raise LookupError(path) from None
+    return content
 
 
 def make_client(

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.mqtt import parse_host
 from greenroof_ros.common.parameter import entry
 
 if TYPE_CHECKING:
@@ -58,10 +59,6 @@ _EXCEPTIONS = {
 
 
 # --- addresses of devices -------------------------------------------------------------------------
-
-_TCP_ADDRESS = re.compile(
-    r"(?P<scheme>tcp|gateway)://(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\])(:(?P<port>\d{1,5}))?/?"
-)
 
 
 @dataclass(frozen=True)
@@ -133,13 +130,8 @@ class Address:
         """
         if self.line:
             return str(Path(self.line).resolve())
-        return f"{min(self._hosts())}-{self.port or port}"
-
-    def _hosts(self) -> set[str]:
-        try:
-            return {str(info[4][0]) for info in socket.getaddrinfo(self.host, None)}
-        except UnicodeError as error:  # not a valid host name
-            raise OSError(None, str(error)) from error
+        host = min(str(info[4][0]) for info in socket.getaddrinfo(self.host, None))
+        return f"{host}-{self.port or port}"
 
 
 def parse_address(text: str, key: str = "address") -> Address:
@@ -153,12 +145,10 @@ def parse_address(text: str, key: str = "address") -> Address:
     Raises:
         ConfigurationError: it is none of these.
     """
-    match = _TCP_ADDRESS.fullmatch(text)
-    if match is not None:
-        port = int(match["port"]) if match["port"] else None
-        if port is None or 0 < port < 65536:
-            return Address(match["host"].strip("[]"), port, gateway=match["scheme"] == "gateway")
-    elif text.startswith("/") and not text.endswith("/"):
+    scheme, host, port = parse_host(text) or ("", "", None)
+    if scheme in ("tcp", "gateway"):
+        return Address(host, port, gateway=scheme == "gateway")
+    if text.startswith("/") and not text.endswith("/"):
         return Address(line=text)
     raise ConfigurationError(
         "must be tcp://HOST, tcp://HOST:PORT, gateway://HOST:PORT, or a serial line such as "

@@ -10,7 +10,7 @@ import threading
 import time
 import uuid
 
-from greenroof_ros.common.mqtt import make_client
+from greenroof_ros.common.mqtt import make_client, value_at
 from greenroof_ros.live.devices.readings import Reading, Readings
 from greenroof_ros.live.devices.sensor_file import MqttSensor
 
@@ -42,9 +42,8 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
         except (ValueError, RecursionError) as error:
             raise ValueError(f"reports {payload[:40]!r}, which is not JSON") from error
     try:
-        for step in sensor.steps:
-            value = value[step]  # type: ignore[index]
-    except (LookupError, TypeError) as error:
+        value = value_at(value, sensor.value)
+    except LookupError as error:
         raise ValueError(f"reports {payload[:80]!r}, which has no {sensor.value}") from error
     text = str(value)
     if isinstance(value, bool) or not (isinstance(value, float) or _NUMBER.fullmatch(text)):

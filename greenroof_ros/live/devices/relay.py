@@ -21,7 +21,7 @@ from string import Template
 from typing import Any
 
 from greenroof_ros.common.conditions import Diagnosis
-from greenroof_ros.common.mqtt import Broker, make_client
+from greenroof_ros.common.mqtt import Broker, make_client, value_at
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.modbus_line import Address, DriveError
 from greenroof_ros.live.devices.relay_file import RelayFile, RelayMessage, Timer, Value
@@ -424,19 +424,6 @@ class Relay:
             return value_at(answer, value.path)
         except LookupError:
             raise self.line.error("answer", f"its answer has no {value.path}: {answer}") from None
-
-
-def value_at(answer: Any, path: str) -> Any:
-    """Return the value in an answer at a path such as ``result.output``.
-
-    Raises:
-        LookupError: there is none.
-    """
-    for name in path.split("."):
-        if not isinstance(answer, dict):
-            raise LookupError(path)
-        answer = answer[name]
-    return answer
 
 
 def _text(value: Any) -> str:

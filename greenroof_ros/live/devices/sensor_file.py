@@ -32,7 +32,6 @@ _MAX_AFTERFLOW_S = 10.0
 # A level further below 0 (m) is no noise: a tank would seem empty.
 _LEVEL_NOISE = 0.1
 _MODBUS_PORT = 502
-_STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
 _PATH = re.compile(r"([^.\[\]]+|\[\d+\])(\.[^.\[\]]+|\[\d+\])*")
 
 
@@ -202,11 +201,6 @@ class MqttSensor(Sensor):
         except ConfigurationError:  # another check reports it
             return (self.address,)
         return broker.host, broker.port, topic, self.value
-
-    @property
-    def steps(self) -> list[str | int]:
-        """The path to the value in the JSON: names and indices."""
-        return [int(index) if index else name for index, name in _STEP.findall(self.value)]
 
     def broker_and_topic(self) -> tuple[Broker, str]:
         """Return where the broker is, and the topic.

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.mqtt import make_client
+from greenroof_ros.common.mqtt import make_client, parse_path
 from greenroof_ros.live.devices.modbus_line import encode, parse_address
 from greenroof_ros.live.devices.sensor_file import ModbusSensor, MqttSensor, Sensors
 from greenroof_ros.live.simulators.server import Device, Server
@@ -201,7 +201,7 @@ class SimulatedSite:
 def payload(raw: float, sensor: MqttSensor) -> str:
     """Return a message that has a number at the sensor's path."""
     content: Any = raw
-    for step in reversed(sensor.steps):
+    for step in reversed(parse_path(sensor.value)):
         content = {step: content} if isinstance(step, str) else [None] * step + [content]
     return json.dumps(content)
 
