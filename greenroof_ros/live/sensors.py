@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from typing import Any
 
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.parameter import Parameter
@@ -57,7 +56,6 @@ class SensorNode(LiveNode):
         # A missing level stops the pump; other missing quantities may not.
         self._part, self._level = ("sensor", ERROR) if section in TANKS else ("gauge", WARN)
         self.open_outputs(self._topic)
-        self._value: float | None = None
         self._newest: float | None = None
         self._counts = sensor.counts
         self._started = self._published = time.monotonic()
@@ -81,7 +79,6 @@ class SensorNode(LiveNode):
         """Publish each new good reading; report why a reading is bad."""
         reading = self._reader.snapshot
         if now - max(reading.read_at, self._started) > self._hangs_s:
-            self._value = None
             self.reports.diagnose(self._part, Diagnosis.of("sensor_hangs"), level=STALE)
         elif reading.read_at > self._published or reading.value != self._newest or (
             math.isinf(reading.read_at) and now - self._started > _AWAITED_S
@@ -90,19 +87,13 @@ class SensorNode(LiveNode):
                 self.publish(self._topic, 0.0)  # all that was due has been published
             self._newest = reading.value
             self._published = reading.read_at
-            self._value = reading.value
             if reading.value is not None:
                 # An empty tank or a stopped pump reads slightly below 0: noise, or a shifted zero.
-                self._value = max(reading.value, self._lowest)
-                self.publish(self._topic, self._value)
+                self.publish(self._topic, max(reading.value, self._lowest))
             self.reports.diagnose(
                 self._part, Diagnosis.if_any(reading.code, reading.problem), "the sensor is read",
                 self._level,
             )
-
-    def progress(self) -> dict[str, Any]:
-        """Return the value that bringup shows."""
-        return {"value": self._value}
 
     def on_stop(self) -> None:
         """Close the connection to the sensor."""
