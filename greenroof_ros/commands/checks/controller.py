@@ -170,8 +170,8 @@ class ControllerCheck(NodeCheck):
 
     def _valid_command(self, overrides: Mapping[str, float], last: str = "") -> float:
         command = self._command(overrides, last)
-        problem = _problem(command, overrides)
-        require(not problem, problem)
+        valid = math.isfinite(command) and command >= 0
+        require(valid, f"the command is {command:g}{_with(overrides)}")
         return command
 
     def _command(self, overrides: Mapping[str, float], last: str = "") -> float:
@@ -223,12 +223,6 @@ class ControllerCheck(NodeCheck):
         if topic not in _FORECASTS:
             return value
         return WithFront(self._front, array("d", [value] * (len(self._front) - 1)))
-
-
-def _problem(command: float, values: Mapping[str, float]) -> str:
-    """Return what is wrong with a command; empty if it is finite and not negative."""
-    right = math.isfinite(command) and command >= 0
-    return "" if right else f"the command is {command:g}{_with(values)}"
 
 
 def _with(values: Mapping[str, float]) -> str:
