@@ -12,7 +12,7 @@ import pytest
 from brokers import mosquitto, needs_mosquitto
 from graphs import Process
 from pump_node_rig import PumpRig
-from ros_rig import OK, Observer
+from ros_rig import Observer
 
 pytestmark = needs_mosquitto
 
@@ -27,22 +27,6 @@ def rig(observer: Observer) -> Iterator[PumpRig]:
             pace=("--boot", "0.1", "--timeout", "3"),
         )
         yield rig
-
-
-def test_a_command_below_all_is_delivered_in_pulses(rig: PumpRig) -> None:
-    """*On* is the whole flow, at most 8.4 l/s here; a tenth of it takes a tenth of the time."""
-    rig.start(drive="tasmota", min_on=1.0)
-    rig.join()
-    rig.tick_until(1.0, lambda: rig.drive.speed() == 1.0, 60, "a closed contact")
-    assert rig.observer.diagnoses["/pump: drive"].hardware_id.startswith("Tasmota")
-    rig.until_reported("drive timeout", OK, "the drive stops after 3 s", command=1.0)
-    rig.tick_until(0.0, lambda: rig.drive.speed() == 0.0, 60, "an open contact")
-    closed = 0
-    for _ in range(300):
-        rig.tick(0.1)
-        closed += rig.drive.speed() == 1.0
-    assert 10 < closed < 60
-    assert {round(flow, 4) == 0 or flow > 0.007 for flow in rig.flows} == {True}
 
 
 def test_check_pump_finds_it_right(rig: PumpRig) -> None:
