@@ -120,15 +120,6 @@ class LiveSite:
             if (file := getattr(device, key, ""))
         ]
 
-    def forecast_parameters(self, state: Path) -> dict[str, str]:
-        """Return the weather node's forecast parameters; ``state`` is the site's directory."""
-        if self.forecast != OPEN_METEO:
-            return {"forecast": str(self.forecast or "")}
-        return {
-            "forecast": str(state / "forecast.csv"),
-            "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
-        }
-
     def nodes(self, state: Path) -> Iterator[NodeStart]:
         """Yield the nodes that bringup starts; ``state`` is the site's directory."""
         common = {"site_file": str(self.site_file)}
@@ -138,11 +129,17 @@ class LiveSite:
                 several=tuple(QUANTITIES[section].node for section in self.sensed.by_section),
             )
         if self.weather:
+            forecast = {"forecast": str(self.forecast or "")}
+            if self.forecast == OPEN_METEO:
+                forecast = {
+                    "forecast": str(state / "forecast.csv"),
+                    "fetch": ENSEMBLE if self.controller.ensemble else FORECAST,
+                }
             yield NodeStart(
                 "weather", "greenroof_ros.live.weather", (),
                 {
                     **common,
-                    **self.forecast_parameters(state),
+                    **forecast,
                     "horizon": self.parameters.get("horizon", 0.0),
                     "all_members": self.controller.ensemble,
                 },

@@ -161,12 +161,6 @@ class PumpNode(LiveNode):
             self._start_control()
             self._reasons = ()  # decide again
 
-    def _save_state(self, now: float) -> None:
-        """Save the state once before the pump may run, with retries."""
-        if self._unsaved and now - self._saved_at > _AGAIN_S:
-            self._unsaved = self._ledger.flush()
-            self._saved_at = boot_time()
-
     # --- services ---------------------------------------------------------------------------------
 
     def _open_service(
@@ -243,7 +237,10 @@ class PumpNode(LiveNode):
         self._exchange.start()
         now = boot_time()
         self._check_suspend(now)
-        self._save_state(now)
+        if self._unsaved and now - self._saved_at > _AGAIN_S:
+            # The state must be saved once before the pump may run.
+            self._unsaved = self._ledger.flush()
+            self._saved_at = boot_time()
         command, snapshot = self._by_name["command"], self._exchange.snapshot
         status = snapshot.status_at(now)
         command.check()  # only its age depends on the time

@@ -150,7 +150,7 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
         return EXIT_DONE
     reason, last_lines, code = str(error), "", EXIT_FAILED
     if isinstance(error, NodeFailed):
-        reason, last_lines, code = error.reason, error.last_lines, error.code
+        last_lines, code = error.last_lines, error.code
     elif not isinstance(error, InterruptedRun):
         reason = f"{type(error).__name__}: {error}"
         last_lines = "".join(traceback.format_exception(error)).rstrip()

@@ -75,20 +75,17 @@ StopDrive = Callable[[int], tuple[bool, str]]
 
 
 class NodeFailed(Exception):
-    """A node ended or hangs, so the graph must end; the message quotes the node's last lines.
+    """A node ended or hangs, so the graph must end.
 
     Attributes:
-        reason: the message without the quoted lines.
-        last_lines: the quoted lines; empty if the reason is enough.
+        last_lines: the last lines that the node printed.
         code: the exit code for bringup.
     """
 
-    def __init__(self, reason: str, last_lines: str, code: int | None) -> None:
-        """Create the error; a node's exit code other than 2 (usage) and 3 (occupied) becomes 1."""
-        super().__init__("\n".join(filter(None, (reason, last_lines))))
-        self.reason = reason
-        self.last_lines = last_lines
-        self.code = code if code in (EXIT_USAGE, EXIT_OCCUPIED) else EXIT_FAILED
+    def __init__(self, reason: str, last_lines: str, code: int) -> None:
+        """Create the error."""
+        super().__init__(reason)
+        self.last_lines, self.code = last_lines, code
 
 
 @dataclass(frozen=True)
@@ -155,14 +152,6 @@ class NodeProcess:
         self.last_lines.extend(data.decode(errors="replace").splitlines())
         record = logging.makeLogRecord({"msg": data.decode(errors="surrogateescape")})
         DISK.do(partial(self._log.emit, record), len(data))
-
-    @property
-    def is_stopped(self) -> bool:
-        """Whether it is stopped, by Ctrl-Z or a debugger."""
-        with contextlib.suppress(OSError):  # it has just ended
-            stat = Path(f"/proc/{self.process.pid}/stat").read_text()
-            return stat.rpartition(")")[2].split()[0] in "Tt"
-        return False
 
     def kill(self) -> None:
         """Kill it, and wait at most 1 s."""
@@ -418,17 +407,13 @@ class LiveSupervisor:
         """Kill a node that hangs, and return why; empty if it does not."""
         node = self.nodes[name]
         limit = self._silence_s if node.has_reported else max(self._silence_s, START_LIMIT_S)
-        if name == PUMP and node.has_reported and not self._pump_at_rest():
+        at_rest = self.last.get(PUMP, {}).get("stands") is True  # read, or by its timeout
+        if name == PUMP and node.has_reported and not at_rest:
             limit = SILENT_S
         if now - node.last_report_at <= limit:
             return ""
-        stopped = " (stopped)" if node.is_stopped else ""
         node.kill()
-        return f"had not answered for {limit:g} s{stopped}: killed"
-
-    def _pump_at_rest(self) -> bool:
-        """Whether the pump node last reported that the pump is stopped: read, or by timeout."""
-        return self.last.get(PUMP, {}).get("stands") is True
+        return f"had not answered for {limit:g} s: killed"
 
     def _handle_failure(self, name: str, failure: str, now: float) -> None:
         """Report that a node failed and schedule its restart; for the pump node, stop the drive.
@@ -470,14 +455,6 @@ class LiveSupervisor:
         places = [line for line in lines if line.startswith('File "')]
         return ", ".join([failure, *places[:1]])
 
-    @property
-    def ready(self) -> set[str]:
-        """The names of the processes that run, all of whose nodes have reported *ready*."""
-        return {
-            name for name, record in self._records.items()
-            if record.starts_again is None and self._is_ready(name)
-        }
-
     def _is_ready(self, name: str) -> bool:
         reports = self.nodes[name].reports
         return all(
@@ -501,7 +478,6 @@ class LiveSupervisor:
             return ""
         waiting = report.get("waiting")
         return f"waits for {', '.join(waiting)}" if waiting else "is starting"
-
 
 
 def _log_file(path: Path) -> RotatingFileHandler:

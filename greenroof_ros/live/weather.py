@@ -146,7 +146,8 @@ class LiveWeatherNode(LiveNode):
             )
             rain, evapotranspiration = outlook.rain_now, outlook.evapotranspiration_now
         else:
-            evapotranspiration = self._site.climatic_evapotranspiration(self._month(now))
+            at_site = now.astimezone(timezone(timedelta(hours=self._site.utc_offset or 0.0)))
+            evapotranspiration = self._site.climatic_evapotranspiration(at_site.month)
         if rain is not None:
             self.publish(RAIN, rain)
         if evapotranspiration is not None:
@@ -169,10 +170,6 @@ class LiveWeatherNode(LiveNode):
         fetcher = Fetcher(service, self._kept.write, 60 * values["fetch_every"])
         fetcher.start()
         return fetcher
-
-    def _month(self, now: datetime) -> int:
-        """Return the month at the site, for its usual evapotranspiration."""
-        return now.astimezone(timezone(timedelta(hours=self._site.utc_offset or 0.0))).month
 
     def progress(self) -> dict[str, Any]:
         """Return the source of the forecast, which its licence requires to be shown."""
