@@ -57,7 +57,7 @@ def test_a_command_while_it_is_imported(name: str, tmp_path: Path) -> None:
 
 def test_a_background_command_ignores_it_as_the_shell_asked(tmp_path: Path) -> None:
     done = subprocess.run(
-        ["sh", "-c", f"{sys.executable} -m greenroof_ros topics > /dev/null & "
+        ["sh", "-c", f"{sys.executable} -m greenroof_ros simulate --hours 1 > /dev/null & "
                      "sleep 0.2; kill -INT $!; wait $!; echo $?"],
         cwd=tmp_path, env=environment(0), capture_output=True, text=True, check=True, timeout=300,
     )
