@@ -125,8 +125,6 @@ _NAMES = "two processes report under this name: host 0 and host 1"
     (each_quarter(5, *TWICE), {"/pump": ("error", _NAMES)}, ["/pump was started again"]),
     ([*each_quarter(5, *TWICE), *each_quarter(5, TWICE[1], begin=5.0)], {},
      ["/pump was started again"]),
-    # A node may wait for another one for 5 s; then an alarm names the other node.
-    (each_quarter(10, STARTING), {"/mpc": ("warn", "waits for roof_sensor, weather")}, []),
 ])
 def test_what_is_wrong_with_a_node(
     steps: Steps, alarms_then: dict[str, tuple[str, str]], events: list[str]
