@@ -31,7 +31,7 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.arguments import add_graph_arguments
 from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
-from greenroof_ros.graph.messages import explain
+from greenroof_ros.graph.errors import explain
 from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.recording.bag_reader import count_ticks
 

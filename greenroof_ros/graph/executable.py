@@ -20,8 +20,8 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.graph.errors import LockstepError, explain
 from greenroof_ros.graph.graph_node import GraphNode
-from greenroof_ros.graph.messages import LockstepError, explain
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import default_site, refuse_unknown, type_name
 from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin

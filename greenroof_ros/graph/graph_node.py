@@ -21,14 +21,9 @@ from greenroof_ros.common.files import as_started
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.states import ENDED, STARTING
 from greenroof_ros.graph.diagnostics import NodeDiagnostics
+from greenroof_ros.graph.errors import LockstepError, describe
 from greenroof_ros.graph.inputs import Input
-from greenroof_ros.graph.messages import (
-    LockstepError,
-    describe,
-    encoder,
-    message_class,
-    qos_profile,
-)
+from greenroof_ros.graph.messages import encoder, message_class, qos_profile
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.graph.rclpy_internals import raw_publish
 from greenroof_ros.model.site import Site, read_site

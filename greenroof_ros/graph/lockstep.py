@@ -29,8 +29,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from greenroof_ros.common.errors import OccupiedError
+from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.inputs import Input
-from greenroof_ros.graph.messages import LockstepError
 
 CLOCK, RUN = "/clock", "/run"
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import importlib
 import math
 import struct
-import traceback
 from array import array
 from collections.abc import Callable
 from functools import partial
@@ -27,9 +26,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, Float64MultiArray, String
 
-from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
-from greenroof_ros.common.errors import ConfigurationError, HangError
 from greenroof_ros.common.interface import Qos
+from greenroof_ros.graph.errors import LockstepError
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
 _NUMBER = struct.Struct("<4sd")
@@ -39,26 +37,6 @@ _ROW = struct.Struct("<4sIII4x")
 _LENGTH = struct.Struct("<I")
 _SIZES = struct.Struct("<II")
 _NS = 1_000_000_000
-
-
-class LockstepError(Exception):
-    """The graph cannot go on; the message names the topic and the node."""
-
-
-def describe(error: Exception) -> str:
-    """Return an unexpected error as one line: its type, its message and its place in the code."""
-    if isinstance(error, HangError):
-        return str(error)
-    place = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
-
-
-def explain(error: Exception) -> tuple[str, int]:
-    """Return why a node or a run failed, in a sentence, and the exit code."""
-    if isinstance(error, ConfigurationError):
-        return str(error), exit_code(error)
-    known = isinstance(error, (LockstepError, OSError))
-    return str(error) if known else describe(error), EXIT_FAILED
 
 
 class WithFront(NamedTuple):

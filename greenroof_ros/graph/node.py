@@ -20,10 +20,11 @@ from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.interface import Qos, Topic, read_topics
 from greenroof_ros.common.states import FINISHED, PLANT, READY
 from greenroof_ros.graph.diagnostics import NodeDiagnostics
+from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lockstep import CLOCK, RUN, Lockstep
-from greenroof_ros.graph.messages import LockstepError, decoder, qos_profile
+from greenroof_ros.graph.messages import decoder, qos_profile
 from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
 from greenroof_ros.graph.peers import Peers
 from greenroof_ros.graph.publishers import Publishers

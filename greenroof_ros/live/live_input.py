@@ -16,8 +16,9 @@ from rclpy.qos import QoSProfile
 from greenroof_ros.common.conditions import Diagnosis, join_diagnoses
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.times import boot_time
+from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.inputs import Input
-from greenroof_ros.graph.messages import LockstepError, qos_profile
+from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
 

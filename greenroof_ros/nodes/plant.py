@@ -19,9 +19,9 @@ from greenroof_ros.common.errors import OccupiedError, rename_keys
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.states import PLANT
 from greenroof_ros.common.times import DEFAULT_START, epoch_ns, read_start
+from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
-from greenroof_ros.graph.messages import LockstepError
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.model.initial_state import check_volumes, initial_states

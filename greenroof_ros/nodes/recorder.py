@@ -13,9 +13,10 @@ from greenroof_ros.common.interface import recorded_topics
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import DEFAULT, find_controller
+from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK
-from greenroof_ros.graph.messages import LockstepError, decode_clock
+from greenroof_ros.graph.messages import decode_clock
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.model.site import Site

@@ -1,0 +1,28 @@
+"""Errors that end a run, and what they are called. ROS is not imported."""
+
+from __future__ import annotations
+
+import traceback
+
+from greenroof_ros.common.command_line import EXIT_FAILED, exit_code
+from greenroof_ros.common.errors import ConfigurationError, HangError
+
+
+class LockstepError(Exception):
+    """The graph cannot go on; the message names the topic and the node."""
+
+
+def describe(error: Exception) -> str:
+    """Return an unexpected error as one line: its type, its message and its place in the code."""
+    if isinstance(error, HangError):
+        return str(error)
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
+
+
+def explain(error: Exception) -> tuple[str, int]:
+    """Return why a node or a run failed, in a sentence, and the exit code."""
+    if isinstance(error, ConfigurationError):
+        return str(error), exit_code(error)
+    known = isinstance(error, (LockstepError, OSError))
+    return str(error) if known else describe(error), EXIT_FAILED
