@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from datetime import tzinfo
 from pathlib import Path
@@ -43,6 +44,9 @@ _ROUNDING = 1 + 1e-9
 
 # A time without messages is a gap if it exceeds both: in seconds, and in median spacings.
 _GAP_S, _GAP_SPACINGS = 600, 10
+
+# A longer time without messages (ns) is a mistake of a clock.
+_MAX_GAP_NS = 366 * 86400e9
 
 _MAX_NAMED = 10
 
@@ -94,8 +98,8 @@ def load_bag(
     Raises:
         ConfigurationError: the bag is damaged, foreign, or has implausible values.
     """
-    recorded = _read_series(bag, repair)
-    notes = [
+    recorded, notes = _keep_one_time(_read_series(bag, repair), zone)
+    notes += [
         f"{topic} is not in the bag; assumed 0" for topic in _ATTRIBUTES if topic not in recorded
     ]
     interface, highest = read_topics(), _compute_maxima(site)
@@ -136,6 +140,53 @@ def load_bag(
     return RecordedTrajectory(Trajectory(start=start, time=time, **columns), tuple(notes))
 
 
+def _keep_one_time(
+    recorded: Mapping[str, _Series], zone: tzinfo
+) -> tuple[dict[str, _Series], list[str]]:
+    """Return the messages of the time in which most are, without those more than a year away.
+
+    A clock that is not set yet stamps messages 0, or with the year in which it was made; no site
+    has a gap of a year in one bag.
+    """
+    stamps = np.sort(np.concatenate([series.times for series in recorded.values()]))
+    far = np.flatnonzero(np.diff(stamps.astype(np.float64)) > _MAX_GAP_NS) + 1
+    if not far.size:
+        return dict(recorded), []
+    edges = np.concatenate(([0], far, [len(stamps)]))
+    most = int(np.argmax(np.diff(edges)))
+    first, last = stamps[edges[most]], stamps[edges[most + 1] - 1]
+    kept = {}
+    for topic, (times, values) in recorded.items():
+        there = (times >= first) & (times <= last)
+        if there.any() or topic not in _NEEDED:
+            kept[topic] = _Series(times[there], values[there])
+    low, high = (
+        from_epoch_ns(int(stamp)).astimezone(zone).isoformat(timespec="seconds")
+        for stamp in (first, last)
+    )
+    return kept, [
+        f"{len(stamps) - int(np.diff(edges)[most])} of {len(stamps)} messages are more than a year "
+        f"away from the others, {low} to {high}, and are left out: was a clock not set?"
+    ]
+
+
+def _check_files(bag: Path) -> None:
+    """Refuse a bag that lacks a file which its metadata names; a reader refuses other metadata."""
+    about: Any = None
+    with suppress(ConfigurationError):
+        about = read_yaml(bag / METADATA).get("rosbag2_bagfile_information")
+    names = about.get("relative_file_paths") if isinstance(about, dict) else None
+    missing = [
+        str(name) for name in (names if isinstance(names, list) else [])
+        if not (bag / str(name)).is_file()
+    ]
+    if missing:
+        raise ConfigurationError(
+            f"lacks {', '.join(missing)}, which {METADATA} names: copy the whole directory",
+            file=bag,
+        )
+
+
 def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     """Read each used topic of a bag, ordered by time.
 
@@ -148,6 +199,7 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     with require_extra("study"):
         from rosbags import typesys
         from rosbags.highlevel import AnyReader
+    _check_files(bag)
     typestore = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     times: dict[str, list[int]] = {}
     values: dict[str, list[float]] = {}  # of the clock in ns

@@ -182,6 +182,32 @@ def test_a_bag_of_a_simulation_needs_simulated_times(tmp_path: Path, namespace: 
     assert loaded(bags["late"])[0].time.tolist() == list(range(20))
 
 
+@pytest.mark.parametrize("stamp", [0, 12 * 10**9, 946684800 * 10**9, 2**62])
+def test_messages_of_a_clock_that_was_not_set(tmp_path: Path, stamp: int) -> None:
+    """Stamped 0, seconds after it, in 2000 or in 2116: left out, with a note."""
+    small_bag(tmp_path / "right")
+    seconds = [0, 10**9, 2 * 10**9]
+    write_bag(tmp_path / "wrong", {
+        "/roof/level": ([stamp - START_NS, *seconds], [0.5, 0.03, 0.03, 0.03]),
+        "/cistern/level": ([stamp - START_NS, *seconds], [1.0, 2.0, 2.0, 2.0]),
+        "/pump/command": (seconds, [0.1] * 3), "/pump/flow": (seconds, [0.001] * 3),
+    })
+    (right, _), (wrong, notes) = (loaded(tmp_path / name) for name in ("right", "wrong"))
+    assert (wrong.start, wrong.time.tolist()) == (right.start, [0.0, 1.0, 2.0])
+    assert wrong.roof.tolist() == right.roof.tolist()
+    assert any("2 of 14 messages are more than a year away" in note for note in notes)
+
+
+def test_a_bag_that_lacks_a_file(tmp_path: Path) -> None:
+    """It is named, and nothing can recover it."""
+    bag = small_bag(tmp_path / "bag")
+    (part,) = bag.glob("*.mcap")
+    part.rename(tmp_path / part.name)
+    assert refusal(read_run, bag) == (
+        f"{bag}: lacks {part.name}, which metadata.yaml names: copy the whole directory"
+    )
+
+
 def test_a_file_that_is_no_bag_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run.MCAP").write_bytes(b"no bag")
     with pytest.raises(ConfigurationError, match=r"cannot be read as a bag.*\. If it is damaged, "):
