@@ -13,7 +13,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import duration, to_people
 from greenroof_ros.forecast.resampling import HourForecast, Outlook
 from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.forecasts import IssuedForecast
+from greenroof_ros.formats.forecasts import IssuedForecast, Repetition
 from greenroof_ros.formats.own_csv import read_forecasts
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION
 from greenroof_ros.model.look_ahead import look_ahead_ends
@@ -94,6 +94,8 @@ class LiveForecast:
         self._ends = look_ahead_ends(site, horizon)
         self._limit = timedelta(seconds=limit)
         self._all_members = all_members
+        self._repetition, self._repeated = Repetition(), ""
+        self._issue: IssuedForecast | None = None
 
     def at(self, now: datetime, observed_rain: float | None = None) -> Outlook:
         """Return the outlook at a time.
@@ -122,6 +124,17 @@ class LiveForecast:
             math.nan if issue.temperature is None else float(issue.temperature[present]),
         )
         return forecast.at(since, self._all_members)
+
+    def repetition(self, now: datetime) -> str:
+        """Return a note if forecasts have not changed for a day; otherwise nothing.
+
+        Raises:
+            NoForecastError: there is no forecast.
+        """
+        issue = self._newest(now)
+        if issue is not self._issue:
+            self._issue, self._repeated = issue, self._repetition.follow(issue)
+        return self._repeated
 
     def shortage(self, now: datetime) -> str:
         """Return what the newest issue lacks of the look-ahead, and the remedy; empty if nothing.

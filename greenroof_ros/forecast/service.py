@@ -34,7 +34,7 @@ from greenroof_ros.common.files import replace_text
 from greenroof_ros.common.processes import IN_MEMORY, scratch_directory
 from greenroof_ros.common.times import to_people
 from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.forecasts import IssuedForecast, mend_forecast
+from greenroof_ros.formats.forecasts import IssuedForecast, Repetition, mend_forecast
 from greenroof_ros.formats.hourly import bridge_gaps
 from greenroof_ros.formats.open_meteo import VARIABLES, read_records, read_run
 from greenroof_ros.formats.own_csv import write_forecasts
@@ -291,14 +291,18 @@ class Fetcher:
         self.problem = ""
         self.newest: IssuedForecast | None = None
         self._service, self._write, self._every = service, write, every
+        self._repetition = Repetition()
         self._wait = _FIRST_WAIT_S
         self._ended = threading.Event()
 
     def fetch(self) -> float:
         """Fetch and write a forecast; return the time until the next attempt (s)."""
         try:
-            self.newest = self._service.fetch(datetime.now(timezone.utc))
-            self._write(self.newest)
+            issue = self._service.fetch(datetime.now(timezone.utc))
+            if note := self._repetition.follow(issue):
+                issue = replace(issue, notes=(*issue.notes, note))
+            self.newest = issue
+            self._write(issue)
         except Exception as error:  # whatever it is, the next forecast is requested
             self.problem = str(error) or type(error).__name__
             requested_wait = error.wait if isinstance(error, ServiceError) else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,8 @@ from greenroof_ros.model.look_ahead import MAX_MEMBERS
 
 # Maximum gap of temperature and evapotranspiration in a forecast that is bridged (h).
 _MAX_BRIDGE_H = 6
+# Global models have runs each six or twelve hours; some of a day are missed.
+_MAX_UNCHANGED = timedelta(days=1)
 ISSUE_HOURS = 6
 """Interval at which services start runs of a global model (h): at 00, 06, 12 and 18 UTC."""
 SERVICE_DELAY_H = 6.0
@@ -161,6 +163,45 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
 def _count_complete_hours(series: NDArray[np.float64]) -> int:
     """Return the number of values before the first that is missing."""
     return int(np.append(np.isnan(series), True).argmax())
+
+
+class Repetition:
+    """Tells forecasts that only repeat the one before, as where a service's model has stopped."""
+
+    def __init__(self) -> None:
+        """Begin without a forecast."""
+        self._newest: IssuedForecast | None = None
+        self._since: datetime | None = None
+
+    def follow(self, issue: IssuedForecast) -> str:
+        """Follow a forecast, and return a note if none has changed for a day; otherwise nothing.
+
+        Rain and temperature of the hours that both have count.
+        """
+        before, self._newest = self._newest, issue
+        if self._since is None or before is None or not _agree(before, issue):
+            self._since = issue.order[1]
+        if issue.order[1] - self._since < _MAX_UNCHANGED:
+            return ""
+        return (
+            f"the forecasts have not changed since {to_minutes(self._since)}: they repeat one run "
+            "of a model, and are as old as it"
+        )
+
+
+def _agree(before: IssuedForecast, issue: IssuedForecast) -> bool:
+    """Return whether two forecasts are the same in the hours that both have."""
+    late = (issue.issued - before.issued) // timedelta(hours=1)
+    hours = min(before.hours - late, issue.hours)
+    return late >= 0 and hours > 0 and all(
+        first is second is None or (
+            first is not None and second is not None
+            and np.array_equal(first[..., late : late + hours], second[..., :hours])
+        )
+        for first, second in (
+            (before.rain, issue.rain), (before.temperature, issue.temperature),
+        )
+    )
 
 
 def check_same_form(earlier: IssuedForecast, later: IssuedForecast) -> None:

@@ -207,10 +207,13 @@ class LiveWeatherNode(LiveNode):
             return None
         assert outlook.issued is not None
         issued, wrong = to_people(outlook.issued), Diagnosis.if_any("forecast_short", short)
+        repeated = forecast.repetition(now)
         if problem:
             wrong = Diagnosis.of("forecast_unreadable", issued=issued, why=problem)
         self.reports.diagnose(
-            "forecast", wrong, f"the newest forecast was issued at {issued}", WARN
+            "forecast", wrong, "; ".join(
+                filter(None, (f"the newest forecast was issued at {issued}", repeated))
+            ), WARN,
         )
         return outlook
 

@@ -9,6 +9,7 @@ import tracemalloc
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,13 +23,13 @@ from greenroof_ros.model.look_ahead import look_ahead_ends
 SIX = datetime(2026, 7, 1, 6, tzinfo=UTC)
 
 
-def write(path: Path, issued: datetime, rain: list[float], **left_out: None) -> None:
+def write(path: Path, issued: datetime, rain: list[float], **changes: Any) -> None:
     """Write a file with an issue of some hours, and rename it into place as one must."""
     hours = np.arange(len(rain))
     day = hours % 24
     issue = IssuedForecast(issued, path, None, np.array([rain]), 2.0 + day, 15.0 - day)
     draft = path.with_suffix(".new")
-    draft.write_text(write_forecasts([replace(issue, **left_out)]))
+    draft.write_text(write_forecasts([replace(issue, **changes)]))
     draft.replace(path)
 
 
@@ -44,6 +45,26 @@ def live(path: Path, horizon: float = 0.0, limit: float = 7200.0) -> LiveForecas
     file.update()
     forecasts.issues = file.issues
     return forecasts
+
+
+def test_forecasts_that_repeat(file: Path) -> None:
+    """After a day without a change there is a note: shifted, or with more hours at the end.
+
+    A forecast of the same rain with another temperature is new.
+    """
+    forecasts, of_file = LiveForecast(PAPER_SITE, 0.0, 7200.0, False), ForecastFile(file)
+    rain = [0.1 * (hour % 7) for hour in range(240)]
+    notes = []
+    for late in (*range(0, 31, 6), 36):
+        temperature = None if late == 36 else np.arange(late, 190.0 + late) / 10
+        write(file, SIX + timedelta(hours=late), rain[late:190 + late], temperature=temperature)
+        of_file.update()
+        forecasts.issues = of_file.issues
+        for _ in range(2):  # it is the same file
+            note = forecasts.repetition(SIX + timedelta(hours=late))
+        notes.append(note)
+    assert [bool(note) for note in notes] == [False] * 4 + [True] * 2 + [False]
+    assert "have not changed since 2026-07-01T06:00+00:00" in notes[4]
 
 
 def test_the_present_hour_and_the_look_ahead(file: Path) -> None:
