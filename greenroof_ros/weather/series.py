@@ -210,6 +210,18 @@ class WeatherSeries:
         }
         self.filled_hours = int(np.any(list(filled.values()), axis=0).sum())
 
+    @property
+    def notes(self) -> list[str]:
+        """What a reader of results must know of the weather's values, in sentences."""
+        return [
+            *(
+                f"{quantity} is missing at {', '.join(hours)}, and was filled"
+                + (" with 0: rain that fell then is lost" if quantity == PRECIPITATION else "")
+                for quantity, hours in self.filled.items()
+            ),
+            *(f"{sentence}; used unchanged" for sentence in self.suspicious),
+        ]
+
     def at(self, tick: int) -> Hour:
         """Return the weather of a tick, and the tick until which it stays the same."""
         hour = self._clock.hour(tick)

@@ -47,6 +47,8 @@ def build_run(controller: ControllerChoice, inputs: Mapping[str, Any]) -> Run:
         ConfigurationError: an input is wrong.
     """
     run = make_inputs(controller, inputs).build()
-    for note in (*run.notes(), *run.weather.notes, *run.forecast.notes):
+    for note in (
+        *run.notes(), *run.weather.notes, *run.series.notes, *run.forecast.notes,
+    ):
         warnings.warn(note, stacklevel=3)
     return run

@@ -150,14 +150,16 @@ def test_weather_in_a_data_frame() -> None:
         math.nan).otherwise(polars.col("precipitation [mm/h]")).alias("precipitation [mm/h]"))
     with pytest.raises(ConfigurationError, match="precipitation is missing at 2021-07-07T04:00"):
         gr.simulate("onoff", weather=gap, hours=3)
-    filled = gr.simulate("onoff", weather=gap, hours=3, gaps="fill")
+    with pytest.warns(UserWarning, match="precipitation is missing at 2021-07-07T04.*filled with"):
+        filled = gr.simulate("onoff", weather=gap, hours=3, gaps="fill")
     assert filled.metrics["rain_roof_m3"] == pytest.approx(0.0002 * 68.8)
 
 
 def test_what_is_assumed_about_the_weather_is_a_warning(tmp_path: Path) -> None:
     """Here that its hours end at their times, and no frost; the paper's file needs none."""
     (tmp_path / "gauge.csv").write_text(
-        "time,precipitation\n" + "".join(f"2024-06-01T{hour:02}:00,1\n" for hour in range(5))
+        "time,precipitation,shortwave_radiation\n"
+        + "".join(f"2024-06-01T{hour:02}:00,1,\n" for hour in range(5))
     )
     with pytest.warns(UserWarning, match="moved back an hour") as shown:
         gr.simulate("onoff", weather=tmp_path / "gauge.csv", start="2024-06-01T01:00Z", hours=1)
