@@ -18,6 +18,7 @@ from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.summary_table import grid
 from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.comments import STAMPS
 from greenroof_ros.formats.hourly import Records, name_hours
 from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
@@ -45,6 +46,7 @@ your own file:
 examples:
   greenroof weather logger.csv --site my_site.yaml
   greenroof weather 'hourly_*.csv' --output toronto.csv
+  greenroof weather gauge.csv --stamped end --output toronto.csv
   greenroof simulate --weather toronto.csv --start 2021-07-01
 
 exit codes: 0 done, 2 bad usage, configuration or file
@@ -66,6 +68,11 @@ def make_parser() -> Parser:
         "-o", "--output", type=Path, metavar="FILE.csv",
         help="write a new CSV in this project's format; a run gives the same numbers with it",
     )
+    parser.add_argument(
+        "--stamped", choices=STAMPS,
+        help="what the time of a row of your own file is: its start, or its end (default: as the "
+        "comment 'stamped: end' states, otherwise start)",
+    )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     return parser
 
@@ -80,7 +87,7 @@ def main() -> None:
     site = read_site(arguments.site)
     # A file of another place is described, too; a run refuses it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
-    measured = read_measured(find_files(arguments.files, "FILE"), anywhere)
+    measured = read_measured(find_files(arguments.files, "FILE"), anywhere, arguments.stamped)
     about = _describe(measured, site)
     if output is not None:
         with add_path_to_errors(output):

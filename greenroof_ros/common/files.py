@@ -96,6 +96,31 @@ MAX_BYTES = 100_000_000
 three years, or the hourly runs of a year with one member. So no file exhausts the memory."""
 
 
+# How files of other kinds begin, what they are, and what to do.
+_OTHER_KINDS = (
+    (rb"\x1f\x8b", "is compressed by gzip: unpack it with gunzip"),
+    (rb"\xfd7zXZ|BZh|\x28\xb5\x2f\xfd|7z\xbc\xaf", "is compressed: unpack it"),
+    (rb"PK[\x03\x05]", "is a zip archive, or a workbook of a spreadsheet (.xlsx, .ods): unpack it, "
+     "or save the sheet as CSV in UTF-8"),
+    (rb"\xd0\xcf\x11\xe0", "is a workbook of Excel (.xls): save the sheet as CSV in UTF-8"),
+    (rb"\xff\xfe|\xfe\xff", "is text in UTF-16: save it in UTF-8"),
+    (rb"%PDF-", "is a PDF: it has no values to read"),
+    (rb"CDF[\x01\x02\x05]|\x89HDF", "is NetCDF or HDF5: write its values as CSV"),
+    (rb"GRIB|BUFR", "is GRIB or BUFR: write its values as CSV"),
+    (rb"SQLite format 3", "is a database of SQLite: write its values as CSV"),
+    (rb"\s*<(!doctype|html|\?xml|head|body|!--|script)",
+     "is a web page or XML, perhaps a service's message: open it to see; download the file again"),
+)
+
+
+def _refuse_other_kinds(path: Path, head: bytes) -> None:
+    """Refuse a file that begins like one of another kind, and state what it is."""
+    start = head.removeprefix(codecs.BOM_UTF8)
+    for pattern, what in _OTHER_KINDS:
+        if re.match(pattern, start, re.IGNORECASE):
+            raise ConfigurationError(what, file=path)
+
+
 def read_lines(path: Path) -> Iterator[str]:
     """Read a UTF-8 text file line by line; a byte order mark at its start is dropped.
 
@@ -114,6 +139,7 @@ def read_lines(path: Path) -> Iterator[str]:
     blank = True
     try:
         with source.open("rb") as stream:
+            _refuse_other_kinds(path, stream.peek(1 << 10)[: 1 << 10])
             size = os.fstat(stream.fileno()).st_size
             if size > MAX_BYTES:
                 raise ConfigurationError(

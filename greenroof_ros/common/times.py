@@ -78,16 +78,18 @@ def time_hint(text: str) -> str:
 
 
 def parse_local_time(text: str, zone: tzinfo) -> datetime:
-    """Read a local time, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00``, in a zone.
+    """Read a local time, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00:00``, in a zone.
 
     Raises:
         ValueError: it is not such a time, has an offset, or is outside the years.
     """
-    match = re.fullmatch(r"(\d{4})-(\d\d)-(\d\d)[ T](\d{1,2}):(\d\d)", text.strip())
+    match = re.fullmatch(
+        r"(\d{4}[-/]\d\d[-/]\d\d)[ T](\d{1,2})(:\d\d(?::\d\d(?:\.\d+)?)?)", text.strip()
+    )
     if match is None:
         raise ValueError
-    year, month, day, hour, minute = (int(part) for part in match.groups())
-    return _within_years(datetime(year, month, day, hour, minute, tzinfo=zone))
+    date, hour, minutes = match.groups()
+    return parse_time(f"{date.replace('/', '-')}T{hour.zfill(2)}{minutes}", zone)
 
 
 def parse_unix_time(text: str) -> datetime:

@@ -30,9 +30,17 @@ from greenroof_ros.common.times import (
     time_hint,
     to_minutes,
 )
-from greenroof_ros.formats.quantities import Quantity, Unit
+from greenroof_ros.formats.quantities import (
+    PRECIPITATION,
+    QUANTITIES,
+    Quantity,
+    Unit,
+    find_plausible,
+)
 
 HOUR = timedelta(hours=1)
+# Hours of a service begin at whole hours; by some clocks some seconds later.
+_CLOCK_ERROR = timedelta(minutes=1)
 
 MISSING = {"", "nan", "na", "n/a", "#n/a", "n/d", "m", "null", "none", "-", "--", "---", "missing"}
 """What stands for a missing value, in lower case."""
@@ -42,15 +50,21 @@ _CODES = {
     "777", "7777", "888", "8888",
 }
 _HUGE = 1e15  # fill values of GRIB are larger
+# Water that is less than a gauge can measure: T, as services write it, or less than a small amount.
+_TRACE = re.compile(
+    r"(0?\.?0*\s*)?(t|tr|trace)\.?|<\s*(?P<below>\d*\.?\d+)", re.IGNORECASE | re.ASCII
+)
 # Share of a column's values other than 0 that may be neither plausible nor a code: a wrong unit of
 # rain shows in the few wettest hours.
 _MAX_WRONG = 0.01
 _MAX_NAMED = 3
 # A comment, or a spreadsheet's line that names the separator.
 _NO_RECORD = re.compile(r'\s*("?#|sep=.$)')
-_LINE_END = "\r\n"
+_LINE_END, _BYTE_ORDER_MARK = "\r\n", "\ufeff"
 _NO_TEXT = f" ,;\t\x1a{_LINE_END}"
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+)$", re.ASCII)
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
+_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+", re.ASCII)
 
 
 class Row(NamedTuple):
@@ -71,6 +85,7 @@ class Table:
         header: names of the columns.
         line: line number of the header; None if there are no lines, as in JSON.
         first: the first row.
+        times: name of the column of times, for notes.
         rows: all rows. They are read one by one, so that an error in one of them is found before
             the rest of the file is read.
         notes: what could not be used as it is.
@@ -94,6 +109,10 @@ class Table:
         """
         self.file, self.header, self.line = file, header, line
         self.notes = list[str]()
+        self.times = next(
+            (name for name in header if re.match(r"(date|time|issued)", name, re.IGNORECASE)),
+            "".join(header[:1]),
+        )
         self._key = key
         self._places = {name: place for place, name in reversed([*enumerate(header)])}
         numbered = (Row(number, *row) for number, row in enumerate(rows))
@@ -199,41 +218,50 @@ class Table:
 
     def read_hours(
         self, column: str, columns: Mapping[str, Column], parse: Callable[[str], datetime],
-        example: str,
+        example: str, *, in_order: bool = True,
     ) -> tuple[datetime, dict[str, NDArray[np.float64]]]:
         """Read all rows, each of which is an hour.
 
-        An hour without a row is missing.
+        An hour without a row is missing. A time may be off its whole hour by a minute.
 
         Args:
             column: the column of times.
             columns: the columns of values.
             parse: see :meth:`read_time`.
             example: see there.
+            in_order: whether rows must be in order of time; otherwise each hour must occur once.
 
         Returns:
-            The time of the first row, and each column's values from then on, shape (hours,); NaN
-            if missing.
+            The first time, and each column's values from then on, shape (hours,); NaN if missing.
 
         Raises:
             ConfigurationError: a time is not a whole number of hours after the row before; or see
                 :meth:`read_time`.
         """
-        first = self.read_time(self.first, column, parse, example)
+        self.times = column
+        first = self.read_time(self.first, column, parse, example).replace(second=0, microsecond=0)
         hours: list[int] = []
+        present = set[int]()
         for row in self.rows:
             time = self.read_time(row, column, parse, example)
-            hour, rest = divmod(time - first, HOUR)
-            if hours and (rest or hour <= hours[-1]):
+            hour = round((time - first) / HOUR)
+            off = abs(time - first - hour * HOUR)
+            if off > _CLOCK_ERROR or hour in present or (
+                in_order and hours and hour <= hours[-1]
+            ):
                 expected = first.astimezone(time.tzinfo) + (hours[-1] + 1) * HOUR
                 raise self.refuse(
                     f"must be {to_minutes(expected)}, or whole hours later: each row is an hour; "
                     "an hour without values is a row with empty cells, or none", column, row,
                 )
             hours.append(hour)
+            present.add(hour)
             for values in columns.values():
                 values.add(row)
-        return first, arrange_by_hour(judge_columns(columns), np.array(hours))
+        earliest = min(hours)
+        return first + earliest * HOUR, arrange_by_hour(
+            judge_columns(columns), np.array(hours) - earliest
+        )
 
 
 NEAR, CODE, WRONG = "near", "code", "wrong"
@@ -266,6 +294,14 @@ def take_missing(cell: Cell) -> Verdict | None:
     return (math.nan, "") if cell.text.lower() in MISSING else None
 
 
+def take_trace(cell: Cell) -> Verdict | None:
+    """Take a trace of water as 0."""
+    match = _TRACE.fullmatch(cell.text) if cell.quantity.is_water else None
+    if match is None or float(match["below"] or 0.0) > cell.quantity.nearly:
+        return None
+    return 0.0, ""
+
+
 def take_near(cell: Cell) -> Verdict | None:
     """Take a value just outside the range as its end."""
     _, low, high, nearly, _ = cell.quantity
@@ -286,21 +322,73 @@ def take_code(cell: Cell) -> Verdict | None:
     return (math.nan, CODE) if is_code else None
 
 
-CELL_RULES = (take_plausible, take_missing, take_near, take_code)
+CELL_RULES = (take_plausible, take_missing, take_trace, take_near, take_code)
 """How cells are read: the first rule that takes a cell decides; what none takes is wrong."""
 
 
-def judge_cell(text: str, quantity: Quantity, unit: Unit) -> Verdict:
-    """Return the value of a cell in our unit, and what kind of odd cell it is."""
+def read_cell(text: str, quantity: Quantity, unit: Unit) -> Cell:
+    """Return a cell with its number."""
     try:
         number = read_number(text)
     except ValueError:
         number = math.nan
-    cell = Cell(text, number, (number - unit.zero) / unit.per_ours, quantity)
+    return Cell(text, number, (number - unit.zero) / unit.per_ours, quantity)
+
+
+def judge_cell(cell: Cell) -> Verdict:
+    """Return the value of a cell in our unit, and what kind of odd cell it is."""
     for rule in CELL_RULES:
         if verdict := rule(cell):
             return verdict
     return math.nan, WRONG
+
+
+class Given(NamedTuple):
+    """What a column gives, in our unit, also where it is not plausible."""
+
+    quantity: Quantity
+    unit: str
+    """of the column"""
+    values: NDArray[np.float64]
+    """of the rows with a number"""
+
+
+# A running total rises, or stays the same for this many rows for each rise if the rises are few,
+# and for this many if they are not. In rain as many hours have less than the hour before as more.
+_MIN_RISES, _MANY_RISES, _SAME_OF_FEW, _SAME_OF_MANY = 3, 10, 5.0, 0.5
+# It falls rarely, when it is set to 0 in rain. A smaller share of its range is noise.
+_MAX_FALLS, _NOISE = 0.25, 0.02
+
+
+def find_running_total(given: Given) -> str:
+    """Find water that is added up from row to row, also if it begins again each day."""
+    if not given.quantity.is_water or not given.values.size:
+        return ""
+    wet = given.values > 0
+    changes = np.diff(given.values)[wet[:-1] & wet[1:]]
+    noise = _NOISE * float(np.ptp(given.values))
+    rises, falls = np.count_nonzero(changes > noise), np.count_nonzero(changes < -noise)
+    same = len(changes) - rises - falls
+    share = _SAME_OF_MANY if rises >= _MANY_RISES else _SAME_OF_FEW
+    if rises < _MIN_RISES or falls > _MAX_FALLS * rises or same < share * rises:
+        return ""
+    return (
+        f"is a running total: it rises {rises} times, stays the same in {same} rows and falls "
+        f"{falls} times; write into each row what came in its own time, the difference from the "
+        "row before"
+    )
+
+
+def find_fraction(given: Given) -> str:
+    """Find fractions of 1 in a column of percent."""
+    share = given.values * (1.0 if given.quantity.unit == "%" else 100.0)
+    if given.unit != "%" or not share.size or not 0 < share.max() <= 1:
+        return ""
+    return "has no value above 1: are they fractions? Then its unit is [1]"
+
+
+COLUMN_RULES = (find_running_total, find_fraction)
+"""What a whole column cannot be: each rule returns why it is refused, or nothing."""
 
 
 class Column:
@@ -312,30 +400,38 @@ class Column:
     """
 
     def __init__(
-        self, table: Table, name: str, quantity: Quantity, unit: Unit | None = None, *,
-        optional: bool = False, cell: Callable[[Row], str] | None = None,
+        self, table: Table, name: str, quantity: str, unit: Unit | None = None, *,
+        step_h: float = 1.0, optional: bool | None = None,
+        cell: Callable[[Row], str] | None = None,
+        rules: Sequence[Callable[[Given], str]] = COLUMN_RULES,
     ) -> None:
         """Prepare.
 
         Args:
             table: of the column.
             name: of the column.
-            quantity: our unit, and the plausible range.
+            quantity: its name, of :data:`.quantities.QUANTITIES`.
             unit: of the column; ours by default.
-            optional: codes alone are as good as no column.
+            step_h: time between rows (h).
+            optional: codes alone are as good as no column; by default all but precipitation is.
             cell: returns a row's text; by default the column's.
+            rules: of the whole column; none if its rows do not follow each other in time.
         """
-        self._table, self._name, self._quantity = table, name, quantity
-        self._unit = unit or Unit(quantity.unit)
-        self._optional = optional
+        self._rules = rules
+        self._table, self._name = table, name
+        self.unit = unit or Unit(QUANTITIES[quantity].unit)
+        self._quantity = find_plausible(quantity, step_h, self.unit)
+        self._optional = quantity != PRECIPITATION if optional is None else optional
         self._cell = cell or (lambda row: table.cell(row, name))
-        self._values = array("d")
+        self._values, self._given = array("d"), array("d")
         self._odd: dict[str, list[Row]] = {NEAR: [], CODE: [], WRONG: []}
 
     def add(self, row: Row) -> None:
         """Read the value of a row."""
-        value, what = judge_cell(self._cell(row), self._quantity, self._unit)
+        cell = read_cell(self._cell(row), self._quantity, self.unit)
+        value, what = judge_cell(cell)
         self._values.append(value)
+        self._given.append(math.nan if what == CODE else cell.value)
         if what:
             self._odd[what].append(row)
 
@@ -348,8 +444,14 @@ class Column:
         """Return the values of all rows, shape (rows,); NaN for those that cannot be used.
 
         Raises:
-            ConfigurationError: too few of the values are plausible.
+            ConfigurationError: too few of the values are plausible, or :data:`COLUMN_RULES` refuse
+                them.
         """
+        numbers = np.array(self._given)
+        given = Given(self._quantity, self.unit.name, numbers[~np.isnan(numbers)])
+        for rule in self._rules:
+            if why := rule(given):
+                raise self._table.refuse(why, self._name)
         values = np.array(self._values)
         known = values[~np.isnan(values)]
         near, codes, wrong = self._odd.values()
@@ -364,10 +466,10 @@ class Column:
 
     def _refuse(self, row: Row) -> ConfigurationError:
         low, high = (
-            float(f"{end * self._unit.per_ours + self._unit.zero:g}")
+            float(f"{end * self.unit.per_ours + self.unit.zero:g}")
             for end in (self._quantity.low, self._quantity.high)
         )
-        expected = Range(low, high, self._unit.name).expected(self._table.cell(row, self._name))
+        expected = Range(low, high, self.unit.name).expected(self._table.cell(row, self._name))
         return self._table.refuse(
             f"{expected}, or empty; is the unit of the column right?", self._name, row
         )
@@ -377,12 +479,8 @@ class Column:
         if not rows:
             return
         table = self._table
-        times = next(
-            (name for name in table.header if re.match(r"(date|time|issued)", name, re.I)),
-            table.header[0],
-        )
         named = [
-            f"{table.cell(row, self._name)} at {table.cell(row, times)}"
+            f"{table.cell(row, self._name)} at {table.cell(row, table.times)}"
             for row in rows[:_MAX_NAMED]
         ]
         if len(rows) > _MAX_NAMED:
@@ -404,7 +502,7 @@ def arrange_by_hour(
         columns: values by name, shape (rows,).
         hours: of each row, from 0.
     """
-    values = {name: np.full(hours[-1] + 1, np.nan) for name in columns}
+    values = {name: np.full(hours.max() + 1, np.nan) for name in columns}
     for name, series in columns.items():
         values[name][hours] = series
     return values
@@ -416,7 +514,8 @@ def number_lines(text: Iterable[str]) -> Iterator[tuple[int, str]]:
     Nor is a spreadsheet's first line that names the separator.
     """
     lines = itertools.chain.from_iterable(part.splitlines(keepends=True) for part in text)
-    for number, line in enumerate(lines, start=1):
+    for number, marked in enumerate(lines, start=1):
+        line = marked.removeprefix(_BYTE_ORDER_MARK)  # of a file that was appended
         if line.strip(_NO_TEXT) and not _NO_RECORD.match(line):
             yield number, line
 
@@ -428,7 +527,8 @@ def read_table(
     """Read CSV as a table; a quoted cell must end in its line.
 
     Cells are separated by commas, semicolons or tabs: what the header has most of. A number
-    may have a decimal comma.
+    may have a decimal comma, if it cannot be one between thousands. A header that is repeated, as
+    where files were appended, is left out.
 
     Args:
         file: the file.
@@ -454,8 +554,28 @@ def read_table(
 
     def rows() -> Iterator[tuple[int, list[str]]]:
         begun = False
+        thousands, marks = 0, set[str]()  # line of one; decimal marks
         for line, text in numbered:
             cells = _split(file, line, text, separator)
+            if [cell for cell in cells if cell] == [name for name in header if name]:
+                table.notes.append(f"{file.name}: line {line} repeats the header, and is left out")
+                continue
+            if begun and cells[0] == header[0]:
+                raise ConfigurationError(
+                    "is a second header, with other columns than the first: make a file of its own "
+                    "of what follows it", file=file, line=line,
+                )
+            for place, cell in enumerate(cells):
+                if "," in cell and _DECIMAL_COMMA.match(cell):
+                    cells[place] = _DECIMAL_COMMA.sub(r"\1.\2", cell)
+                    if _THOUSANDS.fullmatch(cell):
+                        thousands = thousands or line
+                    else:
+                        marks.add(",")
+                elif "." not in marks and place >= first and _DECIMAL_POINT.fullmatch(cell):
+                    marks.add(".")
+            if thousands and "." in marks:
+                raise refuse_thousands(thousands)
             if begun and len(cells) < len(header) and text == text.rstrip(_LINE_END):
                 table.notes.append(f"{file.name}: line {line} is cut off, and left out")
                 return
@@ -473,6 +593,14 @@ def read_table(
                     file=file, line=line,
                 )
             yield line, cells
+        if thousands and not marks and separator == ",":
+            raise refuse_thousands(thousands)
+
+    def refuse_thousands(line: int) -> ConfigurationError:
+        return ConfigurationError(
+            "is the comma a decimal mark, or between thousands? Write numbers with a decimal "
+            "point, and nothing between thousands", file=file, line=line,
+        )
 
     table = Table(file, header, rows(), line)
     return table
@@ -483,7 +611,4 @@ def _split(file: Path, line: int, text: str, separator: str) -> list[str]:
         cells = next(csv.reader([text], delimiter=separator, strict=True))
     except csv.Error as error:
         raise ConfigurationError(f"is not valid CSV: {error}", file=file, line=line) from error
-    return [
-        _DECIMAL_COMMA.sub(r"\1.\2", cell.strip()) if "," in cell else cell.strip()
-        for cell in cells
-    ]
+    return [cell.strip() for cell in cells]

@@ -1,4 +1,8 @@
-"""Hourly bulk files of Environment and Climate Change Canada (ECCC), as downloaded."""
+"""Hourly files of Environment and Climate Change Canada (ECCC), as downloaded.
+
+Bulk files of its page, in English or French, and CSV of its collection ``climate-hourly``
+(api.weather.gc.ca, GeoMet-OGC-API), with the same observations under other names.
+"""
 
 from __future__ import annotations
 
@@ -13,22 +17,23 @@ from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import parse_local_time
 from greenroof_ros.formats.cells import Column, Row, Table, read_table
 from greenroof_ros.formats.hourly import Records
-from greenroof_ros.formats.quantities import DEW_POINT, PRECIPITATION, QUANTITIES, TEMPERATURE
+from greenroof_ros.formats.quantities import DEW_POINT, PRECIPITATION, TEMPERATURE
 from greenroof_ros.model.site import Site
 
 # Names of columns, in English and French, without accents, case, spaces and points; in the English
-# files before 2021 the time has no zone.
-_TIME = ("date/time(lst)", "date/time", "date/heure(hnl)", "date/heure")
-_LATITUDE, _LONGITUDE = "latitude(y)", "longitude(x)"
+# files before 2021 the time has no zone. The last are of GeoMet.
+_GEOMET_TIME = "local_date"
+_TIME = ("date/time(lst)", "date/time", "date/heure(hnl)", "date/heure", _GEOMET_TIME)
+_LATITUDE, _LONGITUDE = ("latitude(y)", "y"), ("longitude(x)", "x")
 # Height of the wind at its stations, as WMO has it (m).
 _WIND_HEIGHT_M = 10.0
 # The service's columns of each of our quantities; the units are the same. Flags are in the next.
 _COLUMNS = {
-    PRECIPITATION: ("precipamount(mm)", "hauteurdeprecip(mm)"),
-    TEMPERATURE: ("temp(°c)",),
-    DEW_POINT: ("dewpointtemp(°c)", "pointderosee(°c)"),
-    "wind speed": ("windspd(km/h)", "vitduvent(km/h)"),
-    "station pressure": ("stnpress(kpa)", "pressionalastation(kpa)"),
+    PRECIPITATION: ("precipamount(mm)", "hauteurdeprecip(mm)", "precip_amount"),
+    TEMPERATURE: ("temp(°c)", "temp"),
+    DEW_POINT: ("dewpointtemp(°c)", "pointderosee(°c)", "dew_point_temp"),
+    "wind speed": ("windspd(km/h)", "vitduvent(km/h)", "wind_speed"),
+    "station pressure": ("stnpress(kpa)", "pressionalastation(kpa)", "station_pressure"),
 }
 _FLAG = ("flag", "indicateur")
 # In the name of a column of daily and monthly files.
@@ -48,7 +53,7 @@ def recognises(head: bytes, /) -> bool:
     cells = re.split("[,;\t]", head.decode("utf-8-sig", "replace").partition("\n")[0])
     names = {_simplify(cell.strip('" \r')) for cell in cells}
     return not names.isdisjoint(_TIME) and (
-        _LONGITUDE in names or not names.isdisjoint(_COLUMNS[TEMPERATURE])
+        _LONGITUDE[0] in names or not names.isdisjoint(_COLUMNS[TEMPERATURE])
         or any(_LONGER in name for name in names)
     )
 
@@ -95,18 +100,17 @@ def read_records(file: Path, site: Site, /) -> Records:
     }
     _check_kind(table, names.keys(), columns.keys())
     table.require_columns((time, *columns.values()), "hourly bulk files")
-    if _LONGITUDE in names:
-        _check_zone(table, names[_LONGITUDE], site.utc_offset)
+    longitude = next((names[name] for name in _LONGITUDE if name in names), None)
+    if longitude is not None:
+        _check_zone(table, longitude, site.utc_offset)
     zone = timezone(timedelta(hours=site.utc_offset))
     read = {
-        quantity: Column(
-            table, column, QUANTITIES[quantity], optional=quantity != PRECIPITATION,
-            cell=_make_reader(table, column),
-        )
+        quantity: Column(table, column, quantity, cell=_make_reader(table, column))
         for quantity, column in columns.items()
     }
     first, values = table.read_hours(
-        time, read, lambda text: parse_local_time(text, zone), "2021-07-01 0:00"
+        time, read, lambda text: parse_local_time(text, zone), "2021-07-01 0:00",
+        in_order=_simplify(time) != _GEOMET_TIME,
     )
     return Records(
         (file,), first, values, rain_late=1, left_out=tuple(table.notes),
@@ -115,15 +119,18 @@ def read_records(file: Path, site: Site, /) -> Records:
 
 
 def _make_reader(table: Table, column: str) -> Callable[[Row], str]:
-    """Return what reads a row's text; empty if the flag in the next column states it is missing.
+    """Return what reads a row's text; empty if its flag states that it is missing.
 
-    A value flagged M is not an observation: it often repeats the last one before the gap.
+    The flag is in the column of its name, or else in the next. A value flagged M is not an
+    observation: it often repeats the last one before the gap.
     """
     place = table.header.index(column)
-    flagged = _simplify("".join(table.header[place + 1 : place + 2])).endswith(_FLAG)
+    flag = f"{column}_FLAG"
+    flag_place = table.header.index(flag) if flag in table.header else place + 1
+    flagged = _simplify("".join(table.header[flag_place : flag_place + 1])).endswith(_FLAG)
 
     def read(row: Row) -> str:
-        return "" if flagged and row.cells[place + 1] in _MISSING_FLAGS else row.cells[place]
+        return "" if flagged and row.cells[flag_place] in _MISSING_FLAGS else row.cells[place]
 
     return read
 
@@ -135,11 +142,15 @@ def _read_place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[floa
         table: the file.
         names: its columns, by their plain names.
     """
-    if _LATITUDE not in names or _LONGITUDE not in names:
+    columns = [
+        next((names[name] for name in these if name in names), "")
+        for these in (_LATITUDE, _LONGITUDE)
+    ]
+    if not all(columns):
         return {}
     latitude, longitude = (
-        table.read_number(table.first, names[column], Range(-end, end, "degrees"), ("",))
-        for column, end in ((_LATITUDE, 90.0), (_LONGITUDE, 180.0))
+        table.read_number(table.first, column, Range(-end, end, "degrees"), ("",))
+        for column, end in zip(columns, (90.0, 180.0), strict=True)
     )
     return {table.file: (latitude, longitude)}
 

@@ -144,13 +144,18 @@ def join_records(parts: Sequence[Records]) -> Records:
 
     They are sorted by time. A value that no file has is missing (NaN). If several files have it,
     they must agree. If hours of a file do not begin with hours of the first, each of its values is
-    the mean of the two hours in which it lies; values of other files then go before.
+    the mean of the two hours in which it lies; values of other files then go before. Files with
+    other quantities than the first, as of services with a file for each, are joined by quantities.
 
     Raises:
         ConfigurationError: two files have different values for an hour, different quantities,
             methods of evapotranspiration or conventions of time. The message names both.
     """
     first = min(parts, key=lambda part: part.first)
+    others = [part for part in parts if part.values.keys().isdisjoint(first.values)]
+    if others:
+        alike = [part for part in parts if not part.values.keys().isdisjoint(first.values)]
+        return _add_quantities(join_records(alike), join_records(others))
     for part in parts:
         _check_same_kind(first, part)
     moved = [part for part in parts if (part.first - first.first) % HOUR]
@@ -187,6 +192,35 @@ def join_records(parts: Sequence[Records]) -> Records:
     left_out = tuple(note for part in parts for note in part.left_out)
     places = {file: place for part in parts for file, place in part.places.items()}
     return replace(first, files=files, values=values, left_out=left_out, places=places)
+
+
+def _add_quantities(first: Records, other: Records) -> Records:
+    """Return records with the quantities of both, from the first hour of either to the last.
+
+    Raises:
+        ConfigurationError: their hours do not begin together.
+    """
+    if (other.first - first.first) % HOUR:
+        raise ConfigurationError(
+            f"its hours must begin with those of {first.source}, which has other quantities",
+            file=other.source,
+        )
+    begin = min(first.first, other.first)
+    hours = max((part.first - begin) // HOUR + part.hours for part in (first, other))
+    values = {}
+    for part in (first, other):
+        at = (part.first - begin) // HOUR
+        for quantity, series in part.values.items():
+            values[quantity] = np.full(hours, np.nan)
+            values[quantity][at : at + part.hours] = series
+    heights = [part.wind_height for part in (first, other) if "wind speed" in part.values]
+    return replace(
+        first, files=(*first.files, *other.files), first=begin, values=values,
+        method=first.method or other.method, shifted=(*first.shifted, *other.shifted),
+        rain_late=max(first.rain_late, other.rain_late),
+        left_out=(*first.left_out, *other.left_out), places={**first.places, **other.places},
+        wind_height=heights[0] if heights else None,
+    )
 
 
 def _check_same_kind(first: Records, part: Records) -> None:

@@ -9,9 +9,9 @@ hours; its JSON has the same under ``hourly_units`` and ``hourly``::
     time,temperature_2m (°C),precipitation (mm),shortwave_radiation (W/m²)
     2021-07-07T00:00,21.4,0.20,0.0
 
-Forecasts that a program has saved without those lines and units are read too. The first column is
-then ``time``, ``datetime`` or ``date``, in UTC unless it has an offset, and the unit is mm; both
-are the service's defaults.
+Files that a program has saved without those lines and units are read too, if they have variables
+by the service's names. The first column is then ``time``, ``datetime`` or ``date``, in UTC unless
+it has an offset, and units are the service's defaults.
 
 Precipitation is the sum, and shortwave radiation the mean, of the hour *before* their time; the
 other quantities are instantaneous. (Open-Meteo, Historical Weather API and Weather Forecast API,
@@ -74,7 +74,6 @@ from greenroof_ros.formats.quantities import (
     DEW_POINT,
     HUMIDITY,
     PRECIPITATION,
-    QUANTITIES,
     RADIATION,
     TEMPERATURE,
     Unit,
@@ -89,7 +88,14 @@ _UNIX_TIME = re.compile(r"\d{9,10}(\.0*)?", re.ASCII)
 # The header of a section; its line can be quoted.
 _SECTION = re.compile(r'"?time"?[,;\t]')
 _SAVED_TIMES = ("time", "datetime", "date")
+# Names of variables that others would not give.
+_ONLY_ITS_OWN = re.compile(
+    r"[a-z_]+_\d+c?m(?![a-z])|precipitation_(previous_day|member)\d|surface_pressure"
+    r"|shortwave_radiation|et0_fao_evapotranspiration"
+)
 _SOURCE = "Open-Meteo's hourly files"
+# Keys under which services say what went wrong.
+_MESSAGES = ("reason", "message", "detail", "description", "error", "title")
 VARIABLES = {
     PRECIPITATION: PRECIPITATION, TEMPERATURE: "temperature_2m", DEW_POINT: "dew_point_2m",
     "wind speed": "wind_speed_10m", "station pressure": "surface_pressure",
@@ -131,14 +137,27 @@ _T = TypeVar("_T")
 
 
 def recognises(head: bytes, /) -> bool:
-    """Return whether a file is JSON, or its first line is the service's or a saved forecast's."""
-    text = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip()
-    cells = [cell.strip(' "\r') for cell in re.split("[,;\t]", text.partition("\n")[0])]
-    saved = cells[0] in _SAVED_TIMES and any(
-        (cell.startswith(PRECIPITATION) and "[" not in cell) or "_previous_day" in cell
-        for cell in cells
+    """Return whether a file is JSON, or its first line has names that only the service gives."""
+    cells = _split_header(head)
+    return cells[0].startswith(("{", "[")) or _OFFSET in cells or (
+        cells[0] in _SAVED_TIMES and any(map(_ONLY_ITS_OWN.match, cells))
     )
-    return text.startswith(("{", "[")) or _OFFSET in cells or saved
+
+
+def recognises_forecasts(head: bytes, /) -> bool:
+    """Return whether a file is the service's, or a forecast saved with its name ``precipitation``.
+
+    Weather with this name alone can be of any source, which need not have the service's times.
+    """
+    cells = _split_header(head)
+    return recognises(head) or (cells[0] in _SAVED_TIMES and any(
+        cell.startswith(PRECIPITATION) and "[" not in cell for cell in cells
+    ))
+
+
+def _split_header(head: bytes) -> list[str]:
+    text = head.decode("utf-8", "replace").removeprefix("\ufeff").lstrip()
+    return [cell.strip(' "\r') for cell in re.split("[,;\t]", text.partition("\n")[0])]
 
 
 # --- hours of either ---------------------------------------------------------------------------
@@ -188,8 +207,8 @@ def _read(
         if text == _NO_UNIT:
             without_unit.append(cell)
         columns[name] = Column(
-            table, cell, QUANTITIES[quantity], known.get(text, next(iter(known.values()))),
-            optional=quantity != PRECIPITATION or members > 1,
+            table, cell, quantity, known.get(text, next(iter(known.values()))),
+            optional=members > 1 or None,
         )
     first, values = table.read_hours(table.header[0], columns, parse, "2024-06-01T12:00")
     for cell in without_unit:
@@ -267,8 +286,8 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
         raise refuse("is JSON nested too deeply to be an answer") from error
     if not isinstance(content, dict):
         raise refuse("must be for one place; download places separately")
-    if content.get("error"):
-        why = content.get("reason", "")
+    why = next((content[key] for key in _MESSAGES if isinstance(content.get(key), str)), "")
+    if content.get("error") or (why and "hourly" not in content):
         raise refuse(f"is not a forecast but the service's refusal: {why}")
     units, hourly = (content.get(key, {}) for key in ("hourly_units", "hourly"))
     for key, value in (("hourly_units", units), ("hourly", hourly)):
@@ -355,6 +374,11 @@ def read_records(file: Path, site: Site, /) -> Records:
     values = add_dew_point(values)
     if PRECIPITATION not in values:
         table.require_columns([f"{PRECIPITATION} (mm)"], _SOURCE)
+    if not records.places:
+        records = replace(records, left_out=(*records.left_out, (
+            f"{file.name}: its variables are Open-Meteo's, so its times without an offset are "
+            "taken as UTC"
+        )))
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last neither.
     nothing = np.array([math.nan])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import read_lines
-from greenroof_ros.common.ranges import Range, read_number
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import duration, parse_time, to_minutes
 from greenroof_ros.formats.cells import (
     HOUR,
@@ -29,6 +29,14 @@ from greenroof_ros.formats.cells import (
     number_lines,
     read_table,
 )
+from greenroof_ros.formats.comments import (
+    END,
+    LATITUDE,
+    LONGITUDE,
+    RAIN_LATE,
+    WIND_HEIGHT,
+    read_comments,
+)
 from greenroof_ros.formats.forecasts import (
     Archive,
     IssuedForecast,
@@ -37,6 +45,7 @@ from greenroof_ros.formats.forecasts import (
     mend_forecast,
 )
 from greenroof_ros.formats.hourly import Records, add_dew_point
+from greenroof_ros.formats.other_services import explain_file
 from greenroof_ros.formats.quantities import (
     EVAPOTRANSPIRATION,
     PRECIPITATION,
@@ -44,11 +53,10 @@ from greenroof_ros.formats.quantities import (
     ROOF,
     TEMPERATURE,
     Unit,
-    find_plausible,
     find_unit,
     is_amount,
 )
-from greenroof_ros.formats.steps import CLOCK_ERROR, find_steps
+from greenroof_ros.formats.steps import RowSteps, Values, find_steps
 from greenroof_ros.model.look_ahead import MAX_MEMBERS
 from greenroof_ros.model.site import Site
 
@@ -61,14 +69,7 @@ _FORECAST = {
 }
 # Of a live site's file only the last bytes are read, enough for 100 members of 36 days.
 _MAX_BYTES, _CHUNK = 16_000_000, 1_000_000
-_COMMENT = re.compile(r"\s*(#|$)")
-# What comments at the head of a file may state: its place, the height of the wind, and the delay of
-# the rain's time.
-_ENDS = {
-    "latitude": Range(-90.0, 90.0, "degrees"), "longitude": Range(-180.0, 180.0, "degrees"),
-    "wind_height": Range(0.5, 100.0, "m"), "rain_late": Range(0.0, 1.0, "h"),
-}
-_ABOUT = re.compile(rf"\b({'|'.join(_ENDS)})\s*[:=]\s*([-+]?\d+(?:\.\d*)?)", re.IGNORECASE)
+_LEVELS = ("level", "cistern level")
 _COLUMN = re.compile(r"([^\[\]]+?)\s*\[([^\[\]]*)\]")
 # Minimum share of an hour's rows to know its rain; another quantity needs one value.
 _ENOUGH = 0.75
@@ -88,42 +89,44 @@ class Rows:
         table: the file, for messages; its rows have been read.
         columns: name and unit of each quantity's column.
         method: of the evapotranspiration among them; empty if there is none.
-        first: time of the first row, with its offset from UTC.
-        step_s: time between rows (s).
-        steps: of each row, counted from the first, each once, shape (rows,).
-        since: time of each row since the first (s), likewise.
+        first: start of the first row, with its offset from UTC.
+        steps: of the rows, counted from the first, each once.
+        since: start of each row since the first (s), likewise.
         values: of each quantity in its unit in :data:`.quantities.QUANTITIES`, likewise; NaN if
             missing.
-        about: what comments at the head of the file state, by the names of ``_ENDS``.
+        about: what comments at the head of the file state; see :mod:`.comments`.
     """
 
     table: Table
     columns: dict[str, tuple[str, Unit]]
     method: str
     first: datetime
-    step_s: float
-    steps: NDArray[np.int64]
+    steps: RowSteps
     since: NDArray[np.float64]
     values: dict[str, NDArray[np.float64]]
     about: dict[str, float]
 
 
-def read_rows(file: Path, site: Site, wanted: Collection[str]) -> Rows:
+def read_rows(
+    file: Path, site: Site, wanted: Collection[str], stamped: str | None = None
+) -> Rows:
     """Read a file of measurements in this project's format.
 
     Lines that start with ``#`` are comments. The first other line names the columns with their
     units, as in ``rain [mm]``: ``time``, and others of :data:`.quantities.QUANTITIES`; ``...
     evapotranspiration [mm/day]`` begins with the name of its method. An amount without ``/`` is the
     sum over its row. Litres and m3 are for the whole roof of area ``a2``. Comments at the head may
-    give the place, as in ``latitude: 43.63, longitude: -79.40``, ``wind_height: 2`` (m), and
-    ``rain_late: 1`` (h). Each further line begins at its ``time``: ISO 8601 with the offset from
-    UTC; without an offset it is a time of the site's clock, by its ``time_zone``, or else its
-    ``utc_offset``. Rows are at a regular step. An empty cell, or a missing row, is a missing value.
+    state what :mod:`.comments` reads. Each further line begins at its ``time``, or with ``stamped:
+    end`` ends there, except levels, which are at the time. It is ISO 8601 with the offset from UTC;
+    without an offset it is a time of the site's clock, by its ``time_zone``, or else its
+    ``utc_offset``. Rows are at a regular step, which may change. An empty cell, or a missing row,
+    is a missing value.
 
     Args:
         file: the file.
         site: its clock, and the area of its roof.
         wanted: the quantities that are read; columns of others are left out.
+        stamped: one of :data:`.comments.STAMPS`; by default what a comment states.
 
     Raises:
         ConfigurationError: the file breaks any of this; the message names the line and value.
@@ -131,44 +134,78 @@ def read_rows(file: Path, site: Site, wanted: Collection[str]) -> Rows:
     table = _open(file)
     named, method = _find_columns(table)
     first, seconds, notes = _read_times(table, site)
+    about = read_comments(file)
     since = np.array(seconds) - seconds[0]
-    steps, step_s = find_steps(partial(_open, file), TIME, since)
-    step_h = step_s / 3600
-    columns = {
-        quantity: (column, find_unit(quantity, unit, step_h, site.a2))
-        for quantity, (column, unit) in named.items() if quantity in wanted
-    }
+    rows = find_steps(partial(_open, file), TIME, since)
+    if (stamped or about.stamped) == END:
+        rows, since = _end_at_stamps(rows, since)
+        first -= timedelta(seconds=float(rows.durations[0]))
+        notes.append(f"{file.name}: each row ends at its time, and was moved to its start")
     table = _open(file)  # again: amounts in a row can be judged now that the step is known
-    read = {
-        quantity: Column(
-            table, column, find_plausible(quantity, step_h), unit,
-            optional=quantity != PRECIPITATION,
-        )
-        for quantity, (column, unit) in columns.items()
+    read: dict[float, dict[str, Column]] = {}
+    for duration_s in np.unique(rows.durations).tolist():
+        read[duration_s] = {
+            quantity: Column(
+                table, column, quantity, find_unit(quantity, unit, duration_s / 3600, site.a2),
+                step_h=duration_s / 3600,
+            )
+            for quantity, (column, unit) in named.items() if quantity in wanted
+        }
+    for row, duration_s in zip(table.rows, rows.durations.tolist(), strict=True):
+        for of_rows in read[duration_s].values():
+            of_rows.add(row)
+    columns = {
+        quantity: (named[quantity][0], column.unit)
+        for quantity, column in read[float(rows.durations[0])].items()
     }
-    for row in table.rows:
-        for column in read.values():
-            column.add(row)
-    measured = judge_columns(read)
+    measured = {quantity: np.full(len(since), math.nan) for quantity in columns}
+    for duration_s, of_duration in read.items():
+        for quantity, series in judge_columns(of_duration).items():
+            measured[quantity][rows.durations == duration_s] = series
+    steps = rows.steps
     if (np.diff(steps) == 0).any():
         notes.append(
             f"{file.name}: {np.count_nonzero(np.diff(steps) == 0)} rows are in the step of the row "
             "before, as after a clock was set; their amounts are added up, other values averaged"
         )
         steps, begins, counts = np.unique(steps, return_index=True, return_counts=True)
-        since = since[begins]
+        since, rows = since[begins], rows._replace(steps=steps, durations=rows.durations[begins])
         measured = {
             quantity: np.add.reduceat(values, begins) / (
                 1 if is_amount(quantity, columns[quantity][1]) else counts
             )
             for quantity, values in measured.items()
         }
-    table.notes[:0] = notes
-    return Rows(table, columns, method, first, step_s, steps, since, measured, _read_about(file))
+    if rows.ended:
+        for level in measured.keys() & set(_LEVELS):
+            measured[level] = _move_to_next(measured[level], steps)
+    table.notes[:0] = [*notes, *about.notes]
+    return Rows(table, columns, method, first, rows, since, measured, about.numbers)
+
+
+def _end_at_stamps(rows: RowSteps, since: Values) -> tuple[RowSteps, Values]:
+    """Return rows that end at their times, and their starts since the first start (s)."""
+    durations = np.roll(rows.durations, 1)
+    durations[0] = rows.durations[0]
+    since = since - durations + durations[0]
+    steps = rows.steps - np.round((durations - durations[0]) / rows.step_s).astype(np.int64)
+    return rows._replace(steps=steps, durations=durations, ended=True), since
+
+
+def _move_to_next(values: Values, steps: NDArray[np.int64]) -> Values:
+    """Return the value at the start of each step from values at ends; NaN without a row before."""
+    moved = np.full(len(values), math.nan)
+    follows = np.flatnonzero(np.diff(steps) == 1)
+    moved[follows + 1] = values[follows]
+    return moved
 
 
 def _open(file: Path) -> Table:
-    return read_table(file, observed=lambda name: name != TIME)
+    try:
+        return read_table(file, observed=lambda name: name != TIME)
+    except ConfigurationError:
+        explain_file(file)
+        raise
 
 
 def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[str]]:
@@ -208,6 +245,7 @@ def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[
 def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
     """Return each quantity's column and unit, and the method of evapotranspiration."""
     if table.header[0] != TIME:
+        explain_file(table.file)
         raise table.refuse(f"the first column must be '{TIME}'", table.header[0])
     columns: dict[str, tuple[str, str]] = {}
     method = ""
@@ -232,17 +270,7 @@ def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
     return columns, method
 
 
-def _read_about(file: Path) -> dict[str, float]:
-    """Return what the comments at the head of a file state about it, by the names of ``_ENDS``."""
-    found = {}
-    with file.open(encoding="utf-8-sig") as stream:
-        for number, line in enumerate(itertools.takewhile(_COMMENT.match, stream), 1):
-            for key, text in _ABOUT.findall(line.lower()):
-                found[key] = _ENDS[key].read(read_number(text), file=file, line=number, key=key)
-    return found
-
-
-def read_records(file: Path, site: Site, /) -> Records:
+def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Records:
     """Read a weather file; see :func:`read_rows`.
 
     Each row is the hour that starts at its time. Rows less than an hour apart are averaged by the
@@ -253,61 +281,84 @@ def read_records(file: Path, site: Site, /) -> Records:
         ConfigurationError: the file has no precipitation, or its step is no whole number of hours;
             or see :func:`read_rows`.
     """
-    rows = read_rows(file, site, _WEATHER)
+    rows = read_rows(file, site, _WEATHER, stamped)
     if PRECIPITATION not in rows.columns:
         raise rows.table.refuse(
             f"there must be a column '{_FORECAST[PRECIPITATION]}' or 'rain [mm]'"
         )
-    step_h, first, values = rows.step_s / 3600, rows.first, rows.values
+    steps, first, values = rows.steps, rows.first, rows.values
     notes = rows.table.notes
-    if step_h >= 1:
-        if step_h % 1:
+    durations_h = np.unique(steps.durations) / 3600
+    if steps.step_s >= 3600:
+        if steps.step_s % 3600 or (durations_h % 1).any():
             raise rows.table.refuse(
-                f"the rows are {duration(rows.step_s)} apart; they must be an hour apart, or less"
+                f"the rows are {duration(steps.step_s)} apart; they must be an hour apart, or less"
             )
-        hours = rows.steps * round(step_h)
+        hours = steps.steps * round(steps.step_s / 3600)
+        first = _round_first(first, steps)
     else:
         first = first.replace(minute=0, second=0, microsecond=0)
         begin_h = (rows.first - first) / HOUR
-        hours_since = rows.since / 3600 + CLOCK_ERROR * step_h
+        hours_since = (rows.since + steps.clock_error * steps.step_s) / 3600
         of_rows = np.floor(begin_h + hours_since).astype(np.intp)
         first += int(of_rows[0]) * HOUR
         of_rows -= of_rows[0]
+        weights_h = np.minimum(steps.durations / 3600, 1.0)
         values = {
-            name: _average_hours(series, of_rows, _ENOUGH / step_h if name == PRECIPITATION else 1)
+            name: _average_hours(
+                series, of_rows, weights_h, _ENOUGH if name == PRECIPITATION else 0.0
+            )
             for name, series in values.items()
         }
         hours = np.arange(of_rows[-1] + 1)
         notes.append(
-            f"{file.name}: rows are {duration(rows.step_s)} apart; each hour has their mean, of "
-            f"rain their mean rate if at least {_ENOUGH:g} of them are there"
+            f"{file.name}: rows are {' and '.join(duration(3600 * each) for each in durations_h)} "
+            f"apart; each hour has their mean, of rain their mean rate if at least {_ENOUGH:g} of "
+            "them are there"
+        )
+    if steps.changes:
+        notes.append(
+            f"{file.name}: the time between rows changes {len(steps.changes)} times, first to "
+            f"{duration(float(steps.durations[steps.changes[0]]))} after "
+            f"{to_minutes(rows.first + timedelta(seconds=float(rows.since[steps.changes[0]])))}"
         )
     about = rows.about
-    here = {file: (about["latitude"], about["longitude"])} if (
-        {"latitude", "longitude"} <= about.keys()
+    here = {file: (about[LATITUDE], about[LONGITUDE])} if (
+        {LATITUDE, LONGITUDE} <= about.keys()
     ) else {}
     return Records(
         (file,), first, add_dew_point(arrange_by_hour(values, hours)), rows.method,
-        left_out=tuple(notes), rain_late=round(about.get("rain_late", 0.0)), places=here,
-        wind_height=about.get("wind_height"),
+        left_out=tuple(notes), rain_late=round(about.get(RAIN_LATE, 0.0)), places=here,
+        wind_height=about.get(WIND_HEIGHT),
     )
 
 
+def _round_first(first: datetime, steps: RowSteps) -> datetime:
+    """Return the start of the first hour, which some seconds of a clock's error do not change."""
+    begin = first - timedelta(seconds=steps.late)
+    minutes = 5 if steps.late else 1
+    whole = begin.replace(minute=begin.minute // minutes * minutes, second=0, microsecond=0)
+    late = begin - whole
+    return whole + timedelta(minutes=minutes) * round(late / timedelta(minutes=minutes))
+
+
 def _average_hours(
-    series: NDArray[np.float64], hours: NDArray[np.intp], min_values: float
-) -> NDArray[np.float64]:
+    series: Values, hours: NDArray[np.intp], weights: Values, min_share: float
+) -> Values:
     """Return the mean of each hour's rows; NaN if there are too few.
 
     Args:
         series: values of the rows, NaN if missing.
         hours: of the rows.
-        min_values: number of values that an hour must have.
+        weights: duration of the rows (h), at most an hour.
+        min_share: of the hour whose values must be there.
     """
-    count = np.bincount(hours, ~np.isnan(series))
-    total = np.bincount(hours, np.nan_to_num(series))
+    known = ~np.isnan(series)
+    share = np.bincount(hours, weights * known)
+    total = np.bincount(hours, weights * np.nan_to_num(series))
     # Tenths of a millimetre do not add up exactly in binary numbers.
-    means = np.round(total / np.maximum(count, 1), 9)
-    return np.where(count >= round(min_values, 6), means, np.nan)
+    means = np.round(total / np.where(share > 0, share, 1.0), 9)
+    return np.where((share > 0) & (share >= min_share - 1e-6), means, np.nan)
 
 
 def write_records(records: Records, about: str) -> str:
@@ -320,11 +371,14 @@ def write_records(records: Records, about: str) -> str:
     head = []
     places = {*records.places.values()}
     if len(places) == 1:
-        head += [f"{name}: {degrees:.5f}" for name, degrees in zip(_ENDS, *places, strict=False)]
+        head += [
+            f"{name}: {degrees:.5f}"
+            for name, degrees in zip((LATITUDE, LONGITUDE), *places, strict=True)
+        ]
     if records.wind_height is not None:
-        head.append(f"wind_height: {records.wind_height:g}")
+        head.append(f"{WIND_HEIGHT}: {records.wind_height:g}")
     if records.rain_late:
-        head.append(f"rain_late: {records.rain_late}")
+        head.append(f"{RAIN_LATE}: {records.rain_late}")
     names = {
         name: f"{records.method} {name}" if name == EVAPOTRANSPIRATION else name
         for name in records.values
@@ -382,9 +436,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
     lines: dict[tuple[datetime, datetime | None], int | None] = {}
     arrivals, members = ("available" in table.header, "member" in table.header)
     read = {
-        quantity: Column(
-            table, column, QUANTITIES[quantity], optional=quantity != PRECIPITATION
-        )
+        quantity: Column(table, column, quantity, rules=())  # of several issues and members
         for quantity, column in _FORECAST.items() if column in table.header
     }
     for row in table.rows:

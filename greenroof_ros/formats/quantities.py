@@ -44,6 +44,11 @@ class Quantity(NamedTuple):
     """of a column in this project's CSV, besides our own"""
 
     @property
+    def is_water(self) -> bool:
+        """Whether it is a depth of water in a time."""
+        return self.unit.startswith("mm/")
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """All units of a column in this project's CSV."""
         return self.unit, *self.units
@@ -62,7 +67,7 @@ QUANTITIES: dict[str, Quantity] = {
     "wind speed": Quantity("km/h", 0.0, 500.0, 1.0),
     "station pressure": Quantity("kPa", 50.0, 110.0),
     RADIATION: Quantity("W/m2", 0.0, 1500.0, 15.0),
-    HUMIDITY: Quantity("%", 0.0, 100.0, 5.0),
+    HUMIDITY: Quantity("%", 0.0, 100.0, 5.0, ("1",)),
     "minimum temperature": Quantity("degC", -90.0, 60.0),
     "maximum temperature": Quantity("degC", -90.0, 60.0),
     "runoff": Quantity("mm/h", 0.0, 500.0, 0.1, _WATER),
@@ -81,21 +86,26 @@ ROOF = (
 # in 1956 (WMO).
 _MAX_SHORT_WATER = 1900.0
 # How many of a unit equal one of ours, of units that are no amounts of water.
-_PER_OURS = {"cm": 100.0, "mm": 1000.0, "%": 100.0}
+_PER_OURS = {"cm": 100.0, "mm": 1000.0, "%": 100.0, "1": 0.01}
 _HOURS = {"s": 1 / 3600, "h": 1.0, "day": 24.0}
 
 
-def find_plausible(quantity: str, step_h: float) -> Quantity:
-    """Return a quantity with its plausible values in rows a step (h) apart."""
+def find_plausible(quantity: str, step_h: float, unit: Unit) -> Quantity:
+    """Return a quantity with its plausible values in rows a step (h) apart.
+
+    In short rows more can fall, and what sums over a row are off by is a larger rate.
+    """
     found = QUANTITIES[quantity]
-    if found.unit == "mm/h" and step_h < 1:
-        return found._replace(high=_MAX_SHORT_WATER)
+    if step_h < 1 and is_amount(quantity, unit):
+        found = found._replace(nearly=found.nearly / step_h)
+    if step_h < 1 and found.unit == "mm/h":
+        found = found._replace(high=_MAX_SHORT_WATER)
     return found
 
 
 def is_amount(quantity: str, unit: Unit) -> bool:
     """Return whether a unit of water is the sum over a row, not a rate."""
-    return QUANTITIES[quantity].unit.startswith("mm/") and "/" not in unit.name
+    return QUANTITIES[quantity].is_water and "/" not in unit.name
 
 
 def find_unit(quantity: str, name: str, step_h: float, area: float) -> Unit:
@@ -110,7 +120,7 @@ def find_unit(quantity: str, name: str, step_h: float, area: float) -> Unit:
     ours = QUANTITIES[quantity].unit
     if name == ours:
         return Unit(name)
-    if not ours.startswith("mm/"):
+    if not QUANTITIES[quantity].is_water:
         return Unit(name, _PER_OURS[name])
     amount, _, time = name.partition("/")
     of_mm = {"mm": 1.0, "l": area, "m3": area / 1000}[amount]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -11,7 +11,7 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
-from greenroof_ros.formats import eccc, open_meteo, own_csv
+from greenroof_ros.formats import dwd, eccc, open_meteo, own_csv
 from greenroof_ros.formats.forecasts import Archive, IssuedForecast, check_same_form
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.model.site import Site
@@ -22,19 +22,30 @@ _HEAD_BYTES = 4096
 
 # The first format that recognises a file by its first bytes reads it. None recognises the last,
 # own CSV: its errors state what is expected.
-_WEATHER = {
-    eccc: "Environment and Climate Change Canada", open_meteo: "Open-Meteo", own_csv: "own CSV",
+_WEATHER_NAMES = {
+    eccc: "Environment and Climate Change Canada", open_meteo: "Open-Meteo",
+    dwd: "Deutscher Wetterdienst", own_csv: "own CSV",
 }
-_FORECASTS = (open_meteo,)
+_WEATHER = {form: form.recognises for form in (eccc, open_meteo, dwd)}
+_FORECASTS = {open_meteo: open_meteo.recognises_forecasts}
 
 
-def read_records(file: Path, site: Site) -> Records:
+def read_records(file: Path, site: Site, stamped: str | None = None) -> Records:
     """Return the records of a weather file, each for the hour that starts at its time.
+
+    Args:
+        file: the file.
+        site: its place and clock.
+        stamped: what the time of a row in this project's format is; see
+            :func:`.own_csv.read_rows`.
 
     Raises:
         ConfigurationError: the file does not follow its format, or is too large.
     """
-    records: Records = _find_format(file, _WEATHER).read_records(file, site)
+    form = _find_format(file, _WEATHER)
+    if form is own_csv:
+        return own_csv.read_records(file, site, stamped)
+    records: Records = form.read_records(file, site)
     return records
 
 
@@ -44,7 +55,7 @@ def name_format(file: Path) -> str:
     Raises:
         ConfigurationError: the file cannot be read.
     """
-    return _WEATHER[_find_format(file, _WEATHER)]
+    return _WEATHER_NAMES[_find_format(file, _WEATHER)]
 
 
 def read_archive(source: Path, site: Site, delay: float | None = None) -> Archive:
@@ -127,7 +138,9 @@ def _equalise_members(issues: Sequence[IssuedForecast]) -> tuple[list[IssuedFore
     return [replace(issue, rain=issue.rain[:minimum]) for issue in used], notes
 
 
-def _find_format(file: Path, formats: Iterable[ModuleType]) -> ModuleType:
+def _find_format(
+    file: Path, recognisers: Mapping[ModuleType, Callable[[bytes], bool]]
+) -> ModuleType:
     if file.exists() and not file.is_file():
         raise ConfigurationError("must be a regular file, or a directory of such files", file=file)
     try:
@@ -135,5 +148,4 @@ def _find_format(file: Path, formats: Iterable[ModuleType]) -> ModuleType:
             head = stream.read(_HEAD_BYTES)
     except OSError as error:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=file) from error
-    known = (form for form in formats if form is not own_csv)
-    return next((form for form in known if form.recognises(head)), own_csv)
+    return next((form for form, recognises in recognisers.items() if recognises(head)), own_csv)

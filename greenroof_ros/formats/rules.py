@@ -21,7 +21,7 @@ import numpy as np
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.hourly import Records, find_gaps, number_days
-from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
+from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
 from greenroof_ros.formats.step_record import (
     DAY_S,
     HOUR_S,
@@ -65,11 +65,13 @@ def check_steps(record: StepRecord, site: Site) -> list[str]:
 def check_hours(records: Records, site: Site, hours: range) -> list[str]:
     """Return what is implausible in some hours of weather; see :func:`check_steps`."""
     nothing = np.zeros(records.hours)
+    given = records.values.get(EVAPOTRANSPIRATION, nothing) if records.method else nothing
     steps = np.zeros(records.hours, dtype=bool)
     steps[hours.start : hours.stop] = True
     record = StepRecord(
-        records.files[0], records.first, HOUR_S, records.values[PRECIPITATION], nothing, nothing,
-        None, None, records.values.get(TEMPERATURE),
+        records.files[0], records.first, HOUR_S, records.values[PRECIPITATION],
+        np.nan_to_num(given) / 24, nothing, None, None, records.values.get(TEMPERATURE),
+        reference_column=f"{records.method} {EVAPOTRANSPIRATION}" * (given is not nothing),
     )
     return check_steps(record.select(steps), site)
 
@@ -118,6 +120,60 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
                 f"{column}: is {value:.3g} {what}; it must be {bound}: is the unit of the column "
                 "right, and those of the others?"
             )
+
+
+# The mean of the hours with rain (mm), in so many of them: at most 5.9 in months of eleven years at
+# Toronto; tenths of a millimetre make ten times as much. In so many hours the wettest has less
+# than 1 mm only if the unit is wrong, or if amounts of rows are in a column of rates.
+_MAX_MEAN_WET, _FEW_WET = 8.0, 20
+_MIN_WETTEST, _MANY_WET = 1.0, 100
+# Reference evapotranspiration is at least this share of what the sun's energy outside of the
+# atmosphere could evaporate, in so many days: 0.11 in December at 53 degrees north.
+_MIN_OF_ENERGY, _MIN_ENERGY_DAYS, _MIN_ENERGY = 0.03, 3, 1.0
+
+
+def find_wrong_rain_unit(record: StepRecord, _site: Site) -> Iterator[str]:
+    """Find rain whose hours are all too wet, or too dry."""
+    if record.step_s > HOUR_S:
+        return
+    rain = np.nan_to_num(record.rain if record.all_rain is None else record.all_rain)
+    hours = np.bincount(record.seconds // HOUR_S - record.seconds[0] // HOUR_S, rain)
+    wet = hours[hours > 0]
+    mean = float(wet.mean()) if wet.size else 0.0
+    if wet.size >= _FEW_WET and mean > _MAX_MEAN_WET:
+        yield (
+            f"rain is {mean:.3g} mm in the mean of its {wet.size} wet hours; more than "
+            f"{_MAX_MEAN_WET:g} is rare: is it in tenths of a millimetre?"
+        )
+    if wet.size >= _MANY_WET and float(wet.max()) < _MIN_WETTEST:
+        yield (
+            f"rain is at most {wet.max():.3g} mm in each of its {wet.size} wet hours: is the unit "
+            "right? The amount of a row is in [mm], not [mm/h]"
+        )
+
+
+def find_little_evaporation(record: StepRecord, site: Site) -> Iterator[str]:
+    """Find evapotranspiration that is far below the energy of the sun, FAO-56 Eqs. 21 to 25."""
+    if not record.reference_column or site.latitude is None:
+        return
+    days, day = np.unique(record.seconds // DAY_S, return_inverse=True)
+    sums = np.bincount(day, record.reference)
+    whole = np.bincount(day) * record.step_s >= DAY_S
+    angle = 2 * np.pi / 365 * number_days(days.astype("datetime64[D]"))
+    declination, phi = 0.409 * np.sin(angle - 1.39), math.radians(site.latitude)
+    sunset = np.arccos(np.clip(-np.tan(phi) * np.tan(declination), -1.0, 1.0))
+    energy = 0.408 * 37.6 * (1 + 0.033 * np.cos(angle)) * (
+        sunset * np.sin(phi) * np.sin(declination)
+        + np.cos(phi) * np.cos(declination) * np.sin(sunset)
+    )
+    sunny = whole & (energy > _MIN_ENERGY)
+    evaporated, possible = float(sums[sunny].sum()), float(energy[sunny].sum())
+    if np.count_nonzero(sunny) >= _MIN_ENERGY_DAYS and evaporated < _MIN_OF_ENERGY * possible:
+        yield (
+            f"{record.reference_column}: is {evaporated:.3g} mm in {np.count_nonzero(sunny)} days, "
+            f"{evaporated / possible:.2%} of what the sun could evaporate; less than "
+            f"{_MIN_OF_ENERGY:.0%} is rare: is the unit of the column right, [mm/h] or [mm/day]?"
+        )
 
 
 # The largest excess of runoff over water, summed over storms, as a share of their runoff: at most
@@ -342,6 +398,8 @@ def find_outlying_rain(record: StepRecord, _site: Site) -> Iterator[str]:
 RULES = (
     Rule(find_wrong_amounts, refuses=True),
     Rule(find_much_rain),
+    Rule(find_wrong_rain_unit),
+    Rule(find_little_evaporation),
     Rule(find_imbalance),
     Rule(find_shifted_clock),
     Rule(find_stuck_sensor),

@@ -1,31 +1,67 @@
-"""Rows at a regular step, as loggers write them."""
+"""Rows at a regular step, as loggers write them, and where the step changes."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.formats.cells import Table
+from greenroof_ros.formats.hourly import find_gaps
+
+Values = NDArray[np.float64]
 
 CLOCK_ERROR = 0.1
 """A row further than this from whole steps (share of a step) is off."""
 # At most this share of rows may be off: a clock that is set each week makes two in a thousand.
 _MAX_OFF = 0.01
+# Rows may be further off their times than that, each by itself, if no more than this.
+_MAX_JITTER = 0.3
+# A step that is as near to one of these (s) as clocks are right is this one.
+_USUAL_S = np.array([
+    *(1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0),
+    *(60.0 * minutes for minutes in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30)),
+    *(3600.0 * hours for hours in (1, 2, 3, 4, 6, 8, 12, 24)),
+])
+_NEAR_USUAL = 2e-3
+# The step has changed where this many spacings are alike, and unlike the others. Fewer are gaps.
+_MIN_ALIKE, _UNLIKE = 6, 0.2
 _HOUR_S = 3600.0
 
 
-def find_steps(
-    read: Callable[[], Table], column: str, since: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], float]:
-    """Return the step of each row, counted from the first row, and the duration of steps (s).
+class RowSteps(NamedTuple):
+    """When the rows of a file begin, and how long they last."""
 
-    The duration is the median spacing of the rows; if they are no whole number of such steps apart,
-    the minimum; of a single row an hour. A row belongs to the step that begins nearest to its time,
-    at most half a step away, so errors of a clock do not add up. Two rows can then belong to one
-    step.
+    steps: NDArray[np.int64]
+    """of each row, counted from the first, shape (rows,); two rows can be in one step"""
+    step_s: float
+    """duration of a step (s), the greatest that all spacings of rows are multiples of"""
+    durations: Values
+    """of each row (s), shape (rows,)"""
+    late: float = 0.0
+    """how much later than step 0 the first row is, by an irregular clock (s)"""
+    ended: bool = False
+    """whether rows ended at their times"""
+    clock_error: float = CLOCK_ERROR
+    """how far from its step a row's time may be (share of a step)"""
+
+    @property
+    def changes(self) -> list[int]:
+        """The first row of each later duration."""
+        return [int(row) + 1 for row in np.flatnonzero(np.diff(self.durations))]
+
+
+def find_steps(read: Callable[[], Table], column: str, since: Values) -> RowSteps:
+    """Return the steps of rows; of a single row an hour.
+
+    The step is the median spacing of the rows; if they are no whole number of such steps apart, the
+    minimum. A row belongs to the step that begins nearest to its time, at most half a step away,
+    so errors of a clock do not add up. Where at least six spacings in succession are alike and
+    others than the median, the step has changed.
 
     Args:
         read: reads the file, for messages.
@@ -37,23 +73,60 @@ def find_steps(
     """
     spacing = np.diff(since)
     if not spacing.size:
-        return np.zeros(1, dtype=np.int64), _HOUR_S
-    step_s = float(np.median(spacing))
+        return RowSteps(np.zeros(1, dtype=np.int64), _HOUR_S, np.array([_HOUR_S]))
+    usual = _find_usual(spacing)
+    values = np.unique(usual)
+    step_s = float(values[0])
+    if len(values) > 1:
+        step_s = float(math.gcd(*(round(value) for value in values)))
+    durations = np.append(usual, usual[-1])
     off = _find_off(spacing, step_s)
-    if len(off) > _MAX_OFF * len(spacing) and not _find_off(spacing, float(spacing.min())).size:
-        step_s, off = float(spacing.min()), off[:0]
-    if len(off) > _MAX_OFF * len(spacing):
-        table = read()  # again, for the row's line and text
-        row = next(itertools.islice(table.rows, int(off[0]) + 1, None))
-        raise table.refuse(
-            f"must be {step_s:g} s after the row before, or a whole number of such steps, not "
-            f"{spacing[off[0]]:g} s; {len(off)} of {len(since)} rows are like this, too many for a "
-            "clock that was set: write rows at a regular step", column, row,
+    if len(off) <= _MAX_OFF * len(spacing):
+        return RowSteps(np.floor(since / step_s + 0.5).astype(np.int64), step_s, durations)
+    late = 0.0
+    for _ in range(2):
+        steps = np.floor((since + late) / step_s + 0.5)
+        late -= float(np.median(since + late - steps * step_s))
+    jitter = np.abs(since + late - steps * step_s)
+    if np.count_nonzero(jitter > _MAX_JITTER * step_s) <= _MAX_OFF * len(since):
+        return RowSteps(
+            (steps - steps[0]).astype(np.int64), step_s, durations, late, clock_error=_MAX_JITTER,
         )
-    return np.floor(since / step_s + 0.5).astype(np.int64), step_s
+    minimum_s = float(spacing.min())
+    if not _find_off(spacing, minimum_s).size:
+        steps = np.floor(since / minimum_s + 0.5)
+        return RowSteps(steps.astype(np.int64), minimum_s, np.full(len(since), minimum_s))
+    table = read()  # again, for the row's line and text
+    row = next(itertools.islice(table.rows, int(off[0]) + 1, None))
+    raise table.refuse(
+        f"must be {step_s:g} s after the row before, or a whole number of such steps, not "
+        f"{spacing[off[0]]:g} s; {len(off)} of {len(since)} rows are like this, too many for a "
+        "clock that was set: write rows at a regular step", column, row,
+    )
 
 
-def _find_off(spacing: NDArray[np.float64], step_s: float) -> NDArray[np.intp]:
+def _find_usual(spacing: Values) -> Values:
+    """Return the step (s) that is usual around each spacing."""
+    usual = np.full(len(spacing), _round_step(spacing, float(np.median(spacing))))
+    median = float(usual[0])
+    alike = np.abs(np.diff(np.log(spacing))) < CLOCK_ERROR
+    for low, high in find_gaps(alike):
+        step_s = float(np.median(spacing[low : high + 1]))
+        if high + 1 - low >= _MIN_ALIKE and abs(step_s / median - 1) > _UNLIKE:
+            usual[low : high + 1] = _round_step(spacing[low : high + 1], step_s)
+    return usual
+
+
+def _round_step(spacing: Values, step_s: float) -> float:
+    """Return a usual step if the mean of spacings is as near to one as clocks are right."""
+    near = spacing[np.abs(spacing / step_s - 1) < 0.5]
+    if not near.size:
+        return step_s
+    usual = float(_USUAL_S[np.argmin(np.abs(_USUAL_S / near.mean() - 1))])
+    return usual if abs(near.mean() / usual - 1) < _NEAR_USUAL else step_s
+
+
+def _find_off(spacing: Values, step_s: float) -> NDArray[np.intp]:
     """Return which spacings are not a whole number of steps."""
     counts = np.maximum(1.0, np.round(spacing / step_s))
     return np.flatnonzero(np.abs(spacing / step_s - counts) > CLOCK_ERROR)

@@ -60,13 +60,25 @@ def default_weather() -> Path:
     return shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
 
 
-def read_measured(files: Sequence[Path], site: Site) -> Records:
+def read_measured(
+    files: Sequence[Path], site: Site, stamped: str | None = None
+) -> Records:
     """Read weather files, which may have different formats, and join them; gaps stay.
+
+    Args:
+        files: one or more.
+        site: its place and clock.
+        stamped: what the time of a row in this project's format is, one of
+            :data:`.comments.STAMPS`; by default what the file states.
 
     Raises:
         ConfigurationError: a file is broken, or two contradict each other.
     """
-    joined = join_records([read_records(file, site) for file in files])
+    joined = join_records([read_records(file, site, stamped) for file in files])
+    if PRECIPITATION not in joined.values:
+        raise ConfigurationError(
+            f"has no {PRECIPITATION}; add the file that has it", file=joined.source
+        )
     return drop_empty(_drop_partial_hours(joined))
 
 
@@ -211,10 +223,14 @@ def _drop_partial_hours(records: Records) -> Records:
     """
     if not records.shifted:
         return records
+    moved = [name in records.shifted for name in records.values]
+    known = ~np.isnan([series[[0, -1]] for series in records.values.values()])
+    begin = int(not all(moved) and not known[~np.array(moved), 0].any())
+    end = None if known[moved, 1].any() else -1
     return replace(
         records,
-        first=records.first + HOUR,
-        values={quantity: series[1:-1] for quantity, series in records.values.items()},
+        first=records.first + begin * HOUR,
+        values={quantity: series[begin:end] for quantity, series in records.values.items()},
     )
 
 

@@ -19,12 +19,13 @@ from greenroof_ros.formats.cells import (
     Table,
     judge_cell,
     number_lines,
+    read_cell,
     read_table,
 )
-from greenroof_ros.formats.quantities import QUANTITIES, Quantity, Unit
+from greenroof_ros.formats.quantities import QUANTITIES, Unit
 
 FILE = Path("hours.csv")
-RAIN = QUANTITIES["precipitation"]
+RAIN = "precipitation"
 HEADER = "# A comment\n\ntime, rain [mm/h] ,temperature\n"
 ROWS = ["2021-07-07T03:00-05:00, 0.2,20", "2021-07-07T04:00-05:00,3.0,21"]
 
@@ -34,7 +35,7 @@ def table(*rows: str, header: str = HEADER) -> Table:
     return read_table(FILE, number_lines([header + "\n".join(rows) + "\n"]))
 
 
-def values_of(read: Table, name: str, quantity: Quantity, unit: Unit | None = None) -> np.ndarray:
+def values_of(read: Table, name: str, quantity: str, unit: Unit | None = None) -> np.ndarray:
     """Return the values of a column."""
     column = Column(read, name, quantity, unit)
     for row in read.rows:
@@ -95,7 +96,7 @@ def test_texts_that_are_no_numbers(text: str) -> None:
 )
 def test_rules_of_cells(text: str, value: float, kind: str) -> None:
     """Of rain, from 0 to 500 mm/h, by half a millimetre more or less."""
-    read, what = judge_cell(text, RAIN, Unit("mm/h"))
+    read, what = judge_cell(read_cell(text, QUANTITIES[RAIN], Unit("mm/h")))
     assert (what, read) == (kind, pytest.approx(value, nan_ok=True))
 
 
@@ -122,7 +123,7 @@ def test_separators_and_decimal_commas(text: str) -> None:
 def test_missing_values_and_other_units() -> None:
     """A missing value is NaN; the range is given in the unit of the file."""
     rows = ["2021-07-07T03:00Z,1,68", "2021-07-07T04:00Z,,NaN", "2021-07-07T05:00Z,1,x2"]
-    warmth, unit = QUANTITIES["temperature"], Unit("°F", 1.8, 32.0)
+    warmth, unit = "temperature", Unit("°F", 1.8, 32.0)
     assert values_of(table(*rows), "temperature", warmth, unit) == pytest.approx(
         [20.0, np.nan, np.nan], nan_ok=True
     )

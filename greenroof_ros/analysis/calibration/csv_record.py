@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.analysis.calibration.record import select_months
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.formats.comments import RAIN_LATE
 from greenroof_ros.formats.hourly import find_gaps
 from greenroof_ros.formats.own_csv import read_rows
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, ROOF, TEMPERATURE
@@ -66,7 +67,14 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     ):
         if not there:
             raise rows.table.refuse(message)
-    step_s, count = rows.step_s, len(rows.steps)
+    step_s, count = rows.steps.step_s, len(rows.steps.steps)
+    if rows.steps.changes:
+        changed = rows.steps.changes[0]
+        raise rows.table.refuse(
+            f"the time between rows changes from {name_time(rows.steps.durations[changed - 1])} to "
+            f"{name_time(rows.steps.durations[changed])} after row {changed}; a record must have "
+            "one: make a file of each part"
+        )
     if count < _MIN_ROWS:
         raise ConfigurationError(
             f"has {count} rows; a record must have at least {_MIN_ROWS}", file=file
@@ -76,17 +84,17 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
         raise rows.table.refuse(
             f"the rows are {name_time(step_s)} apart; they must be at most a day apart"
         )
-    step_h, steps = step_s / HOUR_S, int(rows.steps[-1]) + 1
+    step_h, steps = step_s / HOUR_S, int(rows.steps.steps[-1]) + 1
     series = {}
     for quantity, values in rows.values.items():
         series[quantity] = np.full(steps, np.nan)
-        series[quantity][rows.steps] = values
+        series[quantity][rows.steps.steps] = values
     for quantity, hours in (
         (PRECIPITATION, 1), ("runoff", 1), ("pumped", 1), (EVAPOTRANSPIRATION, 24),
     ):
         if quantity in series:  # mm in a step
             series[quantity] = series[quantity] * step_h / hours
-    late = round(rows.about.get("rain_late", 0.0) / step_h)
+    late = round(rows.about.get(RAIN_LATE, 0.0) / step_h)
     rain = np.append(series[PRECIPITATION][late:], np.full(late, np.nan))
     last_decimal = 0.0
     if "runoff" in columns:

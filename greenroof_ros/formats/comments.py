@@ -1,0 +1,107 @@
+"""What comments at the head of a file state about it: ``key: value``, and prose that is ignored."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.ranges import Range, read_number
+
+LATITUDE, LONGITUDE = "latitude", "longitude"
+"""place of the file (degrees), positive to the north and east, or as 79.40 W or 79° 24' W"""
+WIND_HEIGHT = "wind_height"
+"""height of the wind (m)"""
+RAIN_LATE = "rain_late"
+"""delay of the rain's time (h), which is stated and not corrected"""
+STAMPED = "stamped"
+"""what the time of a row is, one of :data:`STAMPS`"""
+START, END = STAMPS = ("start", "end")
+"""The time of a row is the start of the row, or its end."""
+
+_NUMBERS = {
+    LATITUDE: Range(-90.0, 90.0, "degrees"), LONGITUDE: Range(-180.0, 180.0, "degrees"),
+    WIND_HEIGHT: Range(0.5, 100.0, "m"), RAIN_LATE: Range(0.0, 1.0, "h"),
+}
+_COMMENT = re.compile(r"\s*(\"?#|$)")
+_KEY = rf"\b({'|'.join((*_NUMBERS, STAMPED))})\s*[:=]\s*"
+# A value ends at the end of a clause, or before the next key.
+_STATED = re.compile(rf"{_KEY}(.*?)(?=[;()|]|,(?!\d)|\.(?!\d)|\s+{_KEY}|\s*$)", re.IGNORECASE)
+_NUMBER = r"[-+]?\d+(?:[.,]\d*)?"
+_LENGTH = re.compile(
+    rf"({_NUMBER})\s*(?:[mh]|met(?:er|re)s?|hours?)?(?: above (?:the )?ground)?", re.I
+)
+_SIDES = {"n": 1, "north": 1, "e": 1, "east": 1, "s": -1, "south": -1, "w": -1, "west": -1}
+_SIDES_OF = {LATITUDE: "ns", LONGITUDE: "ew"}
+_SIDE = rf"({'|'.join(sorted(_SIDES, key=len, reverse=True))})?"
+_ANGLE = re.compile(
+    rf"{_SIDE}\s*({_NUMBER})\s*(?:°|º|degrees?|deg|d|:|\s)?\s*"
+    rf"(?:({_NUMBER})\s*(?:'|\u2032|\u2019|minutes?|min|m|:|\s)?\s*)?"
+    rf"(?:({_NUMBER})\s*(?:\"|\u2033|\u201d|''|seconds?|sec|s)?\s*)?{_SIDE}", re.IGNORECASE,
+)
+
+
+class Stated(NamedTuple):
+    """What comments state."""
+
+    numbers: dict[str, float]
+    """by key, those of the file"""
+    stamped: str
+    """one of :data:`STAMPS`"""
+    notes: list[str]
+    """of what is not read"""
+
+
+def read_comments(file: Path) -> Stated:
+    """Return what the comments at the head of a file state.
+
+    What has not the form of its key's value is prose, and noted.
+
+    Raises:
+        ConfigurationError: a value is out of its range, or has a sign and a cardinal point.
+    """
+    stated = Stated({}, START, [])
+    with file.open(encoding="utf-8-sig") as stream:
+        for number, line in enumerate(itertools.takewhile(_COMMENT.match, stream), 1):
+            for match in _STATED.finditer(line.strip().strip('"')):
+                key, text = match[1].lower(), match[2].strip().rstrip(" -")
+                if key == STAMPED and text.lower() in STAMPS:
+                    stated = stated._replace(stamped=text.lower())
+                    continue
+                value = None if key == STAMPED else _read_value(key, text, file, number)
+                if value is None:
+                    stated.notes.append(f"{file.name}: line {number} is not read: {match[0]}")
+                else:
+                    stated.numbers[key] = _NUMBERS[key].read(
+                        value, file=file, line=number, key=key
+                    )
+    return stated
+
+
+def _read_value(key: str, text: str, file: Path, line: int) -> float | None:
+    """Return a number; None if the text is not of its form."""
+    if key not in _SIDES_OF:
+        match = _LENGTH.fullmatch(text)
+        return _read_number(match[1]) if match else None
+    match = _ANGLE.fullmatch(text)
+    if match is None:
+        return None
+    side = (match[1] or match[5] or "").lower()
+    degrees, minutes, seconds = (_read_number(match[group] or "0") for group in (2, 3, 4))
+    if side[:1] not in _SIDES_OF[key] or (match[1] and match[5]):
+        return None
+    if side and match[2].startswith("-"):
+        raise ConfigurationError(
+            "has a sign and a cardinal point: leave one of them out", file=file, line=line, key=key,
+            value=text,
+        )
+    if (match[3] and (degrees % 1 or not 0 <= minutes < 60)) or not 0 <= seconds < 60:
+        return None
+    sign = -1 if match[2].startswith("-") else 1
+    return _SIDES.get(side, 1) * (degrees + sign * (minutes / 60 + seconds / 3600))
+
+
+def _read_number(text: str) -> float:
+    return read_number(text.replace(",", "."))

@@ -1,0 +1,87 @@
+"""Hourly observations of Deutscher Wetterdienst (DWD): ``produkt_*_stunde_*.txt``, unpacked.
+
+Each quantity has files of its own, which are joined as several files of weather::
+
+    STATIONS_ID;MESS_DATUM;QN_8;  R1;RS_IND;WRTR;eor
+           1219;1995090100;    1;   0.0;   0;-999;eor
+
+``MESS_DATUM`` is the hour in UTC. Precipitation is the sum of the hour before, from ten minutes
+before its begin until ten minutes before its end, and is moved an hour back; other quantities are
+of the time itself. (DWD, Climate Data Center, observations_germany/climate/hourly,
+DESCRIPTION_obsgermany_climate_hourly_precipitation.) Missing values are -999.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime, timezone
+from pathlib import Path
+
+from greenroof_ros.common.times import parse_time
+from greenroof_ros.formats.cells import HOUR, Column, read_table
+from greenroof_ros.formats.hourly import Records, add_dew_point
+from greenroof_ros.formats.quantities import (
+    DEW_POINT,
+    HUMIDITY,
+    PRECIPITATION,
+    TEMPERATURE,
+    Unit,
+)
+from greenroof_ros.model.site import Site
+
+_TIME = "MESS_DATUM"
+# The service's column of each of our quantities, with its unit.
+_COLUMNS = {
+    "R1": (PRECIPITATION, Unit("mm")),
+    "TT_TU": (TEMPERATURE, Unit("degC")),
+    "RF_TU": (HUMIDITY, Unit("%")),
+    "TD": (DEW_POINT, Unit("degC")),
+    "F": ("wind speed", Unit("m/s", 1 / 3.6)),
+    "P0": ("station pressure", Unit("hPa", 10.0)),
+}
+# Height of the wind at its stations, as WMO has it (m).
+_WIND_HEIGHT_M = 10.0
+_HEADER = re.compile(rb"\s*STATIONS_ID\s*;\s*MESS_DATUM\s*;([^\r\n]*)")
+_HOUR = re.compile(r"(\d{8})(\d\d)", re.ASCII)
+
+
+def recognises(head: bytes, /) -> bool:
+    """Return whether the first line has the service's columns, one of them of our quantities."""
+    match = _HEADER.match(head)
+    return match is not None and not _COLUMNS.keys().isdisjoint(
+        name.strip() for name in match[1].decode("utf-8", "replace").split(";")
+    )
+
+
+def read_records(file: Path, _site: Site, /) -> Records:
+    """Read a file of one or two quantities.
+
+    Raises:
+        ConfigurationError: a line is broken or out of order, or too few values are plausible.
+    """
+    table = read_table(file, observed=_COLUMNS.__contains__)
+    present = {name: _COLUMNS[name] for name in table.header if name in _COLUMNS}
+    table.require_columns((_TIME, *present), "DWD's hourly files")
+    columns = {
+        quantity: Column(table, name, quantity, unit)
+        for name, (quantity, unit) in present.items()
+    }
+    first, values = table.read_hours(_TIME, columns, _parse_hour, "2024060112")
+    late = PRECIPITATION in values
+    return Records(
+        (file,), first - HOUR if late else first, add_dew_point(values),
+        shifted=(PRECIPITATION,) if late else (), left_out=tuple(table.notes),
+        wind_height=_WIND_HEIGHT_M if "wind speed" in values else None,
+    )
+
+
+def _parse_hour(text: str) -> datetime:
+    """Return an hour such as ``2024060112``, in UTC.
+
+    Raises:
+        ValueError: it is none; ten-minute values have two digits more.
+    """
+    match = _HOUR.fullmatch(text)
+    if match is None:
+        raise ValueError
+    return parse_time(f"{match[1]}T{match[2]}", timezone.utc)

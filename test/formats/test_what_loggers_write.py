@@ -1,0 +1,347 @@
+"""Files as loggers and services write them: times, amounts, places, and files of other kinds."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import CONFIG
+from refusals import refusal
+
+from greenroof_ros.formats.hourly import Records
+from greenroof_ros.formats.rules import check_hours
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.reading import read_measured
+
+SITE = read_site(CONFIG / "site.yaml")
+FIRST = datetime.fromisoformat("2024-06-01T00:00-05:00")
+HOUR = 3600
+
+
+def write_rows(
+    count: int, step_s: int = HOUR,
+    rain: Callable[[int], object] = lambda row: 0.2 * (row % 5 == 0), *,
+    first: datetime = FIRST, late: Callable[[int], int] = lambda row: 0,
+    header: str = "time,rain [mm]\n",
+) -> str:
+    """Return rows a step apart, each some seconds late."""
+    times = (
+        first + timedelta(seconds=step_s * row + late(row)) for row in range(count)
+    )
+    return header + "".join(
+        f"{time.isoformat()},{rain(row)}\n" for row, time in enumerate(times)
+    )
+
+
+def read(directory: Path, text: str | bytes, stamped: str | None = None) -> Records:
+    file = directory / "gauge.csv"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_measured([file], SITE, stamped)
+
+
+def rain_of(directory: Path, text: str | bytes) -> list[float]:
+    rain: list[float] = read(directory, text).values["precipitation"].tolist()
+    return rain
+
+
+# --- times ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("step_s", [300, HOUR])
+def test_a_clock_that_is_some_seconds_off(tmp_path: Path, step_s: int) -> None:
+    """Each row by itself, at random, or all by the same: the hours are those of a right clock."""
+    random = np.random.default_rng(1)
+    count = 24 * HOUR // step_s
+    expected = read(tmp_path, write_rows(count, step_s))
+    for late in (
+        lambda row: 7, lambda row: int(random.integers(0, 40)),
+        lambda row: int(random.integers(-40, 40)) * (row > 0),
+    ):
+        records = read(tmp_path, write_rows(count, step_s, late=late))
+        assert records.first == expected.first
+        np.testing.assert_array_equal(*(
+            each.values["precipitation"] for each in (records, expected)
+        ))
+
+
+@pytest.mark.parametrize("step_s", [300, 600, HOUR])
+def test_rows_that_end_at_their_times(tmp_path: Path, step_s: int) -> None:
+    """By a comment, or an option: rain of the row stamped 01:00 fell from midnight on."""
+    text = write_rows(24 * HOUR // step_s, step_s, first=FIRST + timedelta(seconds=step_s))
+    starts = read(tmp_path, write_rows(24 * HOUR // step_s, step_s))
+    for records in (read(tmp_path, f"# stamped: end\n{text}"), read(tmp_path, text, "end")):
+        assert records.first == FIRST
+        assert records.values["precipitation"].tolist() == (
+            starts.values["precipitation"].tolist()
+        )
+        assert "each row ends at its time" in records.notes[0]
+
+
+@pytest.mark.parametrize(("before_s", "after_s"), [(300, HOUR), (HOUR, 600), (600, 900)])
+def test_a_step_that_changes(tmp_path: Path, before_s: int, after_s: int) -> None:
+    """Twelve hours of each, with 0.1 mm in a row: an hour has as much as it has rows."""
+    half = 12 * HOUR
+    for shift, head in ((0, ""), (1, "# stamped: end\n")):
+        parts = [
+            write_rows(
+                half // step_s, step_s, lambda row: 0.1, header="",
+                first=FIRST + timedelta(seconds=begin + shift * step_s),
+            ) for begin, step_s in ((0, before_s), (half, after_s))
+        ]
+        records = read(tmp_path, f"{head}time,rain [mm]\n{''.join(parts)}")
+        assert records.first == FIRST
+        np.testing.assert_allclose(records.values["precipitation"], [
+            0.1 * HOUR / step_s for step_s in (before_s, after_s) for _ in range(12)
+        ])
+        assert any("the time between rows changes" in note for note in records.notes)
+
+
+def test_files_that_were_appended(tmp_path: Path) -> None:
+    """The same header again is left out, also after a byte order mark; another one is refused."""
+    later = write_rows(24, first=FIRST + timedelta(days=1))
+    for mark in ("", "\ufeff"):
+        records = read(tmp_path, write_rows(24) + mark + later)
+        assert records.hours == 48
+        assert "line 26 repeats the header" in records.notes[0]
+    other = later.replace("rain [mm]", "temperature [degC]")
+    assert "line 26: is a second header" in refusal(read, tmp_path, write_rows(24) + other)
+
+
+# --- amounts --------------------------------------------------------------------------------------
+
+
+def add_up(every: int, wet: tuple[int, ...], amount: float = 0.4) -> Callable[[int], float]:
+    """Return a total that begins again after ``every`` rows; amounts come in the wet rows."""
+    return lambda row: round(1e-9 + amount * sum(
+        begin in wet for begin in range(row // every * every, row + 1)
+    ), 3)
+
+
+@pytest.mark.parametrize(("total", "first"), [
+    (add_up(1000, (5, 6, 7, 30, 31)), 0.0), (add_up(1000, (5, 6, 7, 30, 31)), 1032.4),
+    (add_up(24, (5, 6, 7, 8, 30, 31, 47, 48, 49)), 0.0), (add_up(48, (3, 4, 5, 60, 61, 62)), 0.0),
+])
+def test_running_totals_are_refused(
+    tmp_path: Path, total: Callable[[int], float], first: float
+) -> None:
+    """Of all rows, of a counter that does not begin at 0, and since midnight or another time."""
+    text = write_rows(96, rain=lambda row: first + total(row))
+    assert "'rain [mm]': is a running total" in refusal(read, tmp_path, text)
+
+
+def test_rain_that_rises_is_no_running_total(tmp_path: Path) -> None:
+    """Nor is a drizzle that stays the same, nor a broken gauge."""
+    for rain in ((0.2, 0.4, 1.0, 3.0, 5.0, 8.0, 0.0), (0.1,) * 24, (0.2, 0.2, 0.2, 0.4, 0.2, 0.0)):
+        assert rain_of(tmp_path, write_rows(96, rain=lambda row, r=rain: r[row % len(r)]))
+
+
+@pytest.mark.parametrize("text", ["T", "trace", "Tr.", "0.0T", "<0.1", "< 0.05"])
+def test_a_trace_is_nothing(tmp_path: Path, text: str) -> None:
+    """WMO-No. 8 reports less than a gauge can measure as a trace."""
+    assert rain_of(tmp_path, write_rows(5, rain=lambda row: text if row % 2 else 0.4)) == (
+        [0.4, 0.0, 0.4, 0.0, 0.4]
+    )
+
+
+def test_negative_amounts_of_short_rows(tmp_path: Path) -> None:
+    """A weighing gauge's -0.1 mm in five minutes is 0, and -1 is no value."""
+    rain = rain_of(tmp_path, write_rows(24, 300, lambda row: (0.5, -0.1)[row % 2]))
+    assert rain == pytest.approx([3.0, 3.0])
+    rain = rain_of(tmp_path, write_rows(24, 300, lambda row: -1 if row < 12 else 0.1))
+    assert rain == pytest.approx([np.nan, 1.2], nan_ok=True)
+
+
+def shine(row: int) -> float:
+    return max(0.0, float(np.sin((row % 24 - 6) / 12 * np.pi)))
+
+
+@pytest.mark.parametrize(("column", "peak", "sentence"), [
+    ("station evapotranspiration [mm/day]", 0.55, "what the sun could evaporate"),
+    ("station evapotranspiration [mm/h]", 0.55, ""),
+    ("station evapotranspiration [mm]", 0.55, ""),
+])
+def test_evapotranspiration_in_another_unit(
+    tmp_path: Path, column: str, peak: float, sentence: str
+) -> None:
+    """0.55 mm/h at noon is 4.2 mm a day in June; taken for mm/day it is a twenty-fourth."""
+    records = read(tmp_path, write_rows(
+        240, rain=lambda row: f"0,{peak * shine(row):.3f}", header=f"time,rain [mm],{column}\n"
+    ))
+    found = check_hours(records, SITE, range(12))
+    assert [sentence in each for each in found] == [True] * bool(sentence)
+
+
+def test_fractions_of_humidity(tmp_path: Path) -> None:
+    """Under percent they are refused; they have a unit of their own."""
+    text = write_rows(
+        48, rain=lambda row: f"0,20,{0.6 + 0.3 * shine(row):.2f}",
+        header="time,rain [mm],temperature [degC],relative humidity [%]\n",
+    )
+    assert "are they fractions? Then its unit is [1]" in refusal(read, tmp_path, text)
+    fractions = read(tmp_path, text.replace("[%]", "[1]"))
+    # By FAO-56 Eqs. 11 and 14: 0.6 of 2.338 kPa at 20 degC is 1.403 kPa, which 12.0 degC have.
+    assert fractions.values["dew point"][0] == pytest.approx(12.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("rain", "header", "sentence"), [
+    (lambda row: 5 + 3 * (row % 7) if row % 10 == 0 else 0, "time,rain [mm]\n", "in tenths"),
+    (lambda row: 0.2 if row % 4 == 0 else 0, "time,rain [mm/h]\n", "The amount of a row is"),
+])
+def test_rain_in_another_unit(
+    tmp_path: Path, rain: Callable[[int], float], header: str, sentence: str
+) -> None:
+    """Tenths of millimetres, and the amounts of rows as rates."""
+    records = read(tmp_path, write_rows(24 * 30, rain=rain, header=header))
+    assert any(sentence in each for each in check_hours(records, SITE, range(12)))
+
+
+@pytest.mark.parametrize(("cells", "is_refused"), [
+    (("512.5", '"1,019"'), True), (("512", '"1,019"'), True), (("512", '"1,5"'), False),
+    (('"0,045"', '"0,19"'), False),
+])
+def test_commas_between_thousands(tmp_path: Path, cells: tuple[str, str], is_refused: bool) -> None:
+    """A comma before three digits is a decimal mark only where others are."""
+    text = write_rows(
+        24, rain=lambda row: f"0,{cells[row % 2]}",
+        header="time,rain [mm],solar radiation [W/m2]\n",
+    )
+    if is_refused:
+        assert "decimal mark, or between thousands" in refusal(read, tmp_path, text)
+    else:
+        read(tmp_path, text)
+
+
+# --- places ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("comment", [
+    "latitude: 43.63 N, longitude: 79.40 W", "latitude: 43.63; longitude = -79.4",
+    "latitude: 43\N{DEGREE SIGN}37.8' N, longitude: 79\N{DEGREE SIGN}24'00\" W",
+    "Latitude: N 43 37 48, Longitude: W 79 24 0", "latitude: 43,63; longitude: -79,40",
+    "latitude: 43.63 degrees north, longitude: 79.40 degrees west",
+    "Gauge 7 (latitude: 43.63, longitude: -79.40), on the roof. See latitude: of the plan",
+])
+def test_places_in_comments(tmp_path: Path, comment: str) -> None:
+    """All are 43.63 degrees north, 79.40 degrees west."""
+    (place,) = read(tmp_path, f"# {comment}\n{write_rows(3)}").places.values()
+    assert place == pytest.approx((43.63, -79.40))
+
+
+@pytest.mark.parametrize("comment", [
+    "latitude: 95 steps from the door", "longitude: see map", "latitude: 43.63 W",
+    "wind_height: about 2 m", "stamped: by hand",
+])
+def test_prose_in_comments(tmp_path: Path, comment: str) -> None:
+    """It is ignored, with a note."""
+    records = read(tmp_path, f"# {comment}\n{write_rows(3)}")
+    assert (records.places, records.wind_height) == ({}, None)
+    assert records.notes == (f"gauge.csv: line 1 is not read: {comment}",)
+
+
+@pytest.mark.parametrize("comment", ["latitude: 95", "longitude: -79.40 W", "longitude: 280.6"])
+def test_places_that_are_none(tmp_path: Path, comment: str) -> None:
+    """Out of range, or with two signs."""
+    assert "line 1: " in refusal(read, tmp_path, f"# {comment}\n{write_rows(3)}")
+
+
+# --- files of other kinds and services ------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("content", "what"), [
+    ("<!DOCTYPE html><html>", "a web page"), ("\n <HTML>\n", "a web page"),
+    ('{"code": "x", "description": "Invalid query"}', "refusal: Invalid query"),
+    ('{"error": true, "reason": "limit exceeded"}', "refusal: limit exceeded"),
+    ("Too Many Requests\n", "is it a service's message?"),
+    ("Error 503: Unavailable, try again\n", "is it a service's message?"),
+    (gzip.compress(b"time"), "gzip"), (b"PK\x03\x04", "workbook"), (b"\xd0\xcf\x11\xe0", "Excel"),
+    ("time,rain [mm]".encode("utf-16"), "UTF-16"), (b"%PDF-1.4", "PDF"),
+    ("time,precipitation,temperature\n2024-06-01T00:00,1,20\n", "must be named like 'rain [mm]'"),
+    ("time,precipitation (mm)\n2024-06-01T00:00,1\n", "must be named like 'rain [mm]'"),
+    ("date,precipitation\n2024-06-01T00:00,1\n", "the first column must be 'time'"),
+    ("# STN,YYYYMMDD,   HH,    T,   RH\n  260,20240601,    1,  150,  -1\n", "KNMI, hourly"),
+    ("STN,YYYYMMDD,TG,RH\n260,20240601,150,10\n", "KNMI, daily"),
+    ("station_abbr;reference_timestamp;tre200h0;rre150h0\nBER;x;15;0\n", "MeteoSwiss, hourly"),
+    ("station_abbr;reference_timestamp;rre150d0\nBER;x;0\n", "MeteoSwiss, of other than hours"),
+    ("-BEGIN HEADER-\nNASA/POWER\n-END HEADER-\nYEAR,MO,DY,HR,T2M\n24,6,1,0,1\n", "POWER, hourly"),
+    ("YEAR,DOY,T2M\n2024,6,1\n", "NASA POWER, of other than hours"),
+    ('"STATION","DATE","SOURCE","AA1"\n"7","2024-06-01","7","01,0000,9,5"\n', "Integrated Surface"),
+    ("STATION,DATE,REPORT_TYPE,HourlyPrecipitation\n1,2,FM-15,T\n", "Local Climatological"),
+    ("STATION,STATION_NAME,DATE,HPCP\n1,X,2,0.1\n", "hourly precipitation"),
+    ("STATIONS_ID;MESS_DATUM;  QN;RWS_10;eor\n1;202406010000;3;0.0;eor\n", "other than hourly"),
+])
+def test_files_of_other_kinds(tmp_path: Path, content: str | bytes, what: str) -> None:
+    """The message states what they are."""
+    assert what in refusal(read, tmp_path, content)
+
+
+RAIN_OF_DWD = (
+    "STATIONS_ID;MESS_DATUM;QN_8;  R1;RS_IND;WRTR;eor\n"
+    "       1219;2024060100;    1;   0.0;   0;-999;eor\n"
+    "       1219;2024060101;    1;   1.5;   1;-999;eor\n"
+    "       1219;2024060102;    1;-999;-999;-999;eor\n"
+    "       1219;2024060103;    1;   0.2;   1;-999;eor\n"
+)
+AIR_OF_DWD = (
+    "STATIONS_ID;MESS_DATUM;QN_9;TT_TU;RF_TU;eor\n"
+    "       1219;2024060100;    3;  10.0; 100.0;eor\n"
+    "       1219;2024060101;    3;  11.0;  90.0;eor\n"
+    "       1219;2024060102;    3;  12.0;  80.0;eor\n"
+)
+
+
+def test_hours_of_dwd(tmp_path: Path) -> None:
+    """R1 of 01 UTC is the rain from midnight on, and TT_TU the temperature at its time."""
+    rain, air = tmp_path / "produkt_rr_stunde_1.txt", tmp_path / "produkt_tu_stunde_1.txt"
+    rain.write_text(RAIN_OF_DWD)
+    air.write_text(AIR_OF_DWD)
+    alone = read_measured([rain], SITE)
+    assert alone.first.isoformat() == "2024-05-31T23:00:00+00:00"
+    assert alone.values["precipitation"].tolist() == pytest.approx(
+        [0.0, 1.5, np.nan, 0.2], nan_ok=True
+    )
+    both = read_measured([air, rain], SITE)
+    assert both.first.isoformat() == "2024-06-01T00:00:00+00:00"
+    assert both.values["precipitation"].tolist() == pytest.approx([1.5, np.nan, 0.2], nan_ok=True)
+    assert both.values["temperature"].tolist() == [10.0, 11.0, 12.0]
+    assert both.values["dew point"][0] == pytest.approx(10.0)
+    assert "has no precipitation" in refusal(read_measured, [air], SITE)
+
+
+GEOMET = (
+    "x,y,STATION_NAME,LOCAL_DATE,TEMP,TEMP_FLAG,PRECIP_AMOUNT_FLAG,PRECIP_AMOUNT,WIND_SPEED\n"
+    "-79.4,43.63,TORONTO,2021-07-07 01:00:00,23.5,,M,1.2,11\n"
+    "-79.4,43.63,TORONTO,2021-07-07T00:00:00,24.5,,,0.4,5\n"
+    "-79.4,43.63,TORONTO,2021/07/07 02:00,22.7,,,0.6,9\n"
+)
+
+
+def test_hours_of_geomet(tmp_path: Path) -> None:
+    """In any order, in local standard time, with flags by their names; rain is as in bulk files."""
+    records = read(tmp_path, GEOMET)
+    assert records.first.isoformat() == "2021-07-07T00:00:00-05:00"
+    assert records.values["precipitation"].tolist() == pytest.approx(
+        [0.4, np.nan, 0.6], nan_ok=True
+    )
+    assert records.values["temperature"].tolist() == [24.5, 23.5, 22.7]
+    assert (records.rain_late, [*records.places.values()]) == (1, [(43.63, -79.4)])
+    assert "Environment Canada that holds days" in refusal(
+        read, tmp_path, "x,y,LOCAL_DATE,MAX_TEMPERATURE\n-79.4,43.63,2021-07-07 00:00:00,3\n"
+    )
+
+
+def test_a_wall_clock_with_summer_time(tmp_path: Path) -> None:
+    """Stamped at the end: the hour that the clock shows twice is two hours."""
+    site = replace(SITE, time_zone="America/Toronto")
+    file = tmp_path / "gauge.csv"
+    file.write_text("# stamped: end\ntime,rain [mm]\n" + "".join(
+        f"2024-11-03 {time},{rain}\n"
+        for time, rain in (("00:00", 1), ("01:00", 2), ("01:00", 3), ("02:00", 4), ("03:00", 5))
+    ))
+    records = read_measured([file], site)
+    assert records.first.isoformat() == "2024-11-02T23:00:00-04:00"
+    assert records.values["precipitation"].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
