@@ -132,6 +132,7 @@ _RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?(?: ?\(\d+\)
 # The service's longest forecasts, of ensembles, reach 36 days (h).
 _MAX_RUN_H = 36 * 24
 _DAY_H = 24
+_JUDGED_ROWS = 1000
 _S = TypeVar("_S")
 _T = TypeVar("_T")
 
@@ -250,29 +251,34 @@ def _select_hours(lines: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str]]
     The service writes a section each for ``current``, ``minutely_15``, ``hourly`` and ``daily``,
     as chosen on its page. If none is of hours, it is the first.
     """
-    first: list[tuple[int, str]] = []
-    section: list[tuple[int, str]] = []
-    lines = iter(lines)
-    for line in lines:
-        if _SECTION.match(line[1]):
-            first, section = first or section, []
-        section.append(line)
-        if len(section) == 3 and _may_be_hours(section[1][1], section[2][1]):
-            return itertools.chain(section, itertools.takewhile(
-                lambda line: not _SECTION.match(line[1]), lines
-            ))
-    return iter(first or section)
-
-
-def _may_be_hours(*rows: str) -> bool:
-    """Return whether the first rows of a section can be hours; wrong times are refused later."""
+    sections: list[list[tuple[int, str]]] = []
+    broken: ConfigurationError | None = None
     try:
-        first, second = (
-            _parse(parse_time, re.split("[,;\t]", row)[0].strip('"'), timezone.utc) for row in rows
-        )
+        for line in lines:
+            if _SECTION.match(line[1]) or not sections:
+                sections.append([])
+            sections[-1].append(line)
+    except ConfigurationError as error:  # reported when its line is reached
+        broken = error
+    of_hours = (section for section in sections if _may_be_hours(section[1:_JUDGED_ROWS]))
+    yield from next(of_hours, sections[0] if sections else [])
+    if broken is not None:
+        raise broken
+
+
+def _may_be_hours(rows: Sequence[tuple[int, str]]) -> bool:
+    """Return whether most rows of a section can be hours; wrong times are refused later."""
+    if len(rows) < 2:
+        return False
+    try:
+        times = [
+            _parse(parse_time, re.split("[,;\t]", row)[0].strip('"'), timezone.utc)
+            for _, row in rows
+        ]
     except ValueError:
         return True
-    return not (timedelta() < second - first < HOUR or second - first >= _DAY_H * HOUR)
+    apart = sorted(later - time for time, later in itertools.pairwise(times))[len(times) // 2 - 1]
+    return not (timedelta() < apart < HOUR or apart >= _DAY_H * HOUR)
 
 
 def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:

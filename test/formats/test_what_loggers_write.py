@@ -334,6 +334,21 @@ def test_hours_of_geomet(tmp_path: Path) -> None:
     )
 
 
+def test_hours_after_a_section_of_quarters(tmp_path: Path) -> None:
+    """Most rows show what a section holds, not the first two, between which rows are missing."""
+    quarters = [0, 4, *range(5, 90)]  # the first two are an hour apart
+    text = (
+        "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation\n"
+        "43.63,-79.4,77.0,0,GMT,GMT\n\ntime,precipitation (mm)\n"
+    ) + "".join(
+        f"2024-06-0{1 + each // 96}T{each // 4 % 24:02}:{each % 4 * 15:02},0.1\n"
+        for each in quarters
+    ) + "\ntime,precipitation (mm)\n" + "".join(
+        f"2024-06-01T{hour:02}:00,{hour}\n" for hour in range(24)
+    )
+    assert rain_of(tmp_path, text) == [float(hour) for hour in range(24)]
+
+
 def test_a_wall_clock_with_summer_time(tmp_path: Path) -> None:
     """Stamped at the end: the hour that the clock shows twice is two hours."""
     site = replace(SITE, time_zone="America/Toronto")
