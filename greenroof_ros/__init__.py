@@ -3,13 +3,16 @@
 The names of ``__all__`` are loaded on first use, so that ``import greenroof_ros`` takes no time.
 """
 
-import importlib
+from __future__ import annotations
+
 import os
 import signal
 import sys
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # typing's, whose import takes longer than all else here
 if TYPE_CHECKING:
+    from typing import Any
+
     from greenroof_ros.analysis.api import gym
     from greenroof_ros.analysis.api.arguments import read_site
     from greenroof_ros.analysis.api.environment import Environment
@@ -30,6 +33,8 @@ if not TYPE_CHECKING:  # or every name would be right
 
     def __getattr__(name: str) -> Any:
         """Load a name of ``__all__``."""
+        import importlib
+
         api = f"{__name__}.analysis.api"
         if name == "gym":
             return importlib.import_module(f"{api}.gym")
@@ -48,7 +53,7 @@ INTERRUPTED = 130
 
 
 def end_interrupted(*_: Any) -> None:
-    """Handle Ctrl-C while a command is imported, which takes up to some seconds: end at once.
+    """Handle Ctrl-C while a command is imported, which can take seconds, or has ended: end at once.
 
     A KeyboardInterrupt would be a traceback, or another error if a compiled module is imported.
     :func:`greenroof_ros.common.command_line.command` replaces this handler.
@@ -57,9 +62,24 @@ def end_interrupted(*_: Any) -> None:
     os._exit(INTERRUPTED)
 
 
-# If this is imported as "python -m greenroof_ros..." or by the command, not as a library; a shell
-# has its background processes ignore Ctrl-C.
-if sys.argv and (sys.argv[0] == "-m" or sys.argv[0].rpartition("/")[2] == "greenroof") and (
-    signal.getsignal(signal.SIGINT) is signal.default_int_handler
+def end_on_interrupt() -> None:
+    """Let Ctrl-C end this process, one of this package's commands, while it is imported.
+
+    Background processes of a shell go on ignoring Ctrl-C.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, end_interrupted)
+
+
+# If this is imported as "python -m greenroof_ros...", whose name is before its arguments, or by an
+# executable of "ros2 run"; not in another program. The command does it itself.
+if sys.argv and (
+    sys.orig_argv[-len(sys.argv)].removeprefix("-m").partition(".")[0] == __name__
+    if sys.argv[0] == "-m" else sys.argv[0].split("/")[-3:-1] == ["lib", __name__]
 ):
-    signal.signal(signal.SIGINT, end_interrupted)
+    end_on_interrupt()
+
+# After it, as Ctrl-C may come at any time.
+from greenroof_ros.common.registration import register  # noqa: E402
+
+register()

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
+
+from greenroof_ros import __version__, end_on_interrupt
+
+if sys.argv[0].rpartition("/")[2] == "greenroof":  # before all that takes long to import
+    end_on_interrupt()
+
+import importlib
 from dataclasses import dataclass
 from typing import Any
 
-from greenroof_ros import __version__
 from greenroof_ros.common.command_line import EXIT_DONE, Parser, command
 from greenroof_ros.common.errors import suggest_names
 

@@ -127,7 +127,6 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
             except Exception as error:
                 status, reason, code = summary.FAILED, *explain(error)
                 print_line(f"error: {reason}")
-            signals.ignore()
             failure = reason or None
             if graph.end(failure) != failure:  # the bag cannot be closed
                 code = EXIT_FAILED

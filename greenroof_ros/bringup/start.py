@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-from greenroof_ros.common.command_line import EXIT_INTERRUPTED
+from greenroof_ros.common.command_line import EXIT_DONE, EXIT_INTERRUPTED
 from greenroof_ros.common.processes import InterruptedRun, Signals, child_environment
 from greenroof_ros.common.standard_error import print_line
 
@@ -29,7 +29,7 @@ def bring_up(
     Args:
         arguments: the command line.
         start: runs the graph and returns the exit code.
-        stopped: the exit code if a signal comes before any node was started.
+        stopped: the exit code if a signal comes before any node was started, or after the run.
 
     Raises:
         ConfigurationError: Foxglove cannot be served at the port.
@@ -40,14 +40,18 @@ def bring_up(
 
         refuse_unusable(arguments.foxglove)
         watchers["foxglove"] = "--foxglove", str(arguments.foxglove)
+    signals = Signals()
     try:
         with ExitStack() as stack:
             for name, options in watchers.items():
                 stack.enter_context(_watcher(name, arguments.namespace, *options))
-            return start(Signals())
+            code = start(signals)
     except InterruptedRun as error:  # before any node was started
         print(error, file=sys.stderr)
         return stopped
+    finally:
+        signals.ignore()
+    return code or (stopped if signals.received else EXIT_DONE)
 
 
 @contextmanager

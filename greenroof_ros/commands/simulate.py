@@ -70,8 +70,15 @@ def main() -> None:
         ticks = _paced(run, simulation.ticks(), arguments.speed, progress)
         if arguments.trajectory:
             ticks = _written(run, ticks, every, directory / CSV)
-        for _ in ticks:
-            pass
+        last = None
+        try:
+            for tick in ticks:
+                last = tick.k
+        except KeyboardInterrupt:
+            summary.write(summary.make_unfinished_summary(
+                run, summary.INTERRUPTED, reason="interrupted by SIGINT", last_tick=last
+            ), directory)
+            raise
     result = simulation.summary()
     summary.write(result, directory)
     summary_table.show(result, directory, as_json=arguments.json)

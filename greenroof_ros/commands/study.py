@@ -128,6 +128,7 @@ def main() -> int:
     }
     if store.outcomes:
         print(f"{len(store.outcomes)} of {len(cases)} runs are stored already", file=sys.stderr)
+    signals: Signals | None = None
     try:
         if open_cases or unbounded:
             files = collect_contents(cases)
@@ -140,10 +141,7 @@ def main() -> int:
                 those = cluster(arguments.scheduler, files)
             with those as workers:
                 signals = Signals()  # from now on a signal ends the study between two results
-                try:
-                    _run(store, open_cases, list(unbounded.values()), workers, signals)
-                finally:
-                    signals.ignore()
+                _run(store, open_cases, list(unbounded.values()), workers, signals)
     except (BrokenExecutor, InterruptedRun) as error:
         code = EXIT_INTERRUPTED if isinstance(error, InterruptedRun) else EXIT_FAILED
         print(
@@ -155,6 +153,8 @@ def main() -> int:
     finally:
         rows = store.write_table()
     show(rows, store.directory)
+    if signals is not None and signals.received:  # after the last result
+        return EXIT_INTERRUPTED
     return EXIT_FAILED if store.failures else EXIT_DONE
 
 

@@ -14,6 +14,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn
 
 from greenroof_ros import INTERRUPTED, end_interrupted
@@ -42,8 +43,36 @@ class _Interrupted(KeyboardInterrupt):
     """Ctrl-C; after a KeyboardInterrupt itself Python may end by the signal, with any exit code."""
 
 
-def _interrupt(*_: Any) -> NoReturn:
-    raise _Interrupted
+class _Interrupts:
+    """The handler of Ctrl-C: raises, and again every second until the command has ended.
+
+    Compiled code can discard an exception. A module that is being imported can turn it into another
+    one, or go on without what it tried to import; so it is raised after the import, or in it if
+    that takes long.
+    """
+
+    _IMPORT_S, _MAX_IMPORTS, _REPEAT_S = 0.05, 40, 1.0
+
+    def __init__(self) -> None:
+        self.received = 0
+
+    def __call__(self, _: int, frame: FrameType | None) -> None:
+        self.received += 1
+        is_importing = False
+        while frame is not None and self.received <= self._MAX_IMPORTS:
+            is_importing |= frame.f_code.co_filename.startswith("<frozen importlib")
+            frame = frame.f_back
+        # As SIGINT again, for the handler that there may be by then.
+        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+        signal.setitimer(signal.ITIMER_REAL, self._IMPORT_S if is_importing else self._REPEAT_S)
+        if not is_importing:
+            raise _Interrupted
+
+    def end(self) -> None:
+        """End the process at once if Ctrl-C comes from now on."""
+        signal.signal(signal.SIGINT, end_interrupted)
+        if self.received:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def _discard_what_cannot_be_printed() -> None:
@@ -70,17 +99,11 @@ def command(
             these codes; None for none.
     """
 
-    @functools.wraps(main)
-    def wrapper() -> NoReturn:
-        end_with_parent()
-        if isinstance(sys.stdout, io.TextIOWrapper):  # not one that a Python caller put there
-            sys.stdout.reconfigure(line_buffering=True)
-        importing = signal.getsignal(signal.SIGINT) is end_interrupted
+    def run() -> str | int | None:
+        code: str | int | None
         try:
             try:
-                if importing:
-                    signal.signal(signal.SIGINT, _interrupt)
-                code: str | int | None = main()
+                code = main()
             except SystemExit as end:  # by argparse: after --help, or on wrong usage
                 code = end.code and (failed or end.code)
             print(end="", flush=True)
@@ -94,15 +117,31 @@ def command(
                 print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
             code = failed or EXIT_FAILED
             _discard_what_cannot_be_printed()
+        return code
+
+    @functools.wraps(main)
+    def wrapper() -> NoReturn:
+        end_with_parent()
+        if isinstance(sys.stdout, io.TextIOWrapper):  # not one that a Python caller put there
+            sys.stdout.reconfigure(line_buffering=True)
+        interrupts = _Interrupts()
+        is_program = signal.getsignal(signal.SIGINT) is end_interrupted
+        try:
+            if is_program:
+                signal.signal(signal.SIGINT, interrupts)
+            code = run()
+            if is_program:
+                interrupts.end()
+            if interrupts.received:
+                raise _Interrupted
         except (KeyboardInterrupt, ImportError) as error:
+            if is_program:
+                interrupts.end()
             # While a compiled module is imported, Ctrl-C becomes an ImportError.
             if not isinstance(error.__cause__ or error, KeyboardInterrupt):
                 raise
             print("interrupted", file=sys.stderr)
             code = EXIT_INTERRUPTED
-        finally:
-            if importing:  # not in the end of the interpreter, which Ctrl-C would kill
-                signal.signal(signal.SIGINT, signal.SIG_IGN)
         sys.exit(code)
 
     return wrapper

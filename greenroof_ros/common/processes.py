@@ -14,6 +14,7 @@ import shutil
 import signal
 import socket
 import struct
+import sys
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from greenroof_ros.common.errors import HangError
+from greenroof_ros.common.errors import ConfigurationError, HangError
 
 _PR_SET_PDEATHSIG = 1
 # The environment variable of a child that must end with its parent: the parent's number.
@@ -201,6 +202,33 @@ def _lock_directory(directory: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+# Whether this process was forked from one in which polars had its threads.
+_lost_threads = False
+
+
+def _watch_polars() -> None:
+    global _lost_threads
+    if "polars" in sys.modules and not _lost_threads:
+        for task in Path("/proc/self/task").glob("*/comm"):
+            with contextlib.suppress(OSError):  # it has just ended
+                _lost_threads |= task.read_text() == "polars-0\n"
+
+
+def refuse_forked_polars() -> None:
+    """Refuse to use polars where it would wait for ever for threads that a fork does not copy.
+
+    Raises:
+        ConfigurationError: this process was forked after polars had been used.
+    """
+    if _lost_threads and os.getpid() != _IMPORTED_BY:
+        raise ConfigurationError(
+            "cannot be made in a process that was forked after polars was used; start processes by "
+            "spawn: multiprocessing.get_context('spawn')", key="a data frame",
+        )
+
+
+_IMPORTED_BY = os.getpid()
+os.register_at_fork(before=_watch_polars)
 _NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -224,6 +252,11 @@ class Signals:
 
     def _on_signal(self, signum: int, frame: Any) -> None:
         self._received = signal.Signals(signum)
+
+    @property
+    def received(self) -> bool:
+        """Whether one was received, perhaps when nothing checked for it any more."""
+        return self._received is not None
 
     def ignore(self) -> None:
         """Ignore further signals, which would interrupt the shutdown of the interpreter."""

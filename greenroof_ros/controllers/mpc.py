@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import math
+import os
+import signal
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -39,6 +43,13 @@ _SOLVER_SETTINGS: dict[str, Any] = {
 _AT_BOUND = 1e-9
 
 Array = NDArray[np.float64]
+
+# OSQP has a handler of SIGINT of its own while it solves, and then restores the one it has found:
+# in a second thread this could be the first one's, and Ctrl-C would be lost from then on.
+_SOLVING = threading.Lock()
+os.register_at_fork(
+    before=_SOLVING.acquire, after_in_parent=_SOLVING.release, after_in_child=_SOLVING.release
+)
 
 
 class Mpc:
@@ -109,6 +120,7 @@ class Mpc:
         pattern = scipy.sparse.csc_matrix(np.triu(np.ones((size, size))))
         self._statuses = osqp.SolverStatus
         self._solver = osqp.OSQP()
+        self._is_interrupted = ctypes.CDLL(self._solver.ext.__file__).osqp_is_interrupted
         self._solver.setup(
             P=pattern,
             q=np.zeros(size),
@@ -216,7 +228,12 @@ class Mpc:
             _log.warning("the prediction is not finite; falling back to no pumping for one tick")
             return None
         self._solver.update(q=q, Px=hessian)
-        result = self._solver.solve(raise_error=False)
+        with _SOLVING:
+            result = self._solver.solve(raise_error=False)
+            is_interrupted = self._is_interrupted()
+        if is_interrupted:  # whatever its result: the program's own handler decides what follows
+            signal.raise_signal(signal.SIGINT)
+            return self._solve(P, q)
         info, first = result.info, float(result.x[0])
         self.status = int(info.status_val)
         if self.status != self._statuses.OSQP_SOLVED or not math.isfinite(first):

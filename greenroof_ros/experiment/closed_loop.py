@@ -71,11 +71,11 @@ class Simulation:
         self._wall_s = 0.0
 
     def ticks(self) -> Iterator[Tick]:
-        """Run the ticks 0..N, and yield each after its step."""
+        """Run the ticks from the present one to N, and yield each after its step."""
         began = time.monotonic()
-        run, site, controller, until = self._run, self.site, self._controller, 0
+        run, site, controller, until = self._run, self.site, self._controller, self.site.tick
         plant, forecast, has_quiet_hours = site.plant, run.forecast, run.site.quiet is not None
-        for k in range(run.steps + 1):
+        for k in range(until, run.steps + 1):
             if k == until:
                 precipitation, evapotranspiration, frost, until = run.series.at(k)
                 site.frost = frost

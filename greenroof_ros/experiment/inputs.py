@@ -9,10 +9,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import date
+from datetime import date, timedelta, timezone
 from functools import partial
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import default_site_file
@@ -60,7 +61,8 @@ class RunInputs:
     forecast: ForecastChoice = field(default_factory=ForecastChoice)
     sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
     start: str = entry(
-        "time of the first tick, ISO 8601; without an offset from UTC, the weather's is used",
+        "time of the first tick, ISO 8601; without an offset from UTC it is the wall clock of the "
+        "site's time_zone, or else in the weather's offset",
         default=DEFAULT_START,
     )
     hours: float | None = entry(
@@ -91,6 +93,37 @@ class RunInputs:
         default=REFUSE,
     )
 
+    def read_site(self) -> Site:
+        """Read and check the site.
+
+        Raises:
+            ConfigurationError: it is wrong.
+        """
+        return check_site(self.site) if isinstance(self.site, Site) else read_site(self.site)
+
+    def read_records(
+        self, site: Site,
+        read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather,
+    ) -> tuple[Weather, Records | None]:
+        """Read the weather; return also the records, None if they are from files.
+
+        Args:
+            site: the site.
+            read: see :meth:`build`.
+
+        Raises:
+            ConfigurationError: it is wrong.
+        """
+        records = self.weather if isinstance(self.weather, Records) else None
+        if is_frame(self.weather):
+            records = read_frame(self.weather, site)
+        what = site.of_weather(), self.evapotranspiration, self.gaps
+        if isinstance(records, Weather):
+            return records, records
+        if records is None:
+            return read(self.weather, *what), None
+        return complete_records(records, *what), records
+
     def build(
         self, read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather
     ) -> Run:
@@ -105,7 +138,7 @@ class RunInputs:
                 the input, as for :func:`make_inputs`.
         """
         file = self.site if isinstance(self.site, Path) else None
-        site = check_site(self.site) if isinstance(self.site, Site) else read_site(self.site)
+        site = self.read_site()
         given = None
         if self.cistern is not None and self.roof is not None:
             given = self.cistern, self.roof
@@ -113,17 +146,11 @@ class RunInputs:
             lacking = "cistern" if self.cistern is None else "roof"
             raise ConfigurationError("is missing: both volumes must be given", key=lacking)
         initial, (x1, x2) = find_state(site, self.initial, given)
-        records = self.weather if isinstance(self.weather, Records) else None
-        if is_frame(self.weather):
-            records = read_frame(self.weather, site)
-        what = site.of_weather(), self.evapotranspiration, self.gaps
-        if isinstance(records, Weather):
-            weather = records
-        else:
-            weather = read(self.weather, *what) if records is None else complete_records(
-                records, *what
-            )
-        start = read_start(self.start, weather.first.tzinfo)
+        weather, records = self.read_records(site, read)
+        zone = weather.first.tzinfo if site.time_zone is None else ZoneInfo(site.time_zone)
+        start = read_start(self.start, zone)
+        # With a fixed offset: in a zone with daylight saving, sums of time are of the wall clock.
+        start = start.replace(tzinfo=timezone(start.utcoffset() or timedelta()))
         steps = count_ticks(site, self.hours, "hours")
         series = WeatherSeries(weather, site, start, steps)
         _refuse_what_nodes_refuse(site, series, x1, x2)

@@ -63,6 +63,10 @@ class Run:
     sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
     records: Records | None = None
 
+    def __deepcopy__(self, _: object) -> Run:
+        """Return the run itself: it does not change, and its weather can be years."""
+        return self
+
     def time_ns(self, tick: int) -> int:
         """Return the time of a tick (ns since 1970), as on the graph's clock."""
         return epoch_ns(self.start) + tick * round(self.site.tau * 1e9)

@@ -32,6 +32,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.memo import Memo
 from greenroof_ros.common.times import from_epoch_ns, hours_since_1970, to_minutes
 from greenroof_ros.forecast.choice import PERFECT, ForecastChoice
 from greenroof_ros.forecast.skill import Climate, Skill, read_skill
@@ -357,8 +358,8 @@ class ErrorModel(ForecastModel):
         weights = np.exp(-ages * ISSUE_HOURS / persistence)
         self._weights = weights / np.sqrt((weights**2).sum())
         # Twice as many as an issue needs, so that none is dropped that the next issue needs too.
-        self._drawn = lru_cache(maxsize=2 * len(weights))(self._draw)
-        self._newest = lru_cache(maxsize=1)(self._make)  # one issue is needed for several hours
+        self._drawn = Memo(self._draw, 2 * len(weights))
+        self._newest = Memo(self._make)  # one issue is needed for several hours
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""

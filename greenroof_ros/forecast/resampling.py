@@ -6,12 +6,12 @@ import math
 from array import array
 from dataclasses import dataclass
 from datetime import datetime
-from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.memo import Memo
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
 from greenroof_ros.model.look_ahead import look_ahead_ends
@@ -197,8 +197,8 @@ class SteppedForecast:
         self._offset = (start - weather.first).total_seconds()
         self._until = self._offset + steps * site.tau
         # Rain and evapotranspiration of a tick are computed together.
-        self._hour_forecast = lru_cache(maxsize=1)(self._make_hour_forecast)
-        self._at = lru_cache(maxsize=1)(self._outlook)
+        self._hour_forecast = Memo(self._make_hour_forecast)
+        self._at = Memo(self._outlook)
         self.repeats_from = self._request_all()
         self.max_issue_h = model.max_issue_h
         self.notes = model.notes

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.common.times import epoch_ns
 
 if TYPE_CHECKING:
@@ -105,6 +106,7 @@ class Trajectory:
         Raises:
             ConfigurationError: polars is not installed.
         """
+        refuse_forked_polars()
         with require_extra("study"):
             import polars
         since_1970 = epoch_ns(self.start) // 1000 + np.rint(1e6 * self.time).astype(np.int64)
@@ -142,6 +144,7 @@ def read_trajectory(path: Path) -> Trajectory:
         ConfigurationError: the file cannot be read, is damaged or is not a trajectory, or polars is
             not installed.
     """
+    refuse_forked_polars()
     with require_extra("study"):
         import polars
     try:

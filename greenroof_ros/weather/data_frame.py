@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import read_measured
@@ -46,6 +47,7 @@ def read_frame(frame: Any, site: Site) -> Records:
 def _write_csv(frame: Any) -> str:
     text: str
     if hasattr(frame, "write_csv"):
+        refuse_forked_polars()
         import polars
 
         known = frame.with_columns(polars.selectors.float().fill_nan(None))

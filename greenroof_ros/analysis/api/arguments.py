@@ -8,12 +8,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from greenroof_ros.analysis.api.control import FunctionController
 from greenroof_ros.common.files import default_site_file
-from greenroof_ros.controllers.registry import ControllerChoice
+from greenroof_ros.controllers.registry import ControllerChoice, choose_class
 from greenroof_ros.experiment.inputs import make_inputs
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model import site as site_file
 from greenroof_ros.model.site import Site
+from greenroof_ros.weather.series import Weather
 
 PathText: TypeAlias = "str | os.PathLike[str]"
 
@@ -40,6 +42,16 @@ def read_site(path: PathText | None = None, **changes: Any) -> Site:
     return site_file.read_site(default_site_file() if path is None else Path(path), changes)
 
 
+def read_weather(inputs: Mapping[str, Any]) -> Weather:
+    """Read the weather of a run from keywords.
+
+    Raises:
+        ConfigurationError: an input is wrong.
+    """
+    known = make_inputs(choose_class(FunctionController), inputs)
+    return known.read_records(known.read_site())[0]
+
+
 def build_run(controller: ControllerChoice, inputs: Mapping[str, Any]) -> Run:
     """Build and check a run from keywords, and warn of what a reader must know before its results.
 
@@ -51,4 +63,10 @@ def build_run(controller: ControllerChoice, inputs: Mapping[str, Any]) -> Run:
         *run.notes(), *run.weather.notes, *run.series.notes, *run.forecast.notes,
     ):
         warnings.warn(note, stacklevel=3)
+    if run.series.filled_hours:
+        quantities = ", ".join(run.series.filled)
+        warnings.warn(
+            f"{run.series.filled_hours} missing hours of the weather were filled in ({quantities})",
+            stacklevel=3,
+        )
     return run

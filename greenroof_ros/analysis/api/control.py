@@ -92,7 +92,9 @@ class FunctionController:
             ),
         )
         is_number = isinstance(value, Real) or (isinstance(value, np.ndarray) and value.size == 1)
-        return float(value) if is_number else value  # else it is refused, and named
+        if not is_number:
+            return value  # it is refused, and named
+        return float(value.item() if isinstance(value, np.ndarray) else value)
 
     def skip(self) -> None:
         """Count the tick, in which the pump may not run."""

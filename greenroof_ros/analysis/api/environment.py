@@ -40,7 +40,8 @@ class _Commanded:
 class Environment:
     """A site and its weather; a program gives the command of each tick.
 
-    In frost and in quiet hours the command acts as 0.
+    In frost and in quiet hours the command acts as 0. ``copy.deepcopy`` and ``pickle`` make
+    environments that go on from the same tick, bit for bit.
 
     Example:
         >>> import greenroof_ros as gr
@@ -106,6 +107,15 @@ class Environment:
         self._ticks = self._simulation.ticks()
         self._observe()
         return self.state
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy needs to go on from the present tick."""
+        return {name: value for name, value in self.__dict__.items() if name != "_ticks"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Go on from the tick of the original."""
+        self.__dict__.update(state)
+        self._ticks = self._simulation.ticks()
 
     def step(self, command: float) -> Tick:
         """Run a tick with a command, and return what happened in it.

@@ -1,36 +1,40 @@
-"""The environment ``GreenRoof-v0`` of Gymnasium, the interface of reinforcement learning.
+"""The environment ``GreenRoof-v1`` of Gymnasium, the interface of reinforcement learning.
 
-This module registers it, so import it before:
+Its name with the package's, ``greenroof_ros:GreenRoof-v1``, is known in every process:
 
     import gymnasium
-    import greenroof_ros as gr
 
-    gymnasium.register_envs(gr.gym)
-    environment = gymnasium.make("GreenRoof-v0")
+    environment = gymnasium.make("greenroof_ros:GreenRoof-v1")
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.analysis.api.arguments import read_weather
 from greenroof_ros.analysis.api.control import SiteState
 from greenroof_ros.analysis.api.environment import Environment
-from greenroof_ros.common.errors import require_extra
-from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.errors import ConfigurationError, require_extra, suggest_names
 from greenroof_ros.experiment.closed_loop import Tick
 
 with require_extra("gym"):
     import gymnasium
     from gymnasium.spaces import Box
 
-Values = NDArray[np.float64]
+Values = NDArray[np.float32]
 
 _TO_MM_PER_H = 3.6e6
-_TO_M3_PER_H = 3600.0
+# What is 1 in an observation: rain (mm/h) and evapotranspiration (mm/day), both seldom exceeded;
+# higher values are 1, too.
+_MAX_RAIN, _MAX_EVAPOTRANSPIRATION = 50.0, 12.0
+_MAX_DRAWS = 100
+RANDOM = "random"
+"""A start or an initial state that each episode draws"""
 
 
 def minus_deviation(tick: Tick, state: SiteState) -> float:
@@ -41,25 +45,27 @@ def minus_deviation(tick: Tick, state: SiteState) -> float:
 class GreenRoofEnv(gymnasium.Env[Values, Values]):
     """A green roof over a window of weather, for Gymnasium.
 
-    - Observation: a vector of float64: level of the cistern (m), level of the roof (m), then the
-      forecast: mean rain in each step (mm/h), then mean evapotranspiration off the whole bed in
-      each step (m3/h). The steps grow, see :attr:`ends`; the first is now.
+    - Observation: a vector of float32 from 0 to 1: level of the cistern as a share of its outlet's
+      level times 1.5, level of the roof as a share of the target level times 2, then the forecast:
+      mean rain in each step as a share of 50 mm/h, then mean evapotranspiration in each step as a
+      share of 12 mm/day. What is above is 1. The steps grow, see :attr:`ends`; the first is now.
     - Action: the command, a vector with one number from 0 to 1, the share of the pumps' maximum
-      flow. In frost and in quiet hours it acts as 0.
-    - Reward: minus the deviation from the target volume (m3) of the state that the tick leads to.
-      So the sum of an episode is minus ``total_deviation_m3`` without the first tick, which no
-      action changes.
-    - Episode: the N ticks of the window, each ``site.tau`` long. It ends with ``truncated``, since
-      the roof goes on; ``terminated`` is always false. The ``info`` of the last step has the
-      ``metrics`` of the run, by their names in ``summary.json``.
-    - Seeds: with ``forecast="errors"`` or ``"ensemble"`` each ``reset`` draws the errors of its
-      forecasts from the environment's random numbers, which ``reset(seed=...)`` seeds. Nothing
-      else is random.
+      flow. In frost and in quiet hours it acts as 0. Others are refused.
+    - Reward: minus the deviation from the target volume (m3) of the state that a tick leads to,
+      summed over the ticks of the step. So the sum of an episode is minus ``total_deviation_m3``
+      without the first tick, which no action changes.
+    - Episode: the N ticks of the window, each ``site.tau`` long, ``decision_ticks`` of them in each
+      step with one action; the pumps' minimum times and the roof's limits act in every tick. It
+      ends with ``truncated``, since the roof goes on; ``terminated`` is always false. The ``info``
+      of the last step has the ``metrics`` of the run, by their names in ``summary.json``.
+    - Random numbers, which ``reset(seed=...)`` seeds, decide the errors of forecasts with
+      ``forecast="errors"`` or ``"ensemble"``, the start with ``start="random"``, in whole hours of
+      the weather, and the volumes with ``initial="random"``, uniform up to the outlet and to the
+      soil's capacity.
 
     Example:
-        >>> import gymnasium, greenroof_ros as gr
-        >>> gymnasium.register_envs(gr.gym)
-        >>> roof = gymnasium.make("GreenRoof-v0", hours=1)
+        >>> import gymnasium
+        >>> roof = gymnasium.make("greenroof_ros:GreenRoof-v1", hours=1, decision_ticks=60)
         >>> observation, info = roof.reset(seed=1)
         >>> observation, reward, terminated, truncated, info = roof.step(roof.action_space.sample())
         >>> reward < 0, truncated
@@ -74,60 +80,133 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
     def __init__(
         self, *, reward: Callable[[Tick, SiteState], float] = minus_deviation,
-        render_mode: str | None = None, **inputs: Any,
+        decision_ticks: int = 1, render_mode: str | None = None, **inputs: Any,
     ) -> None:
         """Take the inputs of :class:`.Environment`.
 
         Args:
             reward: returns the reward of a tick, given what happened in it and the state that it
                 leads to.
+            decision_ticks: how many ticks an action lasts; the last may be cut short by the end of
+                the window.
             render_mode: None, the only one.
-            inputs: site, weather, start, hours, forecast, horizon (h) and others.
+            inputs: site, weather, start, hours, forecast, horizon (h) and others; start and initial
+                can also be ``"random"``.
 
         Raises:
             ConfigurationError: an input is wrong.
         """
+        if not (isinstance(decision_ticks, int) and decision_ticks >= 1):
+            raise ConfigurationError(
+                "must be a whole number, at least 1", key="decision_ticks", value=decision_ticks
+            )
         self.render_mode = render_mode
-        self._roof = Environment(**inputs)
-        self._reward = reward
+        self._reward, self._decision_ticks = reward, decision_ticks
+        self._places = {key: inputs.get(key) for key in ("start", "initial")}
+        self._inputs = {
+            key: value for key, value in inputs.items() if self._places.get(key) != RANDOM
+        }
+        self._begun: dict[str, Any] = {}
+        if self._places["start"] == RANDOM:  # until the first is drawn
+            self._inputs["weather"] = read_weather(self._inputs)
+            self._inputs["start"] = self._inputs["weather"].first
+        self._roof = self._make_roof({})
+        self._weather, self._steps = self._roof._run.weather, self._roof._run.steps
+        self._inputs["weather"] = self._weather
         self.site = self._roof.site
-        self.ends: Values = self._roof.forecast.ends
-        steps, topics = len(self.ends) - 1, read_topics()
-        maximum = [topics[name].high for name in (
-            "/cistern/level", "/roof/level", "/weather/precipitation", "/weather/evapotranspiration"
-        )]
-        high = np.array([
-            *maximum[:2], *[maximum[2] * _TO_MM_PER_H] * steps, *[maximum[3] * _TO_M3_PER_H] * steps
+        self.ends: NDArray[np.float64] = self._roof.forecast.ends
+        steps = len(self.ends) - 1
+        self._scale = np.array([
+            1.5 * self.site.z_o, 2.0 * self.site.z_veg, *[_MAX_RAIN / _TO_MM_PER_H] * steps,
+            *[_MAX_EVAPOTRANSPIRATION / 1000 / 86400 * self.site.a2] * steps,
         ])
-        self.observation_space = Box(np.zeros_like(high), high, dtype=np.float64)
-        self.action_space = Box(0.0, 1.0, (1,), np.float64)
+        self.observation_space = Box(0.0, 1.0, self._scale.shape, np.float32)
+        self.action_space = Box(0.0, 1.0, (1,), np.float32)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Values, dict[str, Any]]:
         """Begin an episode.
 
         Args:
             seed: of the environment's random numbers.
-            options: none.
+            options: ``start`` and ``initial`` of this episode instead of the environment's own.
+
+        Returns:
+            The observation; and ``start``, ``cistern_m3`` and ``roof_m3`` of the episode.
+
+        Raises:
+            ConfigurationError: an option is unknown, or its value is wrong.
         """
         super().reset(seed=seed)
+        for key in options or {}:
+            if key not in self._places:
+                raise ConfigurationError(
+                    f"is no option of reset; {suggest_names(key, self._places)}", key=key
+                )
+        places = {**self._places, **(options or {})}
+        begin = {key: value for key, value in places.items() if value is not None}
+        if places["start"] == RANDOM:
+            begin["start"] = self._draw_start()
+        if places["initial"] == RANDOM:
+            site = self.site
+            high = site.cistern_volume(site.z_o), site.z_cap
+            begin["initial"] = tuple(float(self.np_random.uniform(0.0, top)) for top in high)
+        if begin != self._begun:
+            self._roof, self._begun = self._make_roof(begin), begin
         self._roof.reset(int(self.np_random.integers(2**31)))
-        return self._observation(), {}
+        return self._observe(), {
+            "start": self._roof.state.time.isoformat(), "cistern_m3": self._roof.state.cistern,
+            "roof_m3": self._roof.state.roof,
+        }
 
     def step(self, action: Values) -> tuple[Values, float, bool, bool, dict[str, Any]]:
-        """Run a tick with a command."""
-        roof = self._roof
-        tick = roof.step(float(action[0]))
+        """Run the ticks of a decision with a command.
+
+        Raises:
+            ConfigurationError: the action is not one number from 0 to 1, or the episode has ended.
+        """
+        command = np.asarray(action)
+        if not (
+            command.shape == (1,) and np.issubdtype(command.dtype, np.number)
+            and not np.iscomplexobj(command) and 0 <= command[0] <= 1
+        ):
+            raise ConfigurationError(
+                "must be one number from 0 to 1, of shape (1,)", key="action", value=action
+            )
+        roof, reward = self._roof, 0.0
+        for number in range(self._decision_ticks):
+            if number and roof.done:
+                break
+            tick = roof.step(float(command[0]))
+            reward += self._reward(tick, roof.state)
         info = {"metrics": roof.metrics} if roof.done else {}
-        return self._observation(), self._reward(tick, roof.state), False, roof.done, info
+        return self._observe(), reward, False, roof.done, info
 
-    def _observation(self) -> Values:
+    def _observe(self) -> Values:
         state, forecast = self._roof.state, self._roof.forecast
-        return np.concatenate((
-            (state.cistern_level, state.roof_level), forecast.rain * _TO_MM_PER_H,
-            forecast.evapotranspiration * _TO_M3_PER_H,
+        values = np.concatenate((
+            (state.cistern_level, state.roof_level), forecast.rain, forecast.evapotranspiration
         ))
+        return np.asarray(np.clip(values / self._scale, 0.0, 1.0), np.float32)
 
+    def _make_roof(self, begin: Mapping[str, Any]) -> Environment:
+        """Return an environment; all of them share the weather that the first has read."""
+        return Environment(**{**self._inputs, **begin})
 
-gymnasium.register("GreenRoof-v0", f"{__name__}:GreenRoofEnv")
+    def _draw_start(self) -> datetime:
+        """Draw a whole hour of the weather from which an episode is possible."""
+        length = timedelta(seconds=(self._steps + self.site.M) * self.site.tau)
+        hours = (self._weather.end - self._weather.first - length) // timedelta(hours=1) + 1
+        if hours < 1:
+            raise ConfigurationError("is shorter than an episode", key="weather")
+        for _ in range(_MAX_DRAWS):
+            start = self._weather.first + timedelta(hours=int(self.np_random.integers(hours)))
+            try:
+                self._make_roof({"start": start})
+            except ConfigurationError:  # hours are missing
+                continue
+            return start
+        raise ConfigurationError(
+            f"{_MAX_DRAWS} drawn starts have missing hours; gaps='fill' fills them", key="weather"
+        )

@@ -17,6 +17,7 @@ from greenroof_ros.analysis.api.control import (
     read_parameters,
 )
 from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.common.times import duration, to_minutes
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.experiment import summary
@@ -173,8 +174,8 @@ def simulate(
               with hourly rows and the columns of such a file: ``time`` (or an index of times),
               ``precipitation [mm/h]`` and others. By default the paper's.
             - ``start``: time of the first tick, ISO 8601, a datetime or a date; without an offset
-              from UTC it is in the weather's time zone. By default the paper's window,
-              2021-07-07T02:00-05:00.
+              from UTC it is the wall clock of the site's ``time_zone``, or else in the weather's
+              offset. By default the paper's window, 2021-07-07T02:00-05:00.
             - ``hours``: length of the run (h); by default N of the site file, 12 h.
             - ``forecast``: ``"perfect"``, ``"persistence"``, ``"errors"``, ``"ensemble"``, or the
               path of archived forecasts; with ``forecast_skill``, ``forecast_seed``,
@@ -256,6 +257,7 @@ class Comparison:
             >>> table["controller", "pump_starts"].rows()
             [('on/off', 1), ('MPC', 1)]
         """
+        refuse_forked_polars()
         with require_extra("study"):
             import polars
         return polars.DataFrame([

@@ -16,7 +16,7 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
@@ -61,13 +61,14 @@ def processes(jobs: int, files: Mapping[str, bytes]) -> Iterator[Workers]:
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(_PRELOADED)
-    # A terminal's Ctrl-C also reaches the fork server, which would print a traceback. So the server
-    # and its workers ignore it from the start, and only this process handles it.
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # A terminal's Ctrl-C also reaches the fork server, which would print a traceback. So it is
+    # blocked in the server and its workers from the start; this process has it a moment later.
+    resource_tracker.ensure_running()  # first, as it unblocks it
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         forkserver.ensure_running()
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     # A worker that is killed does not delete its temporary files.
     with scratch_directory() as scratch:
         inputs = scratch / "inputs"

@@ -1,21 +1,25 @@
-"""The environment GreenRoof-v0 in Gymnasium's own checks, alone and vectorised."""
+"""The environment GreenRoof-v1 in Gymnasium's own checks, alone and vectorised."""
 
 from __future__ import annotations
 
+import copy
 import doctest
+import pickle
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import greenroof_ros as gr
+from greenroof_ros.common.errors import ConfigurationError
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed")
-gymnasium.register_envs(gr.gym)
 
-ID = "GreenRoof-v0"
+RECORD = Path(__file__).parents[2] / "data" / "en_climate_hourly_07-2021.csv"
+ID = "greenroof_ros:GreenRoof-v1"
 
 
 @pytest.mark.parametrize("forecast", ["perfect", "errors"])
@@ -25,7 +29,8 @@ def test_gymnasiums_check_finds_nothing(forecast: str) -> None:
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(gymnasium.make(ID, hours=0.5, horizon=0.5, forecast=forecast).unwrapped)
+        roof = gymnasium.make("GreenRoof-v1", hours=0.5, horizon=0.5, forecast=forecast)
+        check_env(roof.unwrapped)
 
 
 def played(policy: Callable[[Any, Any], Any], **inputs: Any) -> tuple[float, dict[str, float]]:
@@ -42,7 +47,8 @@ def played(policy: Callable[[Any, Any], Any], **inputs: Any) -> tuple[float, dic
 
 
 def on_off(roof: Any, observation: Any) -> Any:
-    return np.array([1.0 if observation[1] < roof.unwrapped.site.z_veg else 0.0])
+    level = roof.unwrapped._roof.state.roof_level
+    return np.array([1.0 if level < roof.unwrapped.site.z_veg else 0.0])
 
 
 def test_rewards_add_up_to_the_deviation() -> None:
@@ -81,14 +87,79 @@ def test_vectorised(mode: str) -> None:
 
 
 def test_observation() -> None:
-    """Levels, then the forecast: 3.2 mm of rain in the three hours from 02:00."""
+    """Shares of the ranges: levels, then 3.2 mm of rain in the three hours from 02:00."""
     roof = gymnasium.make(ID, hours=1, horizon=3)
     observation, _ = roof.reset()
+    assert observation.dtype == np.float32
     lengths = np.diff(roof.unwrapped.ends) / 3600
-    assert observation[:2] == pytest.approx([3 / 1.3, 0.0457 / 1.3])
+    assert observation[:2] == pytest.approx([1 / 1.3 / 1.5, 1 / 1.3 / 2])
     rain, dry = np.split(observation[2:], 2)
-    assert rain @ lengths == pytest.approx(3.2)
-    assert dry @ lengths == pytest.approx(68.8 * (2.77537901 + 3.44779366 + 1.22675507) / 24 / 1000)
+    assert 50 * rain @ lengths == pytest.approx(3.2)
+    assert 12 * dry @ lengths == pytest.approx(2.77537901 + 3.44779366 + 1.22675507)
+
+
+@pytest.mark.parametrize("action", [
+    [100.0], [-0.1], [0.0, 1.0], 0.5, [[0.5]], [np.nan], ["a"], [None], [1j],
+])
+def test_refused_actions(action: Any) -> None:
+    roof = gymnasium.make(ID, hours=1).unwrapped
+    roof.reset()
+    with pytest.raises(ConfigurationError, match="action"):
+        roof.step(np.array(action))
+
+
+def made() -> Any:
+    return gymnasium.make(ID, hours=1, decision_ticks=60, initial="random", start="random",
+                          weather=str(RECORD))
+
+
+def test_random_starts_in_workers_that_know_nothing() -> None:
+    roofs = gymnasium.vector.AsyncVectorEnv([made, made], context="spawn")
+    _, drawn = roofs.reset(seed=3)
+    roofs.close()
+    alone = [made().reset(seed=seed)[1] for seed in (3, 4)]
+    assert [each["start"] for each in alone] == list(drawn["start"])
+    assert [each["roof_m3"] for each in alone] == list(drawn["roof_m3"])
+    assert alone[0]["start"] != alone[1]["start"]
+
+
+def test_options_of_an_episode() -> None:
+    roof = gymnasium.make(ID, hours=1)
+    info = roof.reset(options={"initial": "high-high", "start": "2021-07-08T02:00"})[1]
+    assert info == {  # Table II
+        "start": "2021-07-08T02:00:00-05:00", "cistern_m3": pytest.approx(1.3 * 75),
+        "roof_m3": pytest.approx(1.3 * 68.8 * 0.0457),
+    }
+    assert roof.reset()[1]["start"] == "2021-07-07T02:00:00-05:00"
+    with pytest.raises(ConfigurationError, match="start"):
+        roof.reset(options={"strat": 1})
+
+
+def test_a_decision_of_several_ticks_keeps_the_pumps_limits() -> None:
+    """Two minutes on at least, though the first minute's action is the only one that pumps."""
+    roof = gymnasium.make(ID, hours=0.1, decision_ticks=60, pump_min_on=120.0)
+    roof.reset()
+    ended, actions = False, iter([0.3, *[0.0] * 5])
+    while not ended:
+        *_, ended, info = roof.step(np.array([next(actions)]))
+    assert info["metrics"]["pump_hours"] * 3600 == pytest.approx(120, abs=1), info
+    assert info["metrics"]["pump_starts"] == 1
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda roof: pickle.loads(pickle.dumps(roof))])
+def test_a_copy_goes_on(copied: Callable[[Any], Any]) -> None:
+    """Also into the next episode, whose errors are drawn from the copied random numbers."""
+    roof = gymnasium.make(ID, hours=0.1, decision_ticks=7, forecast="errors")
+    roof.reset(seed=2)
+    roof.step(np.array([0.7]))
+    played = []
+    for each in (copied(roof), roof):
+        steps, ended = [], False
+        while not ended:
+            observation, reward, _, ended, _ = each.step(np.array([0.3]))
+            steps.append((observation.tobytes(), reward))
+        played.append((steps, each.reset()[0].tobytes()))
+    assert played[0] == played[1]
 
 
 def test_seeds_draw_the_errors_of_forecasts() -> None:

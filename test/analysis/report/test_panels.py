@@ -34,7 +34,8 @@ def size(directory: Path, figure: Figure) -> tuple[int, int]:
 
 
 VALUES: dict[str, list[float]] = {
-    "none": [], "zeros": [0.0] * 3, "some missing": [1.0, math.nan, math.inf],
+    "none": [], "one": [1.0], "zeros": [0.0] * 3, "constant": [2.0] * 3,
+    "some missing": [1.0, math.nan, math.inf], "all missing": [math.nan] * 3,
 }
 
 

@@ -1,0 +1,47 @@
+"""The name of the environment of Gymnasium, known from the import of either package on."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+ID = "GreenRoof-v1"
+
+
+class _Registration:
+    """Registers the environment when Gymnasium is imported, which this package does not do."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the module as Python finds it, with the registration as its last step."""
+        if name != "gymnasium":
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(name)
+        if spec is None or spec.loader is None:
+            return spec
+        execute = spec.loader.exec_module
+
+        def register_after(module: ModuleType) -> None:
+            execute(module)
+            _register(module)
+
+        spec.loader.exec_module = register_after  # type: ignore[method-assign]
+        return spec
+
+
+def _register(gymnasium: ModuleType) -> None:
+    gymnasium.register(ID, "greenroof_ros.analysis.api.gym:GreenRoofEnv")
+
+
+def register() -> None:
+    """Register the environment, at once or when Gymnasium is imported."""
+    known = sys.modules.get("gymnasium")
+    if known is None:
+        sys.meta_path.insert(0, _Registration())
+    else:
+        _register(known)
