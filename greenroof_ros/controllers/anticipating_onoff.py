@@ -14,7 +14,7 @@ from greenroof_ros.controllers.after_forecast import DAYS_AFTER, HORIZON, AfterF
 from greenroof_ros.controllers.onoff import FRACTION
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
-from greenroof_ros.model.plant import pump_flow
+from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
@@ -135,9 +135,10 @@ class AnticipatingOnOff:
             dry = self._waited >= _CHECK_S and self._stays_dry(x2, rain, evaporated)
         command = self.fraction if dry else 0.0
         self._waited += site.tau
-        pumped, now = pump_flow(site, x1, x2, command), (float(rain[0, 0]), float(evaporated[0]))
-        predicted = max(0.0, self._observer.predict(x2, *now, pumped))
-        self._regret_budget.move(x1, x2, predicted, self.fraction, pumped, *now)
+        now = float(rain[0, 0]), float(evaporated[0])
+        pumped = Plant(site, x1, x2).pump_flow(command, *now) if command else 0.0
+        self._observer.predict(x2, *now, pumped)
+        self._regret_budget.move(x1, x2, self.fraction, pumped, *now)
         return command
 
     def skip(self) -> None:

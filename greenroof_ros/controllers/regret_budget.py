@@ -6,9 +6,9 @@ import logging
 from collections.abc import Mapping
 
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.model.plant import mains_flow, maximum_pump_flow, outlet_flow, pump_flow
+from greenroof_ros.model.plant import Plant, maximum_pump_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import roof_after_tick, soil_of
+from greenroof_ros.model.soil import soil_of
 
 _log = logging.getLogger(__name__)
 
@@ -92,6 +92,7 @@ class RegretBudget:
         self._share = waiting_share
         self._more = 0.0  # on the roof with on/off, less the actual volume (m3)
         self._stored = 0.0  # the same in the cistern (m3)
+        self._theirs, self._ours = Plant(site, 0.0, 0.0), Plant(site, 0.0, 0.0)
         self._unseen = 0
         self._warned = False
         self.loss = 0.0
@@ -145,7 +146,7 @@ class RegretBudget:
         self._unseen += 1
 
     def move(
-        self, x1: float, x2: float, after: float, fraction: float, pumped: float,
+        self, x1: float, x2: float, fraction: float, pumped: float,
         precipitation: float = 0.0, evapotranspiration: float = 0.0,
     ) -> None:
         """Move on by one tick.
@@ -153,21 +154,19 @@ class RegretBudget:
         Args:
             x1: in the cistern (m3).
             x2: on the roof (m3).
-            after: on the roof at the end of the tick (m3), at least 0.
             fraction: as for :meth:`judge`.
             pumped: actual pump flow (m3/s).
-            precipitation: rain in the tick (m/s); it matters only on a measured or an empty roof.
-            evapotranspiration: off the whole bed (m3/s), likewise.
+            precipitation: rain in the tick (m/s).
+            evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
         """
-        site = self._site
-        cistern, onoff = x1 + self._stored, x2 + self._more
-        flow = pump_flow(site, cistern, onoff, fraction)
-        arriving = precipitation * site.a2 + flow
-        theirs = roof_after_tick(self._soil, site.tau, onoff, arriving, evapotranspiration)
-        self._more = max(0.0, theirs) - after
-        overflowed = outlet_flow(site, cistern) - outlet_flow(site, x1)
-        supplied = mains_flow(site, cistern) - mains_flow(site, x1)
-        self._stored += site.tau * (pumped - flow - overflowed + supplied)
+        theirs, ours = self._theirs, self._ours
+        ours.x1, ours.x2 = x1, x2
+        theirs.x1, theirs.x2 = max(0.0, x1 + self._stored), max(0.0, x2 + self._more)
+        weather = precipitation, evapotranspiration
+        flow = theirs.pump_flow(fraction, *weather)
+        theirs.step(precipitation, theirs.flows(*weather, flow))
+        ours.step(precipitation, ours.flows(*weather, pumped))
+        self._stored, self._more = theirs.x1 - ours.x1, theirs.x2 - ours.x2
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
         """Return the cost (m3 s) of following on/off to the target, behind it all the way."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.model.plant import has_short_ticks
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import Soil, roof_after_tick, soil_of
 
@@ -46,7 +48,7 @@ def roof_range(
         evapotranspiration: in each tick (m3/s), shape (N,).
         pumped: the most that the pumps can lift in each tick (m3), shape (N,).
     """
-    soil = soil_of(site)
+    soil, short = soil_of(site), has_short_ticks(site)
     target = (1 + ROUNDING) * site.a2 * site.z_veg
     low = high = x2
     ticks = array("d")
@@ -55,7 +57,7 @@ def roof_range(
     ):
         # Nothing is pumped if even the roof's minimum volume is above its target.
         limits = _limits_of_tick(
-            site, soil, low, high, fell, potential, max_pumped if low <= target else 0.0
+            site, soil, low, high, fell, potential, max_pumped if low <= target else 0.0, short
         )
         low, high = limits[:2]
         ticks.extend(limits)
@@ -70,7 +72,7 @@ def roof_range(
 
 def _limits_of_tick(
     site: Site, soil: Soil, low: float, high: float, rain: float, potential: float,
-    max_pumped: float,
+    max_pumped: float, short: bool,
 ) -> tuple[float, ...]:
     """Follow the range of the roof's volume through a tick.
 
@@ -88,6 +90,7 @@ def _limits_of_tick(
         rain: on the roof (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
         max_pumped: the most that the pumps can lift in the tick (m3).
+        short: whether it is a short tick, in which the pumps can fill the roof above its target.
 
     Returns:
         The fields of :class:`RoofRange`; the slope is 1 on the paper's soil.
@@ -104,8 +107,14 @@ def _limits_of_tick(
         reached[line] = min(ends), max(ends)
         if max_pumped > 0:
             end = max(low, min(high, site.a2 * site.z_veg))
-            pumped_to = _ends(site, soil, low, end, rain + max_pumped / site.tau, potential, line)
-            reached[line] = reached[line][0], max(reached[line][1], *pumped_to)
+            pumped_to = max(
+                _ends(site, soil, low, end, rain + max_pumped / site.tau, potential, line)
+            )
+            if not short:  # the pumps stop at the target
+                full = (1 + ROUNDING) * site.a2 * site.z_veg
+                filled = max(full, roof_after_tick(soil, site.tau, full, rain, potential))
+                pumped_to = min(pumped_to, filled - line * low)
+            reached[line] = reached[line][0], max(reached[line][1], pumped_to)
     unpumped = max(_ends(site, soil, low, low, rain, potential, 1.0))
     # A roof that runs dry ends at 0, not below: it loses what it held, at least low.
     return (
@@ -123,9 +132,9 @@ def _ends(
     at the ends of the range and on both sides of z_cap.
 
     On a measured soil, between the wilting point, the onset of stress and field capacity the volume
-    after a tick is a concave parabola of the volume before it, and continuous; to subtract a line
-    changes neither. So the minimum is at an end of these pieces, and the maximum at an end or at a
-    parabola's vertex.
+    after a tick is a concave function of the volume before it, and continuous; to subtract a line
+    changes neither. So the minimum is at an end of these pieces, and the maximum at an end or where
+    the slope is 0.
 
     Args:
         site: its parameters.
@@ -143,16 +152,24 @@ def _ends(
             if x2 < (1 + ROUNDING) * full:
                 ends.append(after)
             if x2 >= (1 - ROUNDING) * full:
-                ends.append(after - site.tau * soil.drained(max(x2, full), 0.0, site.tau))
+                drained = soil.drained(max(x2, full), arriving, site.tau)
+                ends.append(after - site.tau * drained)
         return ends
     dry, available = site.wilting_volume, site.available_volume
     drying = site.stress_onset * available
     volumes = [low, high]
     volumes += [x2 for x2 in (dry, dry + drying, site.z_cap) if low < x2 < high]
-    if arriving > 0:
-        # d/dx2 of x2 - tau (S^2 arriving + K_s potential) - line x2 is 0, for the two pieces.
-        for slope in (1.0 - line, 1.0 - line - site.tau * potential / drying):
-            vertex = dry + available * (slope * available / (2 * site.tau * arriving))
-            if low < vertex < min(high, site.z_cap):
-                volumes.append(vertex)
+    arrived = site.tau * arriving
+    g = math.tanh(arrived / available)
+    if g > 0:
+        # Below the wilting point the slope is 1 - tanh^2(u) = line, u = (arrived - first) / TAW.
+        volumes.append(dry - arrived)
+        if 0 < line < 1:
+            volumes.append(dry - arrived + available * math.atanh(math.sqrt(1 - line)))
+        # Above it, (1 - g^2) / (1 + S g)^2 = steep, for the two pieces.
+        for steep in (line, line + site.tau * potential / drying):
+            if steep > 0:
+                filled = (math.sqrt((1 - g * g) / steep) - 1) / g
+                volumes.append(dry + available * filled)
+        volumes = [x2 for x2 in volumes if low <= x2 <= high]
     return [roof_after_tick(soil, site.tau, x2, arriving, potential) - line * x2 for x2 in volumes]

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -22,11 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.plant import (
+    MIN_RUN_S,
     RUNNING_SHARE,
     Flows,
     Plant,
+    has_short_ticks,
     head_loss,
-    mains_flow,
     pumps_run,
 )
 from greenroof_ros.model.site import Site
@@ -36,7 +37,7 @@ _HOUR_S = 3600.0
 _WEEK_S = 7 * 24 * _HOUR_S
 _WATER_DENSITY = 1000.0  # kg/m3
 _JOULES_PER_KWH = 3.6e6
-_RUNS = f"{RUNNING_SHARE:.0%} of the maximum flow"
+_RUNS = f"above {RUNNING_SHARE:.0%} of the maximum or of the commanded flow"
 # A roof drains water that came within this many hours; as many hours without rain end an event.
 _DRAINS_H = 6
 # Sums of rain are rounded: 20 mm must not be treated as more than 20 mm.
@@ -210,8 +211,30 @@ class Metric:
 # --- the values of each sample -------------------------------------------------------------------
 
 
+def _running_share(site: Site, samples: Samples) -> Values:
+    """Return the share of each sample in which the pumps run (1).
+
+    They run with more than 1 % of their maximum flow, or of the flow that is commanded. In a tick
+    that is not short, a flow is a mean if the pumps would pass the target or the suction level.
+    """
+    flow, tau = samples.pump, site.tau
+    head = samples.cistern / site.a1 + site.c_hat - site.d
+    commanded = samples.command * site.b * np.sqrt(np.maximum(head, 0.0))
+    # In a long tick they can run for less than 1 % of it.
+    least = min(RUNNING_SHARE, MIN_RUN_S / tau / 2)
+    running = pumps_run(site, flow) | ((commanded > 0) & (flow > least * commanded))
+    if has_short_ticks(site):
+        return np.asarray(running, dtype=float)
+    arriving = tau * (commanded + samples.precipitation * site.a2)
+    stops = samples.roof + arriving >= site.a2 * site.z_veg
+    # Both outlets together take at most what is there.
+    stops |= samples.cistern - tau * (commanded + samples.outflow) <= site.a1 * site.suction_level
+    share = np.divide(flow, commanded, out=np.ones_like(flow), where=stops & (commanded > 0))
+    return np.asarray(running * np.minimum(share, 1.0))
+
+
 def _pump_starts(site: Site, samples: Samples) -> Values:
-    pumping = pumps_run(site, samples.pump)
+    pumping = _running_share(site, samples) > 0
     return np.asarray(pumping & ~np.append(samples.pumping_before, pumping[:-1]), dtype=float)
 
 
@@ -236,7 +259,10 @@ def _excess_starts(site: Site, samples: Samples) -> Values:
 
 
 def _hydraulic_energy(site: Site, samples: Samples) -> Values:
-    head = head_loss(site, samples.cistern, samples.pump)
+    # The head while they run; a mean over a tick in which they stop would be too small.
+    share = _running_share(site, samples)
+    flow = np.divide(samples.pump, share, out=samples.pump.copy(), where=share > 0)
+    head = head_loss(site, samples.cistern, flow)
     return _WATER_DENSITY * site.g * samples.pump * head * samples.duration / _JOULES_PER_KWH
 
 
@@ -319,8 +345,13 @@ METRICS = (
         ),
     ),
     Metric(
-        "saved_m3", "m3", "mains water saved", "pumped, less the mains water used",
-        lambda site, samples: samples.duration * (samples.pump - samples.mains),
+        "demand_met_share", "1", "irrigation without mains water",
+        "share of the pumped water that the mains did not replace, if there is a top-up",
+        lambda site, samples: None if site.mains_level is None else (
+            samples.duration * np.stack((samples.mains, samples.pump))
+        ),
+        _sums, ".1%",
+        finish=lambda site, sums: max(0.0, float(1 - sums[0] / sums[1])) if sums[1] else None,
     ),
     Metric(
         "final_cistern_m3", "m3", "cistern at the end", "the last x1",
@@ -369,7 +400,7 @@ METRICS = (
         lambda site, samples: samples.limited, _count, "d", max=0,
     ),
     Metric(
-        "pump_starts", "1", "pump starts", f"how often the flow rose above {_RUNS}",
+        "pump_starts", "1", "pump starts", f"how often the flow rose {_RUNS}",
         _pump_starts, _count, "d",
     ),
     Metric(
@@ -382,9 +413,8 @@ METRICS = (
         _excess_starts, _count, "d", max=0,
     ),
     Metric(
-        "pump_hours", "h", "pump running", f"with a flow above {_RUNS}",
-        _ticks_where(lambda site, samples: pumps_run(site, samples.pump)), form=".3f",
-        finish=_hours,
+        "pump_hours", "h", "pump running", f"with a flow {_RUNS}",
+        _ticks_where(_running_share), form=".3f", finish=_hours,
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",
@@ -495,7 +525,7 @@ class Metrics:
             self._add_ticks()
         state = self._plant.x1, self._plant.x2, self._plant.layer
         last = _pack_tick(*state, *[0.0] * (len(_TICK) - len(state)))
-        return replace(self._samples(last, max(0, self._done - 1)), mains=np.zeros(1))
+        return self._samples(last, max(0, self._done - 1))
 
     def __getitem__(self, name: str) -> float:
         """Return the metric of that name."""
@@ -507,7 +537,7 @@ class Metrics:
         return Samples(
             duration=np.full(count, site.tau), pumping_before=self._pumping,
             earlier_starts=self._starts, time=site.tau * (first + np.arange(count, dtype=float)),
-            mains=mains_flow(site, columns["cistern"]), **columns,
+            **columns,
         )
 
     def _add_ticks(self) -> None:
@@ -515,7 +545,7 @@ class Metrics:
         self._totals = _add(self._totals, self._site, samples)
         self._weeks = self._weekly(samples)
         self._done += len(samples.roof)
-        self._pumping = bool(pumps_run(self._site, samples.pump[-1]))
+        self._pumping = bool(_running_share(self._site, samples)[-1])
         starts = _start_times(self._site, samples) - float(samples.duration.sum())
         self._starts = starts[starts > -_HOUR_S]
         self._ticks = bytearray()

@@ -1,7 +1,9 @@
-"""The exact plant: Eqs. (1)-(4) of the paper, stepped by Euler's rule.
+"""The plant: Eqs. (1)-(4) of the paper, integrated tick by tick.
 
-Eq. (4) is in :mod:`greenroof_ros.model.soil`, with the measured soil, which can have a
-third state: the water in its drainage layer.
+In a short tick, as in Table I, that is Euler's method, as in the paper. In a longer one, outlets
+and pumps act within the tick: each stops at its level (:func:`has_short_ticks`). Eq. (4) is in
+:mod:`greenroof_ros.model.soil`, with the measured soil, which can have a third state: the water in
+its drainage layer.
 """
 
 from __future__ import annotations
@@ -20,8 +22,17 @@ Values = NDArray[np.float64]
 # Makes a named tuple from a tuple in half the time of its own class.
 _new = tuple.__new__
 
+# A short tick: see :func:`has_short_ticks`.
+_SHORT_SHARE, _SHORT_HEAD = 0.01, 1e-4
+# Steps in which the outlets are computed in a longer tick (s): storms of five minutes keep their
+# peaks within 3 %.
+_MAX_STEP_S = 10.0
+
 RUNNING_SHARE = 0.01
 """The pumps run above this share of their maximum flow."""
+
+MIN_RUN_S = 1.0
+"""In a tick that is not short the pumps run for at least this time (s), the paper's tick."""
 
 
 def outlet_flow(site: Site, x1: float) -> float:
@@ -42,12 +53,67 @@ def low_outlet_flow(site: Site, x1: float) -> float:
     return site.c_low * math.sqrt(head) if head > 0 else 0.0
 
 
-def mains_flow(site: Site, x1: Any) -> Any:
-    """The mains' flow (m3/s) into a cistern holding x1 (m3, of any shape): the valve's, or 0.
+def has_short_ticks(site: Site) -> bool:
+    """Whether Euler's method is precise enough within a tick, as in Table I.
 
-    The valve is checked once a tick, and is open for the whole tick if the level is below its own.
+    In a short tick, pumps at full flow move at most 1 % of the roof's target. An outlet takes at
+    most what stands 0.1 mm above it: by Euler's method it takes more than stands above it if the
+    head is below (tau c / a1)^2, with the c of Eq. (2).
     """
-    return (site.mains_flow or 0.0) * (x1 / site.a1 < (site.mains_level or 0.0))
+    pumped = site.tau * maximum_pump_flow(site, site.a1 * site.z_o)
+    overdrawn = (site.tau * max(site.c_out, site.c_low) / site.a1) ** 2
+    return pumped <= _SHORT_SHARE * site.x2_star and overdrawn <= _SHORT_HEAD
+
+
+def drain_cistern(site: Site, x1: float, inflow: float) -> float:
+    """Return the mean flow through the outlets in a tick (m3/s), however long it is.
+
+    The backward Euler method, in steps of up to 10 s: an outlet takes at most what stands above
+    it and flows in. Its head after a step, s^2, solves a quadratic equation,
+
+        a1 s^2 + c t s = volume above the outlet without its flow.
+
+    Args:
+        site: its parameters.
+        x1: in the cistern at the beginning (m3).
+        inflow: net of what is pumped (m3/s); it may be negative.
+    """
+    low = site.a1 * site.min_outlet_level
+    if max(x1, x1 + site.tau * inflow) <= low:
+        return 0.0
+    steps = math.ceil(site.tau / _MAX_STEP_S)
+    seconds, left = site.tau / steps, 0.0
+    for _ in range(steps):
+        x1 += seconds * inflow
+        # The upper outlet first: while it flows, the lower one's head hardly changes.
+        for elevation, coefficient in ((site.z_o, site.c_out), (site.min_outlet_level, site.c_low)):
+            above = x1 - site.a1 * elevation
+            if above > 0:
+                drop = coefficient * seconds
+                taken = drop * 2 * above / (drop + math.sqrt(drop * drop + 4 * site.a1 * above))
+                x1 -= taken
+                left += taken
+    return left / site.tau
+
+
+def mains_flow(site: Site, x1: float, drawn: float) -> float:
+    """Return the mean flow of the mains in a tick (m3/s), through a float valve; 0 without one.
+
+    Below its level the valve is open; at its level it replaces what is drawn, up to ``mains_flow``.
+
+    Args:
+        site: its parameters.
+        x1: in the cistern at the beginning (m3).
+        drawn: what is pumped and drains, less the rain that flows in (m3/s), constant in the tick.
+    """
+    if site.mains_flow is None or site.mains_level is None:
+        return 0.0
+    missing, most = site.a1 * site.mains_level - x1, site.mains_flow
+    before = 0.0 if missing <= 0 else most  # its flow until the level is the valve's
+    towards = before - drawn
+    seconds = missing / towards if missing * towards > 0 else site.tau if missing else 0.0
+    reached = min(1.0, seconds / site.tau)
+    return before * reached + min(max(0.0, drawn), most) * (1 - reached)
 
 
 def maximum_pump_flow(site: Site, x1: float) -> float:
@@ -89,12 +155,12 @@ def command_to(
         rain: in the tick (m/s).
         potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
     """
-    share = soil.retained_share(x2)
-    stays = share * maximum_pump_flow(site, x1)
-    if stays <= 0:
+    stays = target - x2 + site.tau * potential * soil.water_stress(x2)
+    full = maximum_pump_flow(site, x1)
+    if stays <= 0 or full <= 0:
         return 0.0
-    inflow = rain * site.a2 * share - potential * soil.water_stress(x2)
-    return max(0.0, ((target - x2) / site.tau - inflow) / stays)
+    arriving = soil.water_to_raise(x2, x2 + stays) / site.tau
+    return max(0.0, arriving - rain * site.a2) / full
 
 
 def head_loss(site: Site, x1: Values, flow: Values) -> Values:
@@ -116,6 +182,8 @@ class Flows(NamedTuple):
     """off the roof"""
     limited: bool
     """whether a tank held less than was demanded"""
+    mains: float
+    """from the mains into the cistern"""
 
 
 class Plant:
@@ -136,7 +204,8 @@ class Plant:
         self._soil = soil_of(site)
         self._retains_all_below = self._soil.retains_all_below
         self._has_layer = site.drainage_storage is not None
-        self._has_mains = site.mains_level is not None
+        self._has_mains = site.mains_flow is not None
+        self._short = has_short_ticks(site)
         self.x1 = x1
         self.x2 = x2
         self.layer = site.initial_layer
@@ -148,9 +217,40 @@ class Plant:
         """
         return self.x1 / self._a1, self.x2 / self._a2
 
-    def pump_flow(self, command: float) -> float:
-        """What the pumps deliver now at a command (m3/s), Eq. (3a)."""
-        return pump_flow(self._site, self.x1, self.x2, command) if command else 0.0
+    def pump_flow(
+        self, command: float, precipitation: float = 0.0, evapotranspiration: float = 0.0
+    ) -> float:
+        """What the pumps deliver in the present tick at a command (m3/s), Eq. (3a).
+
+        In a tick that is not short they stop within it when the roof reaches its target, or the
+        cistern their suction level; the result is the mean. They do not start for less than a
+        second.
+
+        Args:
+            command: share of the maximum flow.
+            precipitation: rain (m/s).
+            evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
+        """
+        if not command:
+            return 0.0
+        site, x1, x2 = self._site, self.x1, self.x2
+        flow = pump_flow(site, x1, x2, command)
+        if flow == 0 or self._short:
+            return flow
+        rain, target = precipitation * self._a2, self._a2 * site.z_veg
+        evaporated = evapotranspiration * self._soil.water_stress(x2)
+        if rain > evaporated:
+            arrived = self._soil.water_to_raise(x2, target) / self._tau
+            to_target = flow * arrived / (flow + rain - evaporated)
+        else:  # they also replace what is lost in the rest of the tick
+            lost = self._tau * evaporated
+            to_target = self._soil.water_to_raise(x2, target + lost) / self._tau - rain
+        collected = precipitation * self._catchment
+        usable = (x1 - self._a1 * site.suction_level) / self._tau + collected
+        usable += mains_flow(site, x1, flow - collected)
+        usable -= drain_cistern(site, x1, collected - flow)
+        mean = min(flow, to_target, usable)
+        return mean if mean * self._tau >= flow * min(self._tau, MIN_RUN_S) else 0.0
 
     def flows(self, precipitation: float, evapotranspiration: float, pump: float) -> Flows:
         """Return what moves during the present tick.
@@ -164,12 +264,16 @@ class Plant:
             pump: flow from the cistern to the roof (m3/s).
         """
         x1, x2 = self.x1, self.x2
-        outflow = outlet_flow(self._site, x1) if x1 / self._a1 > self._min_outlet_level else 0.0
-        limited = False
-        demand = outflow + pump
-        available = x1 / self._tau + precipitation * self._catchment
-        if self._has_mains:
-            available += mains_flow(self._site, x1)
+        rain = precipitation * self._catchment
+        if not self._short:
+            outflow = drain_cistern(self._site, x1, rain - pump)
+        elif x1 / self._a1 > self._min_outlet_level:
+            outflow = outlet_flow(self._site, x1)
+        else:
+            outflow = 0.0
+        limited, demand = False, outflow + pump
+        mains = mains_flow(self._site, x1, demand - rain) if self._has_mains else 0.0
+        available = x1 / self._tau + rain + mains
         if demand > available:
             share = available / demand
             outflow *= share
@@ -185,7 +289,7 @@ class Plant:
                 x2, self.layer, available, arriving, evapotranspiration
             )
             limited = limited or dry
-        return _new(Flows, (outflow, pump, drainage, evapotranspiration, limited))
+        return _new(Flows, (outflow, pump, drainage, evapotranspiration, limited, mains))
 
     def step(self, precipitation: float, flows: Flows) -> None:
         """Move on by one tick, Eq. (1).
@@ -194,11 +298,9 @@ class Plant:
             precipitation: rain (m/s), the same as given to :meth:`flows`.
             flows: what :meth:`flows` returned for the present tick.
         """
-        outflow, pump, drained, evapotranspiration, _ = flows
+        outflow, pump, drained, evapotranspiration, _, mains = flows
         tau = self._tau
-        into_cistern = precipitation * self._catchment
-        if self._has_mains:
-            into_cistern += mains_flow(self._site, self.x1)
+        into_cistern = precipitation * self._catchment + mains
         into_roof = precipitation * self._a2 + pump
         if self._has_layer:
             drained = self._soil.drained(self.x2, into_roof, tau)

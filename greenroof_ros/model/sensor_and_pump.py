@@ -116,13 +116,18 @@ class Pump:
         self._ticks = self._min_off  # since they were switched
         self._passed = 0.0
 
-    def flow(self, plant: Plant, command: float, may_run: bool) -> float:
+    def flow(
+        self, plant: Plant, command: float, may_run: bool, precipitation: float,
+        evapotranspiration: float,
+    ) -> float:
         """Return what the pumps deliver in the present tick (m3/s); call it once a tick.
 
         Args:
             plant: in its present state.
             command: the controller's (share of the maximum flow).
             may_run: whether neither frost nor quiet hours forbid pumping.
+            precipitation: rain (m/s).
+            evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
         """
         if not may_run or (not self._on and self._ticks < self._min_off):
             command = 0.0
@@ -130,7 +135,7 @@ class Pump:
             command = self._passed
         else:
             self._passed = command
-        flow = plant.pump_flow(command)
+        flow = plant.pump_flow(command, precipitation, evapotranspiration)
         if (flow > 0) != self._on:
             self._on = flow > 0
             self._ticks = 0

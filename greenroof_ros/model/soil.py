@@ -24,6 +24,8 @@ _ABOVE_M = 0.15
 # Only an infinite volume would fill the soil to field capacity: this share of TAW is treated as
 # full.
 _ALMOST_FULL = 1 - 1e-9
+# Eq. (4) by Euler's method takes at most this much (m) in a tick from a soil at its capacity.
+_MIN_HEAD_M = 1e-4
 # predict_lasting_share adds at least this share of the water that plants can take (1): smaller
 # differences would be rounding errors.
 _MIN_ADDED = 0.005
@@ -64,16 +66,24 @@ class PaperSoil:
     def __init__(self, site: Site) -> None:
         self._site, self.retains_all_below = site, site.z_cap
         self.above_target = site.a2 * _ABOVE_M
+        self._overdraws = 2 * site.K * site.tau > _MIN_HEAD_M
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
         """Return the drainage off the soil in a tick, if it holds that much (m3/s), Eq. (4).
+
+        At most what stands above the capacity and arrives, if a tick of Eq. (4) would take much
+        more from a soil that is just full.
 
         Args:
             x2: what the soil holds (m3).
             arriving: rain and pumped water (m3/s).
             seconds: duration of the tick (s).
         """
-        return self._darcy(x2) if x2 >= self.retains_all_below else 0.0
+        above = x2 - self.retains_all_below
+        if above < 0:
+            return 0.0
+        drainage = self._darcy(x2)
+        return min(drainage, above / seconds + arriving) if self._overdraws else drainage
 
     def retained_share(self, x2: float) -> float:
         """Return the share of the arriving water that stays (1) in a soil holding x2 (m3)."""
@@ -100,7 +110,7 @@ class PaperSoil:
         Returns:
             Drainage and evapotranspiration (m3/s), and whether there was less than was demanded.
         """
-        drainage = self._darcy(x2) if x2 >= self.retains_all_below else 0.0
+        drainage = self.drained(x2, arriving, self._site.tau)
         demand = potential + drainage
         if demand > available:
             share = available / demand
@@ -147,6 +157,10 @@ class PaperSoil:
     def water_to_fill(self, x2: Any) -> Any:
         """Return the water that fills an empty roof to x2 (m3), of any shape."""
         return x2
+
+    def water_to_raise(self, x2: float, to: float) -> float:
+        """Return the water that raises the soil from x2 to a higher volume (m3)."""
+        return to - x2
 
     def fill_empty(self, arrived: Values) -> Values:
         """Return what an empty roof holds (m3) after this much has arrived (m3)."""
@@ -206,7 +220,7 @@ class PaperSoil:
         available = x2 / durations + rain * self._site.a2 + pump - drainage
         return np.fmin(potential, np.maximum(available, 0.0)), np.full_like(x2, layer)
 
-    def _darcy(self, x2: Any) -> Any:
+    def _darcy(self, x2: float) -> float:
         """Return the drainage (m3/s) of a soil that holds x2 (m3), at least its capacity."""
         site = self._site
         return site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
@@ -242,27 +256,20 @@ class MeasuredSoil:
         return max(0.0, (x2 - self._wilting) / self._available)
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
-        """Return the percolation (m3/s): S^2 of the arriving water, and the excess.
-
-        The excess is the water above field capacity; it leaves within the tick.
-        """
-        filled = self.filled_share(x2)
-        return filled * filled * arriving + max(0.0, x2 - self._capacity) / seconds
-
-    def mean_percolation(self, x2: float, arriving: float, seconds: float) -> float:
-        """Return the mean percolation out of the substrate over a step that can be long (m3/s).
+        """Return the mean percolation out of the substrate in a tick of any length (m3/s).
 
         The share that passes grows as the substrate fills. dS/dt = (1 - S^2) i / TAW, solved for a
         constant i, is
 
             S(t) = (S + g) / (1 + S g),  g = tanh(i t / TAW).
 
-        Up to the wilting point all water stays.
+        Up to the wilting point all water stays. The excess above field capacity leaves within the
+        tick.
 
         Args:
             x2: water in the substrate at the beginning (m3).
             arriving: rain and pumped water (m3/s).
-            seconds: duration of the step (s).
+            seconds: duration of the tick (s).
         """
         if x2 >= self._capacity:
             return arriving + (x2 - self._capacity) / seconds
@@ -360,6 +367,13 @@ class MeasuredSoil:
         """Solve dS/dt = (1 - S^2) i / TAW; up to the wilting point all of it stays."""
         share = np.clip((x2 - self._wilting) / self._available, 0.0, _ALMOST_FULL)
         return np.minimum(x2, self._wilting) + self._available * np.arctanh(share)
+
+    def water_to_raise(self, x2: float, to: float) -> float:
+        """Return the inverse of :meth:`drained`: what must arrive in a tick that ends at ``to``."""
+        filled, reached = self.filled_share(x2), min(self.filled_share(to), _ALMOST_FULL)
+        first = max(0.0, min(to, self._wilting) - x2)
+        g = max(0.0, (reached - filled) / (1 - filled * reached))
+        return first + self._available * math.atanh(g)
 
     def fill_empty(self, arrived: Values) -> Values:
         """Return the inverse of :meth:`water_to_fill`."""

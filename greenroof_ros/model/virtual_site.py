@@ -74,9 +74,13 @@ class VirtualSite:
         if pumped is None:
             may_run = self.frost == 0 and not self.quiet
             if self._pump is None:
-                pumped = plant.pump_flow(command) if may_run else 0.0
+                pumped = (
+                    plant.pump_flow(command, precipitation, evapotranspiration) if may_run else 0.0
+                )
             else:
-                pumped = self._pump.flow(plant, command, may_run)
+                pumped = self._pump.flow(
+                    plant, command, may_run, precipitation, evapotranspiration
+                )
         flows = plant.flows(precipitation, evapotranspiration, pumped)
         self._acted = command, precipitation, evapotranspiration, flows
         return flows

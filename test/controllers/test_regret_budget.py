@@ -100,7 +100,7 @@ def test_a_low_outlet_limits_the_waiting_by_hand() -> None:
     loss = RegretBudget(site, 1.0, 0.0)
     seconds = 0
     while not loss.judge(40.0, 1.0, 1.0):
-        loss.move(40.0, 1.0, 1.0, 1.0, 0.0)
+        loss.move(40.0, 1.0, 1.0, 0.0)
         seconds += 1
     assert seconds == pytest.approx(153, abs=1)
 
@@ -109,7 +109,7 @@ def test_ticks_in_frost_count() -> None:
     """Nothing may be pumped in them, but the roof that waited before is worse off in each."""
     loss = RegretBudget(PAPER_SITE, 1.0, 0.0)
     loss.judge(50.0, 2.0, 1.0)
-    loss.move(50.0, 2.0, 2.0, 1.0, 0.0)  # on/off pumps for a tick
+    loss.move(50.0, 2.0, 1.0, 0.0)  # on/off pumps for a tick
     more = loss._more
     assert more == pytest.approx(maximum_pump_flow(PAPER_SITE, 50.0))
     for _ in range(999):
@@ -133,9 +133,9 @@ def test_the_count_on_a_measured_soil_is_what_onoff_has() -> None:
         assert budget._more == pytest.approx(lacks[-1], abs=1e-9)
         assert budget._stored == pytest.approx(watered.x1 - dry.x1, abs=1e-9)
         x1, x2 = dry.x1, dry.x2
-        watered.step(rain, watered.flows(rain, potential, watered.pump_flow(0.1)))
+        watered.step(rain, watered.flows(rain, potential, watered.pump_flow(0.1, rain, potential)))
         dry.step(rain, dry.flows(rain, potential, 0.0))
-        budget.move(x1, x2, dry.x2, 0.1, 0.0, rain, potential)
+        budget.move(x1, x2, 0.1, 0.0, rain, potential)
     assert max(lacks) > 0.7
     assert lacks[-1] < 0.7 * max(lacks)
 
@@ -148,7 +148,7 @@ def test_forecasts_count_again() -> None:
     budget = RegretBudget(PAPER_SITE, 0.01, 0.1)
     ticks = 0
     while not budget.judge(50.0, 2.0, 1.0):
-        budget.move(50.0, 2.0, 2.0, 1.0, 0.0)
+        budget.move(50.0, 2.0, 1.0, 0.0)
         ticks += 1
         assert ticks < 1000
     budget.loss = 0.01 * EMPTY_HOUR + 0.1 * budget.onoff_cost

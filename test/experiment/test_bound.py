@@ -191,8 +191,8 @@ def test_eight_ticks_without_weather(
     assert plan * FULL * (1 - 1e-6) <= total < plan * FULL * (1 + 1e-3)
 
 
-def test_before_frost_the_roof_is_filled_above_the_target() -> None:
-    """Pumping stops at z_veg, but the last tick before it can take the roof above it."""
+def test_before_frost_the_roof_is_filled_to_the_target() -> None:
+    """In ticks of ten seconds the pumps stop within the last one, at z_veg."""
     hours = [(0.0, 10.0, False)] * 2 + [(0.0, 10.0, True)] * 24
     run = run_of_hours(hours, 75.0, PAPER_SITE.x2_star)
     last = round(2 * 3600 / run.site.tau) - 1

@@ -28,13 +28,14 @@ def drawn(count: int, seed: int) -> Ticks:
             Flows(
                 chance.uniform(0, 0.1), chance.choice([0.0, chance.uniform(0, 0.01)]),
                 chance.uniform(0, 1e-4), chance.uniform(0, 1e-5), chance.random() < 0.1,
+                chance.uniform(0, 1e-4),
             ),
         )
         for _ in range(count)
     ]
 
 
-STILL = Flows(0.0, 0.0, 0.0, 0.0, False)
+STILL = Flows(0.0, 0.0, 0.0, 0.0, False, 0.0)
 
 
 def metrics_of(site: Site, ticks: Ticks) -> Metrics:
@@ -66,13 +67,13 @@ def test_sums_by_hand() -> None:
     The cistern's inlet has 0.305^2 pi = 0.2922467 m2, the bed 68.8 m2.
     """
     results = metrics_of(site_with(tau=2.0), [
-        (60.0, 3.0, 0.5, 1e-6, Flows(0.1, 0.004, 0.001, 2e-4, False)),
-        (50.0, 3.5, 1.25, 0.0, Flows(0.0, 0.0, 0.002, 1e-4, True)),
+        (60.0, 3.0, 0.5, 1e-6, Flows(0.1, 0.004, 0.001, 2e-4, False, 0.0)),
+        (50.0, 3.5, 1.25, 0.0, Flows(0.0, 0.0, 0.002, 1e-4, True, 0.0)),
         (40.0, 3.2, 0.0, 0.0, STILL),
     ]).results()
     expected = {
         "total_deviation_m3": 0.14416 + 0.35584 + 0.05584, "near_target_hours": 4 / 3600,
-        "pumped_m3": 0.008, "saved_m3": 0.008, "outflow_m3": 0.2, "drainage_m3": 0.006,
+        "pumped_m3": 0.008, "outflow_m3": 0.2, "drainage_m3": 0.006,
         "evapotranspiration_m3": 6e-4, "rain_roof_m3": 1.376e-4, "rain_cistern_m3": 5.844933e-7,
         "rain_m3": 1.3818449e-4, "max_command": 1.25, "beyond_hours": 2 / 3600,
         "pump_hours": 2 / 3600, "final_cistern_m3": 40.0, "final_roof_m3": 3.2,
@@ -82,7 +83,8 @@ def test_sums_by_hand() -> None:
     assert {name for name, value in results.items() if type(value) is int} == {
         "limited_steps", "pump_starts", "busiest_hour_starts", "excess_starts"
     }
-    assert not {"mains_m3", "final_layer_m3"} & results.keys()  # there is no valve, and no layer
+    # There is no valve, and no layer.
+    assert not {"mains_m3", "demand_met_share", "final_layer_m3"} & results.keys()
 
 
 @pytest.mark.parametrize(
@@ -93,7 +95,7 @@ def test_an_hour_holds_its_first_start_no_more(gap: int, busiest: int) -> None:
     site = site_with(tau=0.1)
     metrics = Metrics(site, Plant(site, 75.0, 1.0))
     for tick in range(30 * gap):
-        metrics.step(1.0, 0.0, 0.0, Flows(0.0, 0.004 * (tick % gap == 0), 0.0, 0.0, False))
+        metrics.step(1.0, 0.0, 0.0, STILL._replace(pump=0.004 * (tick % gap == 0)))
     assert metrics["pump_starts"] == 30
     assert metrics["busiest_hour_starts"] == busiest
     assert metrics["excess_starts"] == (10 if busiest > 20 else 0)
@@ -108,7 +110,7 @@ def test_an_hour_holds_its_first_start_no_more(gap: int, busiest: int) -> None:
 ])
 def test_what_is_treated_as_running(flows: list[float], starts: int, ticks: int) -> None:
     metrics = metrics_of(site_with(tau=1.0), [
-        *((75.0, 1.0, 1.0, 0.0, Flows(0.0, flow, 0.0, 0.0, False)) for flow in flows),
+        *((75.0, 1.0, 1.0, 0.0, STILL._replace(pump=flow)) for flow in flows),
         (75.0, 1.0, 0.0, 0.0, STILL),
     ])
     assert metrics["pump_starts"] == starts
@@ -136,14 +138,46 @@ def test_energy_and_starts_by_hand() -> None:
 
 
 def test_mains_water_by_hand() -> None:
-    """Five ticks of 2 s, with a valve of 0.001 m3/s open in the first three; then the end.
+    """Three ticks of 2 s, with 0.001 m3/s from the mains in two, and 0.004 m3/s pumped in one.
 
-    The run ends below the valve's level of 1 m, 25 m3, but nothing flows after the end.
+    6 of 8 litres did not come from the mains. Who only refills a cistern has no such share, nor has
+    who pumps nothing; a cistern that is refilled for later does not make it negative.
     """
     site = site_with(tau=2.0, mains_level=1.0, mains_flow=0.001)
-    volumes = (24.0, 20.0, 24.999, 25.0, 60.0, 24.0)
-    metrics = metrics_of(site, [(x1, 1.0, 0.0, 0.0, STILL) for x1 in volumes])
-    assert metrics["mains_m3"] == pytest.approx(0.006, rel=1e-12)
+    refilled, pumped = STILL._replace(mains=5e-4), STILL._replace(mains=5e-4, pump=0.004)
+    for flows, mains, share in (
+        ((refilled, pumped, STILL), 0.002, 0.75), ((refilled, STILL), 0.001, None),
+        ((STILL._replace(mains=1e-3), STILL._replace(pump=5e-4)), 0.002, 0.0),
+        ((STILL._replace(pump=0.004),), 0.0, 1.0),
+    ):
+        results = metrics_of(
+            site, [(60.0, 1.0, 0.0, 0.0, moved) for moved in (*flows, STILL)]
+        ).results()
+        assert results["mains_m3"] == pytest.approx(mains, rel=1e-12)
+        assert results.get("demand_met_share") == (share and pytest.approx(share, rel=1e-12))
+
+
+def test_low_commands_make_pumps_run() -> None:
+    """0.1 % of the full flow, 8.4e-6 m3/s, for two of three seconds: the noise of a meter does not.
+
+    In ticks of a minute, half of the commanded flow is half a minute if the pumps stop in the tick.
+    """
+    full = 0.00842205211502804
+    flows = [1e-3 * full, 1e-3 * full, 0.0, 1e-3 * full, 1e-6 * full]
+    run = [(75.0, 1.0, 1e-3, 0.0, STILL._replace(pump=flow)) for flow in flows]
+    metrics = metrics_of(PAPER_SITE, [*run, (75.0, 1.0, 0.0, 0.0, STILL)])
+    assert (metrics["pump_hours"], metrics["pump_starts"]) == (pytest.approx(3 / 3600), 2)
+    long = replace(PAPER_SITE, tau=60.0)
+    # The first two cannot reach the target, 3.14416 m3: a meter that reads less is no shorter run.
+    run = [(75.0, x2, 1.0, 0.0, STILL._replace(pump=full / 2)) for x2 in (1.0, 2.0, 2.7)]
+    results = metrics_of(long, [*run, (75.0, long.x2_star, 0.0, 0.0, STILL)]).results()
+    assert results["pump_hours"] == pytest.approx(150 / 3600)
+    assert results["pump_starts"] == 1
+    # While they run they have the head of the full flow, as in test_energy_and_starts_by_hand.
+    head = 55.2 - 5.78e5 * full**2
+    half = 13 + (head - 13) / 4
+    joules = 9810 * 60 * full / 2 * (2 * half + head)
+    assert results["hydraulic_energy_kwh"] == pytest.approx(joules / 3.6e6, rel=1e-9)
 
 
 def test_an_owners_metrics_by_hand() -> None:
@@ -183,8 +217,8 @@ def hourly(site: Site, hours: int, **amounts: dict[int, float]) -> Ticks:
 
     ticks_per_hour = round(3600 / site.tau)
     return [
-        (50.0, 1.0, 0.0, rate("rain", hour) / site.a2, Flows(
-            0.0, rate("pumped", hour), rate("drained", hour), 0.0, False
+        (50.0, 1.0, 0.0, rate("rain", hour) / site.a2, STILL._replace(
+            pump=rate("pumped", hour), drainage=rate("drained", hour)
         ))
         for hour in (k // ticks_per_hour for k in range(hours * ticks_per_hour + 1))
     ]

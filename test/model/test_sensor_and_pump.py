@@ -74,7 +74,7 @@ def commands_let_through(
     most = Plant(PAPER_SITE, 75.0, EMPTY).pump_flow(1.0)
     shares = []
     for command, cold, roof in itertools.zip_longest(commands, frost, roofs, fillvalue=0.0):
-        flow = pump.flow(Plant(PAPER_SITE, 75.0, roof), command, not cold)
+        flow = pump.flow(Plant(PAPER_SITE, 75.0, roof), command, not cold, 0.0, 0.0)
         shares.append(flow / most)
     return shares
 

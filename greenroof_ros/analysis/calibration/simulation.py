@@ -62,7 +62,7 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
         volumes[part] = x2
         percolated = 0.0
         if inflow > 0 or x2 > capacity:
-            percolated = soil.mean_percolation(x2, inflow, seconds)
+            percolated = soil.drained(x2, inflow, seconds)
         evaporated = 0.0
         if demand > 0:
             available = x2 / seconds + inflow - percolated

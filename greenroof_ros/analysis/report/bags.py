@@ -6,6 +6,7 @@ A run directory has a bag; of a simulation in one process it has the trajectory,
 from __future__ import annotations
 
 from datetime import datetime, timedelta, timezone, tzinfo
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -187,11 +188,13 @@ def make_samples(site: Site, trajectory: Trajectory) -> Samples:
     dt = np.append(np.diff(trajectory.time), site.tau)
     values = {
         "pump": trajectory.pump_flow, "potential": trajectory.evapotranspiration,
-        "mains": mains_flow(site, trajectory.cistern), **{
+        **{
             name: getattr(trajectory, name)
             for name in ("command", "precipitation", "outflow", "drainage")
         },
     }
+    drawn = values["pump"] + values["outflow"] - values["precipitation"] * site.effective_catchment
+    values["mains"] = np.fromiter(map(partial(mains_flow, site), trajectory.cistern, drawn), float)
     # The run ends at the last sample: nothing flows after it.
     flows: dict[str, Any] = {name: np.append(flow[:-1], 0.0) for name, flow in values.items()}
     evaporated, layer = soil_of(site).reconstruct_losses(

@@ -158,20 +158,26 @@ def _sum(row: Row, terms: Mapping[str, int]) -> float | None:
 
 
 def _compare(place: Sequence[CaseRuns]) -> None:
-    """Compare the seasons of a place with the on/off controller that fills to the target.
+    """Compare the cases of a place with the on/off controller that fills to the target.
 
     That is the paper's. Of several with different shares of the flow it is the one in the most
-    years with the smallest mean deviation: with ticks of some seconds, full flow overshoots the
-    target, which no site would accept.
+    years with the smallest mean deviation. The deviation is compared if they are seasons, the mains
+    water if both ran in the same years.
     """
     (level,) = (known.default for known in OnOff.parameters if known.name == "level")
     plain = [
-        case for case in place if case.deviations.weeks
-        and case.row["controller"] == "onoff"
+        case for case in place if case.row["controller"] == "onoff"
         and float(case.row.get("parameter:level") or level) == level
     ]
     if plain:
         other = min(plain, key=lambda case: (-len(case.runs), case.row[TOTAL]))
         for case in place:
-            if case is not other and case.deviations.weeks:
+            if case is other:
+                continue
+            if case.deviations.weeks:
                 case.relative = compare(case.deviations, other.deviations)
+            if case.deviations.totals.keys() == other.deviations.totals.keys():
+                case.row["mains_below_onoff_m3"] = _sum(
+                    {"mains": case.row["mains_m3"], "onoff": other.row["mains_m3"]},
+                    {"onoff": 1, "mains": -1},
+                )

@@ -32,6 +32,7 @@ _RESULTS = {
         for metric in METRICS
     },
     "ratio": _Result("over the minimum possible (1)", ".4f"),
+    "mains_below_onoff_m3": _Result("mains water below on/off's (m³)"),
     "frost_hours": _Result("frost (h)", ".2f"),
     "frost_pumped_m3": _Result("pumped in frost (m³)", max_possible=0),
     "cistern_change_m3": _Result("change in the cistern (m³)"),
@@ -51,7 +52,7 @@ _TABLES = {
     ),
     "Pumps and mains": (
         "beyond_hours", "limited_steps", "busiest_hour_starts", "excess_starts", "pump_hours",
-        "hydraulic_energy_kwh", "mains_m3", "saved_m3",
+        "hydraulic_energy_kwh", "mains_m3", "mains_below_onoff_m3", "demand_met_share",
     ),
     "Water balance of the cistern": (
         "rain_cistern_m3", "mains_m3", "pumped_m3", "outflow_m3", "cistern_change_m3",

@@ -14,7 +14,6 @@ from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.model.plant import (
     low_outlet_flow,
-    mains_flow,
     maximum_pump_flow,
     outlet_flow,
 )
@@ -144,7 +143,8 @@ def expected_movement(
     minimum += (
         running_off * site.effective_catchment - _MARGIN * low_outlet_flow(site, high)
     ) / site.a1
-    maximum += (rain * site.a_in + mains_flow(site, low)) / site.a1
+    mains = (site.mains_flow or 0.0) * (low / site.a1 < (site.mains_level or 0.0))
+    maximum += (rain * site.a_in + mains) / site.a1
     if cistern_level + off >= site.z_o:
         minimum = 0.0
     if cistern_level >= site.z_o:

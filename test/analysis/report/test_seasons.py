@@ -29,7 +29,7 @@ def rows(controller: str, seed: int | None, totals: dict[int, float]) -> list[di
             "site": "site.yaml", "weather": f"{year}.csv", "start": f"{year}-05-01T00:00:00-05:00",
             "hours": 384.0, "evapotranspiration": "fao56", **forecast, "controller": controller,
             "initial": "low-low", "cistern_m3": 57.7, "roof_m3": 2.4, "status": "done",
-            TOTAL: total, "near_target_hours": 96.0, "saved_m3": 2.0 + (seed or 0),
+            TOTAL: total, "near_target_hours": 96.0, "mains_m3": 2.0 + (seed or 0),
             "outflow_m3": 1.0, "bound_m3": 50.0,
             "window": "May", "season": "from 01 May",
             "case": f"{controller} {forecast['forecast']}",
@@ -143,7 +143,9 @@ def test_means_by_hand(tmp_path: Path) -> None:
     )
     case = case_of(report, "mpc")
     assert case.row[TOTAL] == pytest.approx(150 - 10)
-    assert case.row["saved_m3"] == pytest.approx(3.5)
+    assert case.row["mains_m3"] == pytest.approx(3.5)
+    assert case.row["mains_below_onoff_m3"] == pytest.approx(2.0 - 3.5)
+    assert "mains_below_onoff_m3" not in case_of(report, "onoff").row  # it is the reference
     assert case.row["ratio"] == pytest.approx(140 / 50)
     # 44 whole weeks: the worst 4.4 are the second weeks of 2025, 2024, 2025 less 20, 2023, and four
     # tenths of the next, 2024 less 20 or 2022.

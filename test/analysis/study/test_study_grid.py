@@ -104,7 +104,7 @@ YEARS = {
     "seasons.yaml": (2, {60}, 2 * (2 + 2 * 5)),
     "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
     "sizing.yaml": (18, {60}, 2 * 18),
-    "ticks.yaml": (4, {1, 60}, 4 * 3),
+    "ticks.yaml": (8, {1, 10, 60, 300}, 8 * 2),
 }
 GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
 # Grids that need files which the package does not have.
