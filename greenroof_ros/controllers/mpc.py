@@ -120,7 +120,9 @@ class Mpc:
         pattern = scipy.sparse.csc_matrix(np.triu(np.ones((size, size))))
         self._statuses = osqp.SolverStatus
         self._solver = osqp.OSQP()
-        self._is_interrupted = ctypes.CDLL(self._solver.ext.__file__).osqp_is_interrupted
+        # Not every build of OSQP lets it be called; the status then shows most interrupts.
+        library = ctypes.CDLL(self._solver.ext.__file__)
+        self._is_interrupted = getattr(library, "osqp_is_interrupted", None)
         self._solver.setup(
             P=pattern,
             q=np.zeros(size),
@@ -230,7 +232,10 @@ class Mpc:
         self._solver.update(q=q, Px=hessian)
         with _SOLVING:
             result = self._solver.solve(raise_error=False)
-            is_interrupted = self._is_interrupted()
+            is_interrupted = (
+                result.info.status_val == self._statuses.OSQP_SIGINT
+                if self._is_interrupted is None else self._is_interrupted()
+            )
         if is_interrupted:  # whatever its result: the program's own handler decides what follows
             signal.raise_signal(signal.SIGINT)
             return self._solve(P, q)

@@ -31,6 +31,7 @@ from greenroof_ros.formats.step_record import (
     name_time,
     prolong_steps,
 )
+from greenroof_ros.formats.sun import MM_PER_MJ, extraterrestrial_radiation
 from greenroof_ros.model.site import Site
 
 
@@ -128,7 +129,8 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
 _MAX_MEAN_WET, _FEW_WET = 8.0, 20
 _MIN_WETTEST, _MANY_WET = 1.0, 100
 # Reference evapotranspiration is at least this share of what the sun's energy outside of the
-# atmosphere could evaporate, in so many days: 0.11 in December at 53 degrees north.
+# atmosphere could evaporate, in so many days [assumed]; in mm/h in a column of mm/day it would be a
+# twenty-fourth.
 _MIN_OF_ENERGY, _MIN_ENERGY_DAYS, _MIN_ENERGY = 0.03, 3, 1.0
 
 
@@ -153,19 +155,13 @@ def find_wrong_rain_unit(record: StepRecord, _site: Site) -> Iterator[str]:
 
 
 def find_little_evaporation(record: StepRecord, site: Site) -> Iterator[str]:
-    """Find evapotranspiration that is far below the energy of the sun, FAO-56 Eqs. 21 to 25."""
+    """Find evapotranspiration that is far below the energy of the sun."""
     if not record.reference_column or site.latitude is None:
         return
     days, day = np.unique(record.seconds // DAY_S, return_inverse=True)
     sums = np.bincount(day, record.reference)
     whole = np.bincount(day) * record.step_s >= DAY_S
-    angle = 2 * np.pi / 365 * number_days(days.astype("datetime64[D]"))
-    declination, phi = 0.409 * np.sin(angle - 1.39), math.radians(site.latitude)
-    sunset = np.arccos(np.clip(-np.tan(phi) * np.tan(declination), -1.0, 1.0))
-    energy = 0.408 * 37.6 * (1 + 0.033 * np.cos(angle)) * (
-        sunset * np.sin(phi) * np.sin(declination)
-        + np.cos(phi) * np.cos(declination) * np.sin(sunset)
-    )
+    energy = MM_PER_MJ * extraterrestrial_radiation(site.latitude, days.astype("datetime64[D]"))
     sunny = whole & (energy > _MIN_ENERGY)
     evaporated, possible = float(sums[sunny].sum()), float(energy[sunny].sum())
     if np.count_nonzero(sunny) >= _MIN_ENERGY_DAYS and evaporated < _MIN_OF_ENERGY * possible:

@@ -221,8 +221,8 @@ def _running_share(site: Site, samples: Samples) -> Values:
     head = samples.cistern / site.a1 + site.c_hat - site.d
     commanded = samples.command * site.b * np.sqrt(np.maximum(head, 0.0))
     # In a long tick they can run for less than 1 % of it.
-    least = min(RUNNING_SHARE, MIN_RUN_S / tau / 2)
-    running = pumps_run(site, flow) | ((commanded > 0) & (flow > least * commanded))
+    min_share = min(RUNNING_SHARE, MIN_RUN_S / tau / 2)
+    running = pumps_run(site, flow) | ((commanded > 0) & (flow > min_share * commanded))
     if has_short_ticks(site):
         return np.asarray(running, dtype=float)
     arriving = tau * (commanded + samples.precipitation * site.a2)

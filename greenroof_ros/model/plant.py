@@ -108,12 +108,12 @@ def mains_flow(site: Site, x1: float, drawn: float) -> float:
     """
     if site.mains_flow is None or site.mains_level is None:
         return 0.0
-    missing, most = site.a1 * site.mains_level - x1, site.mains_flow
-    before = 0.0 if missing <= 0 else most  # its flow until the level is the valve's
+    missing, maximum = site.a1 * site.mains_level - x1, site.mains_flow
+    before = 0.0 if missing <= 0 else maximum  # its flow until the level is the valve's
     towards = before - drawn
     seconds = missing / towards if missing * towards > 0 else site.tau if missing else 0.0
     reached = min(1.0, seconds / site.tau)
-    return before * reached + min(max(0.0, drawn), most) * (1 - reached)
+    return before * reached + min(max(0.0, drawn), maximum) * (1 - reached)
 
 
 def maximum_pump_flow(site: Site, x1: float) -> float:

@@ -25,7 +25,7 @@ _ABOVE_M = 0.15
 # full.
 _ALMOST_FULL = 1 - 1e-9
 # Eq. (4) by Euler's method takes at most this much (m) in a tick from a soil at its capacity.
-_MIN_HEAD_M = 1e-4
+_MAX_OVERDRAWN_M = 1e-4
 # predict_lasting_share adds at least this share of the water that plants can take (1): smaller
 # differences would be rounding errors.
 _MIN_ADDED = 0.005
@@ -66,7 +66,7 @@ class PaperSoil:
     def __init__(self, site: Site) -> None:
         self._site, self.retains_all_below = site, site.z_cap
         self.above_target = site.a2 * _ABOVE_M
-        self._overdraws = 2 * site.K * site.tau > _MIN_HEAD_M
+        self._overdraws = 2 * site.K * site.tau > _MAX_OVERDRAWN_M
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
         """Return the drainage off the soil in a tick, if it holds that much (m3/s), Eq. (4).

@@ -28,6 +28,7 @@ from greenroof_ros.formats.quantities import (
     RADIATION,
     TEMPERATURE,
 )
+from greenroof_ros.formats.sun import MM_PER_MJ, extraterrestrial_radiation
 from greenroof_ros.model.site import Site
 
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
@@ -214,21 +215,10 @@ def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
 Values = NDArray[np.float64]
 Days = NDArray[np.datetime64]
 
-_MM_PER_MJ = 0.408  # water that radiation could evaporate, per m2, FAO-56 Eq. 20
 _DAY_S = 86400
 _PART_S = 300
 # Minimum share of a day with temperatures to know its extremes, and how far away they may be (d).
 _ENOUGH, _MAX_GAP_DAYS, _FOR_EVER = 0.75, 3, 10**6
-
-
-def extraterrestrial_radiation(latitude: float, days: Days) -> Values:
-    """Ra (MJ/m2 and day) at a latitude (degrees, north positive), FAO-56 Eq. 21, shape (days,)."""
-    zero = np.zeros(len(days))
-    model = ETo(
-        {"T_min": zero, "T_max": zero}, freq="D", day_of_year=number_days(days), z_msl=0.0,
-        lat=latitude, validate=False,
-    )
-    return np.asarray(model.ts_param["R_a"], dtype=np.float64)
 
 
 def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:
@@ -244,7 +234,7 @@ def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) ->
         minimum: lowest temperature of each day (degC).
         maximum: highest temperature of each day (degC).
     """
-    radiation = _MM_PER_MJ * extraterrestrial_radiation(latitude, days)
+    radiation = MM_PER_MJ * extraterrestrial_radiation(latitude, days)
     warmth = (minimum + maximum) / 2 + 17.8
     return np.asarray(np.maximum(0.0, 0.0023 * warmth * np.sqrt(maximum - minimum) * radiation))
 

@@ -132,7 +132,7 @@ def test_options_of_an_episode() -> None:
     }
     assert roof.reset()[1]["start"] == "2021-07-07T02:00:00-05:00"
     with pytest.raises(ConfigurationError, match="start"):
-        roof.reset(options={"strat": 1})
+        roof.reset(options={"beginning": 1})
 
 
 def test_a_decision_of_several_ticks_keeps_the_pumps_limits() -> None:
