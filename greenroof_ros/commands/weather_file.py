@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -21,7 +18,7 @@ from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.comments import STAMPS
 from greenroof_ros.formats.hourly import Records, name_hours
 from greenroof_ros.formats.own_csv import write_records
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
+from greenroof_ros.formats.quantities import PRECIPITATION, QUANTITIES
 from greenroof_ros.formats.reading import name_format
 from greenroof_ros.formats.rules import check_hours
 from greenroof_ros.model.place import format_place, measure_distance
@@ -73,7 +70,6 @@ def make_parser() -> Parser:
         help="what the time of a row of your own file is: its start, or its end (default: as the "
         "comment 'stamped: end' states, otherwise start)",
     )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     return parser
 
 
@@ -88,77 +84,75 @@ def main() -> None:
     # A file of another place is described, too; a run refuses it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
     measured = read_measured(find_files(arguments.files, "FILE"), anywhere, arguments.stamped)
-    about = _describe(measured, site)
+    table = grid("Weather", _describe(measured, site))
     if output is not None:
         with add_path_to_errors(output):
             output.write_text(
-                write_records(measured, f"{about['format']}; written by greenroof weather"),
+                write_records(measured, f"{_name_formats(measured)}; written by greenroof weather"),
                 encoding="utf-8",
             )
-    if arguments.json:
-        print(json.dumps(about, indent=2, allow_nan=False))
-        return
     console = Console()
-    console.print(grid("Weather", _list_rows(about)))
+    console.print(table)
     if output is not None:
         console.print(f"written: {output}", soft_wrap=True, highlight=False)
 
 
-def _describe(measured: Records, site: Site) -> dict[str, Any]:
-    """Return what records are, as ``--json`` prints it."""
+def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
+    """Yield the rows of the table: what it is about, a value, and a description."""
     try:
         weather = complete_records(measured, site)
         unknown = ""
     except ConfigurationError as error:
         weather, unknown = complete_records(measured, site, rain_only=True), str(error)
-    places = [*dict.fromkeys(measured.places.values())]
-    return {
-        "files": [str(file) for file in measured.files],
-        "format": " and ".join(dict.fromkeys(map(name_format, measured.files))),
-        "places": [list(place) for place in places],
-        "site_place": [site.latitude, site.longitude],
-        "km_from_site": _measure_distances(places, site),
-        "first_hour": measured.first.isoformat(),
-        "last_hour": (measured.first + (measured.hours - 1) * HOUR).isoformat(),
-        "hours": measured.hours,
-        "columns": {name: _describe_column(name, measured) for name in measured.values},
-        "rain_mm": _sum_rain(measured),
-        "rain_late_h": measured.rain_late,
-        "wind_height_m": measured.wind_height,
-        "missing": {
-            name: name_hours(measured.first, np.flatnonzero(np.isnan(weather.values[name])))
-            for name in measured.values if np.isnan(weather.values[name]).any()
-        },
-        "interpolated": {
-            name: name_hours(measured.first, np.flatnonzero(marks))
-            for name, marks in weather.filled.items() if marks.any()
-        },
-        "suspicious": check_hours(measured, site, range(measured.hours)),
-        "evapotranspiration": _describe_evapotranspiration(weather, unknown),
-        "notes": list(weather.notes),
-    }
+    names = [file.name for file in measured.files]
+    yield (
+        "file", _name_formats(measured),
+        names[0] if len(names) == 1 else f"{len(names)} files, {names[0]} to {names[-1]}",
+    )
+    yield from _describe_places(measured, site)
+    last = measured.first + (measured.hours - 1) * HOUR
+    yield "hours", str(measured.hours), f"{to_people(measured.first)} to {to_people(last)}"
+    for name, series in measured.values.items():
+        yield name, QUANTITIES[name].unit, (
+            f"{np.nanmin(series):g} to {np.nanmax(series):g}, mean {np.nanmean(series):.3g}"
+            + _count_missing("; ", np.isnan(series).sum())
+        )
+    yield from _sum_rain(measured)
+    if measured.rain_late:
+        yield "rain", "1 h late", "its time is the end of its hour; a run takes it as the start"
+    missing = {name: np.isnan(weather.values[name]) for name in measured.values}
+    for what, marked in (("MISSING", missing), ("interpolated", weather.filled)):
+        for name, marks in marked.items():
+            if marks.any():
+                yield what, name, _shorten(name_hours(measured.first, np.flatnonzero(marks)))
+    if suspicious := check_hours(measured, site, range(measured.hours)):
+        yield "SUSPICIOUS", "", _shorten(suspicious)
+    yield _describe_evapotranspiration(weather, unknown)
+    for note in weather.notes:
+        yield "note", "", note
 
 
-def _measure_distances(places: Sequence[tuple[float, float]], site: Site) -> list[float] | None:
-    """Return how far places are from the site (km); None if the site gives no place."""
-    if site.latitude is None or site.longitude is None:
-        return None
-    return [round(measure_distance(place, (site.latitude, site.longitude)), 1) for place in places]
+def _name_formats(measured: Records) -> str:
+    return " and ".join(dict.fromkeys(map(name_format, measured.files)))
 
 
-def _describe_column(name: str, measured: Records) -> dict[str, Any]:
-    """Return the unit of a column, its values' range and mean, and how many are missing."""
-    series = measured.values[name]
-    return {
-        "unit": QUANTITIES[name].unit,
-        **({"method": measured.method} if name == EVAPOTRANSPIRATION else {}),
-        "minimum": float(np.nanmin(series)), "maximum": float(np.nanmax(series)),
-        "mean": float(np.nanmean(series)), "missing_hours": int(np.isnan(series).sum()),
-    }
+def _describe_places(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
+    """Yield a row for each place of the records, with its distance if the site's is known."""
+    for place in dict.fromkeys(measured.places.values()):
+        away = ""
+        if site.latitude is not None and site.longitude is not None:
+            own = site.latitude, site.longitude
+            away = (
+                f"{measure_distance(place, own):.0f} km from the site, {format_place(*own)} "
+                "(--site)"
+            )
+        yield "place", format_place(*place), away
+    if not measured.places:
+        yield "place", "not given", ""
 
 
-def _sum_rain(measured: Records) -> dict[str, dict[str, float]]:
-    """Return the rain of each month (mm) by the records' clock, of long records of each year."""
+def _sum_rain(measured: Records) -> Iterator[tuple[str, str, str]]:
+    """Yield the rain of each month (mm) by the records' clock, of long records of each year."""
     rain = measured.values[PRECIPITATION]
     first = np.datetime64(measured.first.replace(tzinfo=None), "h")
     months = (first + np.arange(len(rain))).astype("datetime64[M]")
@@ -167,70 +161,27 @@ def _sum_rain(measured: Records) -> dict[str, dict[str, float]]:
                             return_inverse=True)
     sums = np.bincount(span, np.nan_to_num(rain))
     hours, missing = np.bincount(span), np.bincount(span, np.isnan(rain))
-    return {
-        str(name): {"sum": round(float(total), 6), "hours": int(count), "missing_hours": int(lost)}
-        for name, total, count, lost in zip(spans, sums, hours, missing, strict=True)
-    }
+    for name, total, count, lost in zip(spans, sums, hours, missing, strict=True):
+        # Rounded twice: a sum of binary numbers just below a half belongs to the half.
+        yield "rain", f"{round(total, 6):.1f} mm", (
+            f"{name}, {count} hours{_count_missing(', ', lost)}"
+        )
 
 
-def _describe_evapotranspiration(weather: Weather, unknown: str) -> dict[str, Any]:
-    """Return the method of evapotranspiration, and its mean; or why there is none."""
+def _describe_evapotranspiration(weather: Weather, unknown: str) -> tuple[str, str, str]:
+    """Return the row of evapotranspiration: its method and mean; or why there is none."""
     if unknown:
-        return {"method": None, "reason": unknown}
+        return "EVAPOTRANSPIRATION", "unknown", unknown
     known = weather.evapotranspiration[~np.isnan(weather.evapotranspiration)]
-    return {
-        "method": weather.method, "mean_mm_per_day": float(known.mean()) if known.size else None,
-        "missing_hours": weather.hours - known.size,
-    }
+    mean = f"mean {known.mean():.2f} mm/day" if known.size else "mean unknown"
+    lost = weather.hours - known.size
+    return "evapotranspiration", weather.method, (
+        mean + (f", unknown in {lost} hours" if lost else "")
+    )
 
 
-def _list_rows(about: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    files = about["files"]
-    yield (
-        "file", about["format"],
-        Path(files[0]).name if len(files) == 1
-        else f"{len(files)} files, {Path(files[0]).name} to {Path(files[-1]).name}",
-    )
-    for number, place in enumerate(about["places"]):
-        away = "" if about["km_from_site"] is None else (
-            f"{about['km_from_site'][number]:.0f} km from the site, "
-            f"{format_place(*about['site_place'])} (--site)"
-        )
-        yield "place", format_place(*place), away
-    if not about["places"]:
-        yield "place", "not given", ""
-    span = " to ".join(
-        to_people(datetime.fromisoformat(about[at])) for at in ("first_hour", "last_hour")
-    )
-    yield "hours", str(about["hours"]), span
-    for name, column in about["columns"].items():
-        missing = f"; {column['missing_hours']} missing" if column["missing_hours"] else ""
-        yield name, column["unit"], (
-            f"{column['minimum']:g} to {column['maximum']:g}, mean {column['mean']:.3g}{missing}"
-        )
-    for span, rain in about["rain_mm"].items():
-        missing = f", {rain['missing_hours']} missing" if rain["missing_hours"] else ""
-        yield "rain", f"{rain['sum']:.1f} mm", f"{span}, {rain['hours']} hours{missing}"
-    if about["rain_late_h"]:
-        yield "rain", "1 h late", "its time is the end of its hour; a run takes it as the start"
-    for name, spans in about["missing"].items():
-        yield "MISSING", name, _shorten(spans)
-    for name, spans in about["interpolated"].items():
-        yield "interpolated", name, _shorten(spans)
-    if about["suspicious"]:
-        yield "SUSPICIOUS", "", _shorten(about["suspicious"])
-    computed = about["evapotranspiration"]
-    if computed["method"] is None:
-        yield "EVAPOTRANSPIRATION", "unknown", computed["reason"]
-    else:
-        mean = computed["mean_mm_per_day"]
-        lost = computed["missing_hours"]
-        yield "evapotranspiration", computed["method"], ", ".join((
-            "mean unknown" if mean is None else f"mean {mean:.2f} mm/day",
-            *([f"unknown in {lost} hours"] if lost else []),
-        ))
-    for note in about["notes"]:
-        yield "note", "", note
+def _count_missing(separator: str, missing: int) -> str:
+    return f"{separator}{missing} missing" if missing else ""
 
 
 def _shorten(texts: Sequence[str]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import shutil
@@ -232,7 +231,7 @@ class _SiteRecord:
     def __init__(
         self, site: LiveSite, state: Path, namespace: str, processes: Sequence[NodeStart]
     ) -> None:
-        """Read how the site last ended, and print it unless it had been asked to stop."""
+        """Start a record; nothing is written yet."""
         self.alarms = SiteAlarms(state, namespace, processes, print_line)
         self._state = state
         self._written = 0
@@ -245,7 +244,6 @@ class _SiteRecord:
             ),
         )
         self._started_at = iso(time.time())
-        self._last_time = before = _last_time(state)
         self._setting = {
             "controller": site.controller.name,
             "parameters": summary.replace_infinity(site.parameters),
@@ -256,11 +254,6 @@ class _SiteRecord:
             "drive_at": site.drive.at if site.drive else None,
             "versions": versions(),
         }
-        if before is not None and before["status"] != summary.DONE:
-            end = f"bringup ended at {before['ended']}: {before['reason']}"
-            if before["status"] == summary.RUNNING:
-                end = "bringup was killed, or the power failed"
-            print_line(f"the last time, since {before['began']}, {end}")
 
     def update(self, reports: Mapping[str, Mapping[str, Any]]) -> None:
         """Judge the last report of each node; print and record what has changed."""
@@ -296,7 +289,6 @@ class _SiteRecord:
             "reason": reason,
             "began": self._started_at,
             "ended": None if status == summary.RUNNING else iso(time.time()),
-            "last_time": self._last_time,
             "alarm_count": log.count,
             "alarms": log.as_records(),
             **self._setting,
@@ -343,14 +335,6 @@ def _levels(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]
 def _merge_values(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Return the entries of all nodes' last reports."""
     return {name: value for report in reports.values() for name, value in report.items()}
-
-
-def _last_time(state: Path) -> dict[str, Any] | None:
-    """Return when the previous start was, and when and how it ended; None if unknown."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        before = json.loads((state / summary.SUMMARY).read_text(encoding="utf-8"))
-        return {key: before[key] for key in ("status", "reason", "began", "ended")}
-    return None
 
 
 @contextmanager

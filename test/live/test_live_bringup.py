@@ -509,8 +509,6 @@ def test_a_killed_bringup_leaves_no_node(domain: int, tmp_path: Path) -> None:
         assert summary_of(tmp_path / "run")["status"] == "running"
         again = Process(domain, "bringup.live", "--state", "run", *EXTERNAL, cwd=tmp_path)
         wait_for((tmp_path / "run" / "bag" / "bag_1.mcap").exists, 60, "its next file")
-        assert "bringup was killed, or the power failed" in again.stderr()
-        assert summary_of(tmp_path / "run")["last_time"]["status"] == "running"
         process.process = again.process
     with AnyReader([tmp_path / "run" / "bag"]) as reader:
         assert reader.message_count > 0

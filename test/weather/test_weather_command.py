@@ -24,14 +24,18 @@ PACKAGED = CONFIG / "weather" / "toronto_2021-07.csv"
 
 def weather(directory: Path, *arguments: str | Path) -> CompletedProcess[str]:
     return run_command(
-        "weather_file", *map(str, arguments), cwd=directory, env={**os.environ, "COLUMNS": "160"}
+        "weather_file", *map(str, arguments), cwd=directory, env={**os.environ, "COLUMNS": "500"}
     )
 
 
-def about(directory: Path, *arguments: str | Path) -> dict:
-    done = weather(directory, *arguments, "--json")
+def about(directory: Path, *arguments: str | Path) -> list[tuple[str, ...]]:
+    """Return the rows of the table."""
+    done = weather(directory, *arguments)
     assert (done.returncode, done.stderr) == (0, "")
-    return json.loads(done.stdout)
+    return [
+        tuple(cell.strip() for cell in line.split("│")[1:-1])
+        for line in done.stdout.splitlines() if line.startswith("│")
+    ]
 
 
 def open_meteo(file: Path, latitude: float = 43.62) -> Path:
@@ -89,31 +93,33 @@ def test_a_run_has_the_same_numbers_with_the_csv(tmp_path: Path, name: str) -> N
 def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
     """July 2021 at Toronto City Centre, as the file itself has it."""
     said = about(tmp_path, JULY)
-    assert said["format"] == "Environment and Climate Change Canada"
-    assert (said["places"], said["km_from_site"]) == ([[43.63, -79.4]], [0.0])
-    assert (said["first_hour"], said["hours"]) == ("2021-07-01T00:00:00-05:00", 744)
-    assert said["last_hour"] == "2021-07-31T23:00:00-05:00"
-    # The sum of its column of precipitation.
-    assert said["rain_mm"] == {"2021-07": {"sum": 112.3, "hours": 744, "missing_hours": 0}}
-    assert said["rain_late_h"] == 1
-    assert said["missing"] == {}
-    assert said["interpolated"]["temperature"] == [
-        "2021-07-20T13:00-05:00 to 2021-07-20T17:00-05:00 (5 hours)", "2021-07-21T11:00-05:00",
-    ]
-    assert said["columns"]["temperature"]["missing_hours"] == 6
-    assert said["evapotranspiration"]["method"] == "fao56"
-    (suspicious,) = about(tmp_path, DECEMBER)["suspicious"]
+    expected = {
+        ("file", "Environment and Climate Change Canada", JULY.name),
+        ("place", "43.63 N, 79.40 W", "0 km from the site, 43.63 N, 79.40 W (--site)"),
+        ("hours", "744", "2021-07-01 00:00-05:00 to 2021-07-31 23:00-05:00"),
+        ("temperature", "degC", "13.6 to 32.7, mean 21.1; 6 missing"),
+        # The sum of its column of precipitation.
+        ("rain", "112.3 mm", "2021-07, 744 hours"),
+        ("rain", "1 h late", "its time is the end of its hour; a run takes it as the start"),
+        ("interpolated", "temperature", "2021-07-20T13:00-05:00 to 2021-07-20T17:00-05:00 "
+         "(5 hours); 2021-07-21T11:00-05:00"),
+    }
+    assert expected <= {*said}
+    assert said[-1][:2] == ("evapotranspiration", "fao56")
+    assert not any(row[0] == "MISSING" for row in said)
+    (suspicious,) = (row[2] for row in about(tmp_path, DECEMBER) if row[0] == "SUSPICIOUS")
     assert suspicious.startswith("rain is 79.2 mm at 2015-12-29T02:00-05:00")
 
 
 def test_what_a_file_of_elsewhere_is(tmp_path: Path) -> None:
     """A run refuses it; here its distance is given: a degree of latitude is 111.2 km."""
-    file = open_meteo(tmp_path / "answer.json", latitude=44.63)
-    said = about(tmp_path, file)
-    assert said["format"] == "Open-Meteo"
-    assert said["km_from_site"] == [pytest.approx(111.2, abs=0.1)]
-    assert any("precipitation (mm) of -999 at 2021-07-08T16:00" in note for note in said["notes"])
-    assert said["missing"] == {"precipitation": ["2021-07-08T15:00-05:00"]}
+    said = about(tmp_path, open_meteo(tmp_path / "answer.json", latitude=44.63))
+    assert ("file", "Open-Meteo", "answer.json") in said
+    (place,) = (row[2] for row in said if row[0] == "place")
+    assert place.startswith("111 km from the site")
+    notes = [row[2] for row in said if row[0] == "note"]
+    assert any("precipitation (mm) of -999 at 2021-07-08T16:00" in note for note in notes)
+    assert ("MISSING", "precipitation", "2021-07-08T15:00-05:00") in said
 
 
 def test_years_are_summed(tmp_path: Path) -> None:
@@ -121,9 +127,10 @@ def test_years_are_summed(tmp_path: Path) -> None:
     hours = np.arange("2019-01-01", "2021-02-01", dtype="datetime64[h]")
     file = tmp_path / "years.csv"
     file.write_text("\n".join(["time,rain [mm]", *(f"{hour}:00Z,1" for hour in hours)]))
-    assert {year: rain["sum"] for year, rain in about(tmp_path, file)["rain_mm"].items()} == {
-        "2019": 8760.0, "2020": 8784.0, "2021": 744.0,
-    }
+    assert [row[1:] for row in about(tmp_path, file) if row[0] == "rain"] == [
+        ("8760.0 mm", "2019, 8760 hours"), ("8784.0 mm", "2020, 8784 hours"),
+        ("744.0 mm", "2021, 744 hours"),
+    ]
 
 
 def test_an_output_that_exists_is_refused(tmp_path: Path) -> None:

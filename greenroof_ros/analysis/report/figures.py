@@ -31,7 +31,7 @@ from greenroof_ros.analysis.report.trajectories import (
 _MAX_LINES = len(COLOURS)
 
 # The names of all figures begin with one of these; numbers and a controller can follow.
-_KINDS = ("deviation", "relative", "water", "flows")
+_KINDS = ("deviation", "water", "flows")
 
 
 def is_figure(name: str) -> bool:
@@ -49,8 +49,6 @@ def make_figures(report: Report) -> Iterator[Figure]:
     if len(report.cases) > 1:
         for name, cases in windows.items():
             yield draw_deviation(cases, name)
-    if any(case.relative is not None for case in report.cases):
-        yield draw_relative(report)
     for number, place in enumerate(report.places(), start=1):
         yield from _over_time(place, f"{number}")
 
@@ -78,7 +76,7 @@ def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
 
 
 def _rows_panel(
-    dataset: str, rows: Rows, axis: str, title: str | list[str], reference: float | None = None
+    dataset: str, rows: Rows, axis: str, title: str, reference: float | None = None
 ) -> Panel:
     """Return a panel with a row for each case: its value, and a line from a low to a high one.
 
@@ -142,28 +140,4 @@ def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
         f"deviation-{name}", f"Total deviation: {cases[0].place[0]}",
         "Lines: from the smallest to the largest of a case's runs. Dashed: the minimum possible",
         tuple(panels), min(len(panels), 3), data,
-    )
-
-
-# --- seasons of several years ---------------------------------------------------------------------
-
-
-def draw_relative(report: Report) -> Figure:
-    """Return the deviations relative to on/off with their intervals, a panel for each place."""
-    panels, data = list[Panel](), dict[str, Rows]()
-    for place in report.places():
-        rows: Rows = [
-            _row(case, *case.relative.mean) for case in place if case.relative is not None
-        ]
-        if rows:
-            window, initial = place[0].place
-            name = f"relative-{len(data) + 1}"
-            data[name] = rows
-            panels.append(_rows_panel(
-                name, rows, "deviation of a season relative to on/off (1)",
-                [window, f"from {initial}"], 1.0,
-            ))
-    return Figure(
-        "relative", "Deviation relative to on/off", "Lines: 95 % intervals. Dashed: on/off",
-        tuple(panels), 1, data,
     )

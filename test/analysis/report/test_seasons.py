@@ -179,8 +179,6 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
         case.label: case.relative.mean.value
         for case in report.cases if case.relative is not None
     } == pytest.approx({"onoff 0.1 0.9": 0.8, "onoff 1.0 1.0": 1.1, "mpc perfect": 1})
-    figure = figures_of(report)["relative"]
-    assert [row["v"] for row in figure.data["relative-1"]] == pytest.approx([0.8, 1.1, 1])
     report = study_of(tmp_path / "b", *lower, *rows("mpc", None, ONOFF))
     assert all(case.relative is None for case in report.cases)
     five = [
@@ -217,7 +215,7 @@ def test_a_study_of_seasons(tmp_path: Path) -> None:
     run_here(tmp_path / "record", SEASONS_GRID)
     report = report_of(tmp_path / "record" / "out")
     figures = figures_of(report)
-    assert list(figures) == ["deviation-1", "relative"]
+    assert list(figures) == ["deviation-1"]
     for name, figure in figures.items():
         figure.save(tmp_path)
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
