@@ -47,6 +47,11 @@ class Wire:
         """The same address, as a gateway to a drive's serial port."""
         return f"gateway://127.0.0.1:{self.port}"
 
+    @property
+    def newest(self) -> socket.socket:
+        """The newest connection."""
+        return self._open[-1]
+
     def drop(self) -> None:
         """Close every connection, like a drive that loses power."""
         for connection in self._open:

@@ -63,6 +63,9 @@ FAULTS: Mapping[str, int] = {
     "slow": 200,  # answers come late, but in time (ms)
     "late": 1500,  # answers come after the client has given up (ms)
     "split": 5,  # answers come byte by byte (ms between two)
+    "trickle": 1000,  # the same, too slowly
+    "previous": 0,  # each request gets the answer to the one before, as its own
+    "previous_frame": 0,  # the same, with the number of the request before
     "garbage": 16,  # this many random bytes come instead of answers
     "wrong_unit": 0,  # answers come from the next device id
     "wrong_function": 0,  # answers are to the next function code
@@ -77,6 +80,9 @@ FAULTS: Mapping[str, int] = {
     "stuck_running": 0,  # the motor runs on, whatever it is ordered (0.01 %; 0: as it is)
     "power_cycle": 0,  # it loses power for a moment, once
     "timeout_off": 0,  # its communication timeout, or the relay's timer, is turned off, for good
+    "frozen": 0,  # it obeys, but all registers read as they were
+    "says_stopped": 0,  # it reports off and rest, but runs on as it did until its timeout
+    "says_running": 0,  # it reports that it runs as ordered, but the motor stands
     "runs_on": 0,  # ordered to stop it reports off, but runs until its timeout; connections last s
     # Of the relay.
     "timer_long": 120,  # its timer is set to this (s), for good
@@ -103,6 +109,7 @@ class ActiveFault:
 
     name: str = NONE
     parameter: int = 0
+    last: tuple[bytes, int] = (b"", 0)  # the last answer, and the number of its request
 
 
 class FaultyConnection(Connection):
@@ -147,7 +154,12 @@ class FaultyConnection(Connection):
                 content = bytes([content[0] + 1]) + content[1:]
             case "wrong_length":
                 content = content[:-1]
-        frame = self.framer.encode(content, device_id, pdu.transaction_id)
+        number, (last, last_number) = pdu.transaction_id, fault.last
+        fault.last = content, number
+        if fault.name.startswith("previous"):
+            content = last
+            number = last_number if fault.name == "previous_frame" else number
+        frame = self.framer.encode(content, device_id, number)
         match fault.name:
             case "silence":
                 return
@@ -155,7 +167,7 @@ class FaultyConnection(Connection):
                 self._write_data(self._random.randbytes(fault.parameter))
             case "slow" | "late":
                 self.loop.call_later(fault.parameter / 1000, self._write_data, frame)
-            case "split":
+            case "split" | "trickle":
                 for number in range(len(frame)):
                     delay = number * fault.parameter / 1000
                     self.loop.call_later(delay, self._write_data, frame[number:number + 1])
@@ -272,8 +284,10 @@ class FaultyDrive(SimulatedDrive):
 
     def turn(self, step: float, motion: Motion) -> None:
         off = self._at < self._answers_from
-        if not off and self._ignores_stop:
+        if not off and (self._ignores_stop or self._active == "says_stopped"):
             self.standstill()  # only its state machine believes so
+        elif self._active == "says_running":
+            super().turn(step, Motion.COAST)
         elif self._active not in ("speed_stays", "stuck_running"):
             super().turn(step, Motion.COAST if off else motion)
 
@@ -285,14 +299,20 @@ class FaultyDrive(SimulatedDrive):
 
     @property
     def moving(self) -> bool:
-        return super().moving and not self._ignores_stop
+        return self._reported_speed > 0 and not self._ignores_stop
+
+    @property
+    def _reported_speed(self) -> float:
+        if self._active == "says_running":
+            return self.setpoint if self.motion is Motion.FOLLOW else 0.0
+        return 0.0 if self._active == "says_stopped" else self.speed
 
     def trip(self, fault: int) -> None:
         if fault or self._active != "drive_fault":
             super().trip(fault)
 
     def communication_lost(self) -> None:
-        if self._active == "runs_on":
+        if self._active in ("runs_on", "says_stopped"):
             self._active = NONE
         super().communication_lost()
 
@@ -300,14 +320,19 @@ class FaultyDrive(SimulatedDrive):
         return max(super()._loss_at(), self._guarded_from)
 
     def registers(self) -> Mapping[int, int]:
+        if self._active == "frozen":
+            return self._frozen
+        self.advance()
+        true, self.speed = self.speed, self._reported_speed
         words = super().registers()
+        self.speed = true
         if self._active == "absurd_value":
             self._words |= dict.fromkeys(self._addresses("speed"), self._parameter)
         return words
 
     def inject(self, name: str, parameter: int) -> None:
         """Replace the present fault; a trip remains until it is reset."""
-        self.advance()
+        self._frozen = dict(self.registers())
         self._active, self._parameter = name, parameter
         match name:
             case "drive_fault":

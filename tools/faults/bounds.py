@@ -72,6 +72,8 @@ def bounds(site: Site) -> dict[str, float]:
         # As "drive", but each request is answered by an exception, which is a sign of life for the
         # drive: two connections are tried first, after the first wait and after twice that wait.
         "refused": DRIVE_TIMEOUT_S + exchange + 3 * FIRST_WAIT_S + end,
+        # A meter shows flow although the drive reports rest; then the line is left silent.
+        "flows on": follow + step + exchange + DRIVE_TIMEOUT_S + end,
         "runs on": runs_on,
         # The connection breaks twice before the fault is noticed, and is made again each time.
         "runs on, breaks": runs_on + 2 * (FIRST_WAIT_S + exchange),

@@ -79,6 +79,7 @@ class Case:
 # --- processes ------------------------------------------------------------------------------------
 
 _LOST = (("pump: drive", "drive_lost"),)
+_DELIVERY = Expected(bound="undelivered", signs=_pump("delivery"), recovery="latches")
 
 
 def _process(node: str, fault: str) -> Expected:
@@ -135,7 +136,8 @@ _DRIVE: dict[str, Expected] = {
     # were no answer. A drive that has power again is as before, and reports no fault.
     **dict.fromkeys(
         ("refused", "dropped", "half_open", "silence", "late", "garbage", "wrong_unit",
-         "wrong_function", "wrong_length", "absurd_value", "power_cycle", "echo"),
+         "wrong_function", "wrong_length", "absurd_value", "power_cycle", "echo", "trickle",
+         "previous", "previous_frame"),
         Expected(bound="drive", signs=_LOST),
     ),
     "slow": _RUNS_ON,
@@ -172,8 +174,13 @@ def _drives() -> Iterator[Case]:
             if expected is not None:
                 kind = "pump" if fault == "refused_writes" else "site"
                 yield Case(f"{kind}:{drive}", "drive", fault, expected)
-        for fault in ("speed_stays", "stuck_running", "contactor"):
+        for fault in ("speed_stays", "stuck_running", "contactor", "frozen"):
             yield Case(f"site:{drive}", "unstoppable", fault, _UNSTOPPABLE)
+        yield Case(f"site:{drive}", "drive", "says_running", _DELIVERY)
+        yield Case(f"site:{drive}", "unstoppable", "says_stopped", replace(
+            _UNSTOPPABLE, bound="welded", signs=_pump("delivery")))
+        yield Case(f"metered:{drive}", "drive", "says_stopped", Expected(
+            bound="flows on", signs=_pump("runs_on"), recovery="latches"))
         # Its connections break before it can be judged on one.
         yield Case(f"pump:{drive}", "drive", "runs_on, breaks", Expected(
             bound="runs on, breaks", signs=_pump("runs_on"), recovery="latches"), 3)
@@ -211,8 +218,8 @@ def _relays() -> Iterator[Case]:
 
 # Faults of the line to a sensor.
 _WIRE = ("refused", "dropped", "half_open", "silence", "slow", "late", "split", "garbage",
-         "wrong_unit", "wrong_function", "wrong_length", "exception", "echo", "intermittent")
-_DELIVERY = Expected(bound="undelivered", signs=_pump("delivery"), recovery="latches")
+         "wrong_unit", "wrong_function", "wrong_length", "exception", "echo", "intermittent",
+         "trickle", "previous", "previous_frame")
 
 
 def _still(tank: str) -> Expected:
@@ -234,7 +241,7 @@ def _sensors() -> Iterator[Case]:
             ("frozen", _still(tank), DEFAULT), ("drifting", replace(jump, bound="drift"), 500),
         ):
             yield Case(SITE, "sensor", f"{tank}_{fault}", expected, parameter)
-        special = {"slow": _RUNS_ON, "split": _RUNS_ON,
+        special = {"slow": _RUNS_ON, "split": _RUNS_ON, "previous": _RUNS_ON,
                    "intermittent": replace(silent, bound="intermittent")}
         for fault in _WIRE:
             yield Case(SITE, "sensor line", f"{tank}_{fault}", special.get(fault, silent))

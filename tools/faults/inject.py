@@ -256,8 +256,8 @@ def _drive(rig: Rig, case: Case, undo: ExitStack) -> None:
     if case.target == "local":
         truth.take_over(True)
         undo.callback(truth.take_over, False)
-    elif case.target.startswith("runs_on"):
-        truth.inject_drive("runs_on", case.parameter)
+    elif case.target.startswith(("runs_on", "says_stopped")):
+        truth.inject_drive(case.target.partition(",")[0], case.parameter)
         rig.watcher.stop(True)
         undo.callback(rig.watcher.stop, False)
         undo.callback(truth.inject_drive, "none")

@@ -134,7 +134,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
           |    +------------+                       two rounds without a valid answer, or closed
           |                 v                       and from these and CONNECTING:
           +-------------- SILENT                    *stop* is refused on two connections, or the
-                                                    speed does not fall, or cannot be read
+                                                    speed does not fall, or is unknown
 
     From CONNECTING a stopped drive becomes STOPPED at once.
 
@@ -149,6 +149,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
     Attributes:
         endpoint: the drive.
+        disbelieved: whether the caller knows that the pump runs although the drive reports rest.
     """
 
     def __init__(
@@ -177,7 +178,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             ConfigurationError: its library is missing, or a file for the login is wrong.
         """
         super().__init__("talking to the drive", DriveSnapshot())
-        self.endpoint = endpoint
+        self.endpoint, self.disbelieved = endpoint, False
         self._drive: Connection = endpoint.connection(timeout_s)
         self._drive_lock: socket.socket | None = None
         self._waits_for_lock = False
@@ -446,7 +447,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             time.sleep(self._period_s)
             return
         self._unanswered = 0
-        status = self._stop_monitor.check(status, time.monotonic())
+        status = self._stop_monitor.check(status, time.monotonic(), self.disbelieved)
         standing = ExchangeState.STOPPED if status.at_rest else ExchangeState.STOPPING
         if not problem and time.monotonic() < self._paused_until:
             problem = self._snapshot.problem  # the reason of the pause, which still lasts

@@ -114,13 +114,14 @@ class Address:
     def shares_line(self, other: Address) -> bool:
         """Whether both are on one serial line, under any name; only one program can open it."""
         return bool(self.line and other.line) and (
-            Path(self.line).resolve() == Path(other.line).resolve()
+            self.canonical_name(0) == other.canonical_name(0)
         )
 
     def canonical_name(self, port: int) -> str:
         """Return a name for the host or line that is the same however the address is written.
 
-        It does not include the device id. May block while the host name is resolved.
+        It does not include the device id. A serial line is its device's number; all addresses of
+        this machine are one host. May block while the host name is resolved.
 
         Args:
             port: the TCP port, unless the address has one.
@@ -129,9 +130,23 @@ class Address:
             OSError: there is no such host, or no name server answers.
         """
         if self.line:
-            return str(Path(self.line).resolve())
-        host = min(str(info[4][0]) for info in socket.getaddrinfo(self.host, None))
+            path = Path(self.line).resolve()
+            return f"device-{path.stat().st_rdev:x}" if path.is_char_device() else str(path)
+        found = socket.getaddrinfo(self.host, None)
+        host = min(str(info[4][0]) for info in found)
+        if any(_is_here(info[0], info[4]) for info in found):
+            host = "localhost"
         return f"{host}-{self.port or port}"
+
+
+def _is_here(family: socket.AddressFamily, place: tuple[Any, ...]) -> bool:
+    """Return whether an address, with port 0, is one of this machine."""
+    with socket.socket(family, socket.SOCK_DGRAM) as plug:
+        try:
+            plug.bind(place)
+        except OSError:
+            return False
+    return True
 
 
 def parse_address(text: str, key: str = "address") -> Address:

@@ -19,18 +19,20 @@ from greenroof_ros.live.devices.sensor_file import ModbusSensor
 # Longest wait for a connection, and for each answer (s).
 _TIMEOUT_S = 0.5
 # The timeouts that a reading takes at most: one to connect, two for an answer that comes in pieces.
+# A failed one takes that long in any case: an answer that is still on its way is then dropped.
 _TIMEOUTS = 3
 
 
 class SensorLine(DeviceThread[DeviceSnapshot]):
     """Reads the sensors on one line, each once per period; the one that has waited longest first.
 
-    It connects if needed, and again after every failure. A sensor that is absent, hangs or sends
-    nonsense delays each of the others by at most three timeouts per reading. The timeout is 0.5 s,
-    but so short that reading all n sensors of the line takes at most half of the maximum age A of
-    a value: 3 n timeouts <= A / 2. A period is at most A / 2. So the readings of a good sensor are
-    never further apart than A, regardless of what the others do: at 5 s, two sensors have 0.42 s to
-    answer.
+    It connects if needed, and again after every failure, but only three timeouts after the failed
+    reading began: a gateway may give a late answer the number of the next request, and it would be
+    the value of the register that is read then. A sensor that is absent, hangs or sends nonsense
+    delays each of the others by three timeouts per reading. The timeout is 0.5 s, but so short that
+    reading all n sensors of the line takes at most half of the maximum age A of a value: 3 n
+    timeouts <= A / 2. A period is at most A / 2. So the readings of a good sensor are never further
+    apart than A, regardless of what the others do: at 5 s, two sensors have 0.42 s to answer.
     """
 
     def __init__(self, name: str) -> None:
@@ -41,6 +43,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
         """
         super().__init__(f"{name}: reading", DeviceSnapshot())
         self.readers: list[ModbusReader] = []
+        self._quiet_until = -math.inf
 
     def start(self) -> None:
         """Start the thread, unless it has been started.
@@ -62,17 +65,20 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
 
     def _step(self) -> None:
         self._reader = reader = min(self.readers, key=lambda reader: reader.due)
-        self._pause_until(reader.due)
+        self._pause_until(max(reader.due, self._quiet_until))
         if self._closing:
             self._done = True
             self._line.close()
             return
+        began = time.monotonic()
         try:
             reader.read(self._line.for_device(reader.sensor.device_id))
         finally:
             # Missed readings are not made up for: a sensor that takes longer than its period is
             # read again after the others that wait.
-            now, period = time.monotonic(), reader.sensor.period
+            if not self._line.connected:
+                self._quiet_until = began + _TIMEOUTS * self._timeout_s
+            now, period = max(time.monotonic(), self._quiet_until), reader.sensor.period
             reader.due = reader.due + period if reader.due + period > now else now + period
 
     def _handle_failure(self, error: Exception, problem: str) -> None:

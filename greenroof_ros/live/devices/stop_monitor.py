@@ -77,13 +77,22 @@ class StopMonitor:
         """Record that the speed was read, or that a person at the panel watches the drive."""
         self._unread_from = math.inf
 
-    def check(self, status: DriveStatus, now: float) -> DriveStatus:
+    def check(
+        self, status: DriveStatus, now: float, disbelieved: bool = False
+    ) -> DriveStatus:
         """Return a drive's report, with a fault added if it runs on after *stop*.
 
+        Args:
+            status: the report.
+            now: the time.
+            disbelieved: whether the pump runs although the drive reports rest.
+
         Raises:
-            RunsOnError: the fault has been visible for long enough.
+            RunsOnError: the fault has been visible for long enough, or is certain.
         """
         fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
+        if disbelieved and fall is not None and status.at_rest:
+            raise RunsOnError("drive", f"{self._where}: it reports rest, but water flows")
         if fall is None or status.at_rest or not status.remote:
             self._fall, self._silent_until = None, -math.inf
             return status

@@ -66,6 +66,13 @@ class Decision:
     flow_known: bool
     blind_for: float
 
+    @property
+    def disbelieved(self) -> bool:
+        """Whether the drive reports rest, but a meter shows that the pump runs."""
+        speed = self.reported_speed
+        rests = self.speed is None and speed is not None and abs(speed) <= STANDSTILL
+        return rests and not self.at_rest
+
 
 class PumpControl:
     """Turns commands into speeds, and keeps the pump off while an interlock is active.
@@ -284,7 +291,7 @@ class PumpControl:
                 why += "; it is unknown whether the pump is stopped"
                 state = "unknown" if state == "off" else state
         else:
-            at_rest = setpoint is None and not turning
+            at_rest = setpoint is None and not turning and not self._flows_on
         return Decision(
             setpoint, state, why, active, flow, source, warnings, at_rest,
             reported if backwards else observed.speed, at_rest or known_flow is not None,
@@ -307,7 +314,8 @@ class PumpControl:
             warnings: list to which warnings about implausible flows are added.
         """
         site = self._site
-        if self._setpoint is None and observed.speed is not None and observed.speed <= STANDSTILL:
+        rests = observed.speed is not None and observed.speed <= STANDSTILL
+        if rests and self._setpoint is None and not self._flowed_for:
             return 0.0, "the pump is stopped"
         level = site.z_o if observed.cistern_level is None else observed.cistern_level
         maximum = _MAX_FLOW * flow_at(site, 1.0, level)
@@ -365,6 +373,11 @@ class PumpControl:
             self._ramped = speed
         return not minimum - tolerance <= speed <= maximum + tolerance
 
+    @property
+    def _flows_on(self) -> bool:
+        """Whether a meter has shown flow for so long that the drive's report of rest is wrong."""
+        return self._flowed_for > self._settings.follow_time
+
     def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Diagnosis | None:
         """Return that a meter shows flow although the drive reports rest; None if it does not.
 
@@ -376,7 +389,7 @@ class PumpControl:
         speed = observed.speed
         at_rest = self._setpoint is None and speed is not None and speed <= STANDSTILL
         self._flowed_for = self._flowed_for + drive_dt if at_rest and measured > minimum else 0.0
-        if self._flowed_for <= self._settings.follow_time:
+        if not self._flows_on:
             return None
         return Diagnosis.of("runs_on", "flow", flow=measured, time=self._flowed_for)
 

@@ -6,6 +6,8 @@ import itertools
 import math
 import os
 import re
+import socket
+import stat
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -593,6 +595,15 @@ def test_one_that_stood_or_was_run_or_is_a_persons_begins_again(way: str) -> Non
     assert stopping.faults == {""} and not stopping.left
 
 
+def test_one_that_is_known_to_run_although_it_reports_rest_is_left() -> None:
+    """Only after *stop*: another order may just have started it."""
+    monitor, rest = StopMonitor("there"), DriveStatus(True, False, "", "", 0.0, None, True)
+    assert monitor.check(rest, 1.0, disbelieved=True) == rest
+    monitor.stop_written(1.1)
+    with pytest.raises(RunsOnError, match="there: it reports rest, but water flows"):
+        monitor.check(rest, 1.1, disbelieved=True)
+
+
 def test_a_stop_that_is_refused_on_two_connections_one_after_the_other() -> None:
     """A connection on which nothing could be sent counts neither way."""
     monitor = StopMonitor("there")
@@ -656,8 +667,14 @@ def test_a_drive_has_a_status_or_a_reason_for_none(
 
 
 def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
-    """Although the first names the host differently."""
+    """Although the first names the host differently: each name and address of a machine is one."""
     port = bench.wire.port
+    names = ("localhost", "127.0.0.1", "127.0.0.2", "0.0.0.0", "[::1]", socket.gethostname())
+    places = {DriveEndpoint(ABB, parse_address(f"tcp://{name}:{port}")).lock_name()
+              for name in names}
+    assert places == {f"localhost-{port}-1"}
+    elsewhere = parse_address("tcp://192.0.2.1:502")  # of documentation: no machine's
+    assert elsewhere.canonical_name(1) == "192.0.2.1-502"
     first = acquire_drive_lock(DriveEndpoint(ABB, parse_address(f"tcp://localhost:{port}")))
     bench.exchange.start()
     bench.speed = 0.5
@@ -676,6 +693,11 @@ def test_a_second_driver_on_the_same_machine_keeps_off(bench: Bench) -> None:
 
 def test_a_serial_line_is_one_drivers_by_any_name(tmp_path: Path) -> None:
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
+    if os.geteuid() == 0:  # a link of a link, and a second file of one device
+        (tmp_path / "by-id").unlink()
+        (tmp_path / "by-id").symlink_to(tmp_path / "by-path")
+        for name in ("ttyUSB0", "by-path"):
+            os.mknod(tmp_path / name, stat.S_IFCHR | 0o600, os.makedev(188, 250))
     first, second = (
         DriveEndpoint(ABB, parse_drive_address(f"{tmp_path}/{name}", "at"))
         for name in ("ttyUSB0,1", "by-id,2")

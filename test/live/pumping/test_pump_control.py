@@ -290,7 +290,10 @@ def test_no_flow_once_the_pump_stands() -> None:
 
 @pytest.mark.parametrize("meter", ["flow", "drive_flow"])
 def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(meter: str) -> None:
-    """More than a fifth of the maximum flow (min_flow) for more than 12 s (follow_time)."""
+    """More than a fifth of the maximum flow (min_flow) for more than 12 s (follow_time).
+
+    Then the drive's report of rest is wrong, and what the meter shows counts as pumped.
+    """
     rig = Rig(x1=70.0)
     minimum = 0.2 * maximum_pump_flow(PAPER_SITE, 70.0)
     rig.change = {meter: 0.95 * minimum}
@@ -303,6 +306,8 @@ def test_a_flow_while_the_pump_stands_is_a_contact_that_is_welded(meter: str) ->
     decision = rig.run(13, 0.0)
     assert (decision.state, [*decision.interlocks]) == ("fault", ["runs_on"])
     assert "perhaps a contact is welded" in decision.why
+    assert (decision.at_rest, decision.disbelieved) == (False, True)
+    assert rig.ledger.record.day_volume == pytest.approx(1.05 * minimum * 12, rel=0.1)
     rig.change = {}
     assert rig.run(60, 1.0).state == "fault"
     rig.control.reset()
