@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import resource
 import shutil
+import struct
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -38,20 +40,62 @@ def small_disk(place: Path, size: str) -> Iterator[None]:
 
 
 @contextmanager
+def _own_disk(place: Path) -> Iterator[Callable[[], None]]:
+    """Mount an ext4 disk, and yield a function that mounts it again; or skip the test."""
+    image = place.with_suffix(".image")
+    with image.open("wb") as stream:
+        stream.truncate(64_000_000)
+    place.mkdir(parents=True, exist_ok=True)
+    mount = ["mount", "-o", "loop,errors=remount-ro", str(image), str(place)]
+    for words in (["mkfs.ext4", "-q", str(image)], mount):
+        if shutil.which(words[0]) is None or subprocess.run(
+            words, capture_output=True, check=False
+        ).returncode:
+            pytest.skip("only root can mount a disk of its own")
+
+    def mount_again() -> None:
+        subprocess.run(["umount", "--lazy", str(place)], check=True)
+        subprocess.run(mount, check=True)
+
+    try:
+        yield mount_again
+    finally:
+        subprocess.run(["umount", "--lazy", str(place)], check=True)
+
+
+# ioctl(2) of ext4: EXT4_IOC_SHUTDOWN, with the flag not to write its journal.
+_SHUTDOWN, _NO_FLUSH = 0x8004587D, 2
+
+
+@contextmanager
+def disk_that_fails(place: Path) -> Iterator[Callable[[str], None]]:
+    """Mount a disk, and yield a function that makes it fail; or skip the test.
+
+    ``EIO``: no file can be read or written any more. ``EROFS``: the kernel has found an error, and
+    nothing can be written any more. Otherwise it is mounted again, and good.
+    """
+    with _own_disk(place) as mount_again:
+
+        def fail(how: str) -> None:
+            if how == "EIO":
+                disk = os.open(place, os.O_RDONLY)
+                fcntl.ioctl(disk, _SHUTDOWN, struct.pack("I", _NO_FLUSH))
+                os.close(disk)
+            elif how == "EROFS":
+                minor = os.minor(place.stat().st_dev)
+                Path(f"/sys/fs/ext4/loop{minor}/trigger_fs_error").write_text("1")
+            else:
+                mount_again()
+
+        yield fail
+
+
+@contextmanager
 def disk_that_hangs(place: Path) -> Iterator[Callable[[bool], None]]:
     """Mount a disk, and yield a function that makes it hang or go on; or skip the test.
 
     While it hangs, nothing can be written, and even kill -9 cannot end a process that tries to.
     """
-    image = place.with_suffix(".image")
-    with image.open("wb") as stream:
-        stream.truncate(64_000_000)
-    place.mkdir(parents=True, exist_ok=True)
-    for words in (["mkfs.ext4", "-q", str(image)], ["mount", "-o", "loop", str(image), str(place)]):
-        if shutil.which(words[0]) is None or subprocess.run(
-            words, capture_output=True, check=False
-        ).returncode:
-            pytest.skip("only root can mount a disk of its own")
     hangs = False
 
     def hang(now: bool) -> None:
@@ -61,11 +105,11 @@ def disk_that_hangs(place: Path) -> Iterator[Callable[[bool], None]]:
             subprocess.run(["fsfreeze", option, str(place)], check=True)
         hangs = now
 
-    try:
-        yield hang
-    finally:
-        hang(False)
-        subprocess.run(["umount", "--lazy", str(place)], check=True)
+    with _own_disk(place):
+        try:
+            yield hang
+        finally:
+            hang(False)
 
 
 def fill(file: Path) -> None:

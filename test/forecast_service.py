@@ -43,9 +43,9 @@ class ForecastService:
 
     Attributes:
         fault: what is wrong now, and can be changed at any time: connections are "refused";
-            answers are "slow" (a few bytes per second), "truncated", "broken" (no JSON), a "limit"
-            (429 Too Many Requests) or an "error" (503); a series has the wrong "length"; every
-            value is "missing"; the "clock" is a day behind. Without a fault it is "none".
+            answers are "slow" (a few bytes per second) or have a "slow head", are "truncated",
+            "broken" (no JSON), a "limit" (429 Too Many Requests) or an "error" (503); a series has
+            the wrong "length"; every value is "missing"; the "clock" is a day behind. Without a fault it is "none".
     """
 
     def __init__(self, site: Site, records: Records, start: datetime) -> None:
@@ -160,6 +160,10 @@ class _Handler(BaseHTTPRequestHandler):
     def _send(self, code: int, body: bytes, headers: dict[str, str] | None = None) -> None:
         """Send an answer, compressed if requested, and spoiled by the present fault."""
         fault = self.service.fault if code == 200 else NONE
+        if fault == "slow head":
+            for byte in b"HTTP/1.1 200 OK\r\nX: ":
+                self.wfile.write(bytes([byte]))
+                time.sleep(0.4)
         self.send_response_only(code)
         late = timedelta(days=1 if fault == "clock" else 0)
         self.send_header("Date", format_datetime(datetime.now(timezone.utc) - late, usegmt=True))

@@ -110,9 +110,9 @@ def _add_hold_options(parser: Parser) -> None:
 
 
 def _parse_future_time(text: str) -> float:
-    """Return a future time (s since 1970)."""
+    """Return a future time (s since 1970); of a wall clock's hour that comes twice, the later."""
     try:
-        end = parse_time(text).astimezone()
+        end = max(parse_time(text).replace(fold=fold).astimezone() for fold in (0, 1))
     except ValueError:
         raise argparse.ArgumentTypeError(
             f"must be a time such as 2026-12-24T08:00, not {text}"

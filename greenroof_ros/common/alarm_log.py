@@ -67,7 +67,7 @@ def read_alarms(directory: Path) -> list[Alarm]:
     """
     alarms: dict[int, Alarm] = {}
     for path in (directory / _OLDER, directory / ALARMS):
-        if path.exists():
+        if path.is_file():
             alarms |= {alarm.number: alarm for alarm in _read_file(path)}
     if not alarms:
         try:
@@ -117,7 +117,7 @@ class AlarmLog:
             print_line(f"warning: {error}; the alarms of earlier starts are not shown")
 
     def _resume(self) -> None:
-        if self._file.exists():  # a crash may have cut its last line
+        if self._file.is_file():  # a crash may have cut its last line
             os.truncate(self._file, self._file.read_bytes().rfind(b"\n") + 1)
         began = time.time()
         for alarm in read_alarms(self._file.parent):

@@ -21,8 +21,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from email.utils import parsedate_to_datetime
+from functools import partial
 from http.client import HTTPException
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from urllib.error import HTTPError
 from urllib.parse import urlencode
 from urllib.request import urlopen
@@ -130,7 +132,7 @@ class Service:
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         try:
             began = time.monotonic()
-            answer = self._request(now)
+            answer = _within(_ANSWER_S, partial(self._request, now))
             arrived = now + timedelta(seconds=time.monotonic() - began)
             return replace(_read_issue(answer, self._site, hour), available=arrived)
         except (HTTPException, OSError) as error:
@@ -159,7 +161,7 @@ class Service:
                 if len(answer) > _MAX_BYTES:
                     raise ServiceError(f"{self._url}: sent more than {_MAX_BYTES} bytes")
                 if time.monotonic() > until:
-                    raise TimeoutError(f"gave no complete answer within {_ANSWER_S:g} s")
+                    raise _late(_ANSWER_S)
         _check_clock(response.headers.get("Date", ""), now)
         if response.status != 200:
             raise ServiceError(
@@ -167,6 +169,36 @@ class Service:
                 _read_wait(response.headers.get("Retry-After", ""), now),
             )
         return answer
+
+
+def _late(seconds: float) -> TimeoutError:
+    return TimeoutError(f"gave no complete answer within {seconds:g} s")
+
+
+def _within(seconds: float, request: Callable[[], bytes]) -> bytes:
+    """Return what a request returns, or raise what it raises; give up after a time (s).
+
+    The library's timeout is for each part of the answer, and its head may come byte by byte.
+
+    Raises:
+        TimeoutError: it took longer. Its thread ends when the service does.
+    """
+    results: SimpleQueue[bytes | Exception] = SimpleQueue()
+
+    def work() -> None:
+        try:
+            results.put(request())
+        except Exception as error:  # raised by the caller
+            results.put(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    try:
+        result = results.get(timeout=seconds)
+    except Empty:
+        raise _late(seconds) from None
+    if isinstance(result, Exception):
+        raise result
+    return result
 
 
 def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:

@@ -4,6 +4,7 @@ import json
 import os
 import tempfile
 import threading
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -83,6 +84,7 @@ def test_each_hour_has_the_rain_and_temperature_that_are_forecast_for_it(server)
 @pytest.mark.parametrize(("fault", "reason"), [
     ("refused", "Remote end closed connection"),
     ("slow", "gave no complete answer within 0.5 s"),
+    ("slow head", "gave no complete answer within 0.5 s"),
     ("truncated", "answer is not valid JSON"),
     ("broken", "is not a forecast in JSON: <html>"),
     ("limit", "429 Too Many Requests: .*Minutely API request limit"),
@@ -98,9 +100,11 @@ def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypa
     assert fetcher.problem == ""
     before = file.read_text()
     server.fault = fault
-    if fault == "slow":
+    if "slow" in fault:
         monkeypatch.setattr(module, "_ANSWER_S", 0.5)
+    began = time.monotonic()
     waits = [fetcher.fetch() for _ in range(2)]
+    assert time.monotonic() - began < 6  # a slow head would take twice 8 s
     with pytest.raises(ServiceError, match=reason):
         raise ServiceError(fetcher.problem)
     assert waits == ([120, 120] if fault == "limit" else [60, 120])

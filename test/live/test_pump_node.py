@@ -30,6 +30,7 @@ from ros_rig import ERROR, LATE, OK, SUSPENDED, WARN, Observer
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from greenroof_ros.commands.pump_requests import _parse_future_time
 from greenroof_ros.common.times import to_people
 from greenroof_ros.live.devices.drive_file import find_drive_file
 from greenroof_ros.live.devices.endpoint import read_endpoint
@@ -369,6 +370,22 @@ def test_a_hold_is_kept_over_restarts_and_ends_automatically(rig: PumpRig) -> No
     code, output = command(rig, "release")
     assert (code, "hold" in output) == (0, False), output
     rig.run()
+
+
+def test_a_hold_until_an_hour_that_comes_twice_ends_at_the_later(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An hour that does not come ends after the gap; an offset from UTC leaves no doubt."""
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    for text, end in (
+        ("2036-10-26T02:30", "01:30"), ("2036-10-26T02:30+02:00", "00:30"),
+        ("2036-03-30T02:30", "01:30"), ("2036-10-26T03:30", "02:30"),
+    ):
+        parsed = datetime.fromtimestamp(_parse_future_time(text), timezone.utc)
+        assert f"{parsed:%H:%M}" == end, text
+    monkeypatch.undo()
+    time.tzset()
 
 
 def test_what_is_no_hold_is_refused(rig: PumpRig) -> None:
