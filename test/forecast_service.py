@@ -45,7 +45,8 @@ class ForecastService:
         fault: what is wrong now, and can be changed at any time: connections are "refused";
             answers are "slow" (a few bytes per second) or have a "slow head", are "truncated",
             "broken" (no JSON), a "limit" (429 Too Many Requests) or an "error" (503); a series has
-            the wrong "length"; every value is "missing"; the "clock" is a day behind. Without a fault it is "none".
+            the wrong "length"; every value is "missing"; the "clock" is a day behind. Without a
+            fault it is "none".
     """
 
     def __init__(self, site: Site, records: Records, start: datetime) -> None:

@@ -315,11 +315,19 @@ def _harmless() -> Iterator[Case]:
         yield Case(SITE, "use_sim_time", node, _RUNS_ON)
 
 
+# Signs of a disk on which nothing can be written; the pump runs on.
+DISK_SIGNS = (("recorder: recording", "not_recorded"), ("pump: state file", "state_not_kept"))
+
+
 def _records() -> Iterator[Case]:
     """Yield the cases of a full disk, and of a killed pump node whose state file is spoilt."""
     for target in ("moved away", "torn"):
         yield Case(SITE, "state file", target, Expected(
             bound="drive", signs=_pump("record_unknown"), recovery="latches"))
+    # A record that cannot be read keeps the pump off, and so does one that cannot be written.
+    for how, code in (("EIO", "record_unknown"), ("EROFS", "state_not_kept")):
+        yield Case(f"failing disk:{DRIVES[0]}", "failing disk", f"{how}, then kill", Expected(
+            bound="drive", signs=_pump(code), recovery="stays"))
     yield Case(f"full disk:{DRIVES[0]}", "full disk", "recorder", Expected(
         stops=False, bound="full disk", signs=(("recorder: recording", "not_recorded"),),
         watch=5.0))

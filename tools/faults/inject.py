@@ -15,9 +15,18 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 from faults.bounds import DRIVE_TIMEOUT_S
-from faults.cases import CHANGES, GAUGES, LEVELS, ROUNDS, Case
+from faults.cases import CHANGES, DISK_SIGNS, GAUGES, LEVELS, ROUNDS, Case
 from faults.players import HOSTILE, HUGE, OFF_S, ON_S
-from faults.rig import FullDiskRig, MqttRig, RelayRig, Rig, SiteRig, pump_node, wait
+from faults.rig import (
+    FailingDiskRig,
+    FullDiskRig,
+    MqttRig,
+    RelayRig,
+    Rig,
+    SiteRig,
+    pump_node,
+    wait,
+)
 from faults.truth import AT_REST
 from faults.watcher import Watcher
 from graphs import Process, environment, reserved_domain
@@ -140,6 +149,8 @@ def begin(rig: Rig, case: Case, rng: random.Random, undo: ExitStack) -> None:
             assert isinstance(rig, FullDiskRig)
             rig.fill()
             undo.callback(rig.free)
+        case "failing disk":
+            _failing_disk(rig, case.target.partition(",")[0])
         case "stuck for ever":
             pass  # the command is the same from the start
         case "from the start":
@@ -404,6 +415,16 @@ def _state_file(rig: Rig, fault: str) -> None:
             file.rename(file.with_name("pump.json.broken"))
         case "torn":
             file.write_bytes(file.read_bytes()[:5000])
+
+
+def _failing_disk(rig: Rig, how: str) -> None:
+    """Let the disk of the state fail: the pump runs on, until its node is killed."""
+    assert isinstance(rig, FailingDiskRig)
+    rig.fail_disk(how)
+    failed = time.monotonic()
+    wait(lambda: rig.signs(failed) >= set(DISK_SIGNS), 30, "the signs of a failing disk")
+    assert rig.truth.runs(), "the pump stopped because of a disk"
+    os.kill(rig.pids()["pump"], signal.SIGKILL)
 
 
 def _second(rig: Rig, case: Case, undo: ExitStack) -> None:

@@ -130,7 +130,8 @@ def _fault(rig: Rig, case: Case, rng: random.Random, outcome: Outcome) -> None:
     clock, printed = time.time(), len(rig.main.stderr())
     with ExitStack() as undo:
         begin(rig, case, rng, undo)
-        slow = ("dry", "power cycle, then kill", "unstoppable", "timeout rewritten")
+        slow = ("dry", "power cycle, then kill", "unstoppable", "timeout rewritten",
+                "failing disk")
         if case.fault in slow or case.fault.startswith("second"):
             began = time.monotonic()  # the fault took some time to begin
         if expected.stops:
@@ -190,7 +191,7 @@ def _signs(
         until += _END_S  # a node that waits in vain ends later than the pump stands
     elif case.fault == "from the start" or case.target.startswith("in another domain"):
         until += _LISTED_S
-    elif case.fault == "state file":
+    elif case.fault in ("state file", "failing disk"):
         until += _RECOVERY_S  # the node reads it when it is started again
     while missing := set(case.expected.signs) - rig.signs(began, alarms):
         if time.monotonic() > until:

@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 from brokers import Mosquitto, Talker
-from disks import fill, small_disk
+from disks import disk_that_fails, fill, small_disk
 from faults.bounds import DRIVE_TIMEOUT_S, LIMIT_S, RAMP_S
 from faults.cases import GAUGES, LEVELS, PLAYED, Sign
 from faults.line import Cable, Line
@@ -468,6 +468,19 @@ class FullDiskRig(SiteRig):
         self._disk.close()
 
 
+class FailingDiskRig(SiteRig):
+    """A live site whose state is on a disk that can fail."""
+
+    def bring_up(self) -> Process:
+        self._disk = ExitStack()
+        self.fail_disk = self._disk.enter_context(disk_that_fails(self.output))
+        return super().bring_up()
+
+    def __exit__(self, *failure: object) -> None:
+        super().__exit__(*failure)
+        self._disk.close()
+
+
 class PlayedRig(Rig):
     """A live site with external nodes for levels and weather, which the campaign plays."""
 
@@ -514,7 +527,7 @@ class PumpRig(Rig):
 
 RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
     "site": SiteRig, "mqtt": MqttRig, "relay": RelayRig, "gauged": GaugedRig,
-    "full disk": FullDiskRig, "played": PlayedRig, "pump": PumpRig,
+    "full disk": FullDiskRig, "failing disk": FailingDiskRig, "played": PlayedRig, "pump": PumpRig,
     # Water for half a minute.
     "dry": partial(SiteRig, cistern_m3=19.5),
     # A controller that uses all members of the forecast; an empty roof whose sensor reads -1 mm; no

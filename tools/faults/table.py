@@ -28,7 +28,9 @@ _ROWS = {
     "burst pipe, closed valve, leak, empty cistern, endless command": (
         "site", "dry", "stuck for ever",
     ),
-    "disk, state file, parameters": ("full disk", "state file", "4000 changes", "use_sim_time"),
+    "disk, state file, parameters": (
+        "full disk", "failing disk", "state file", "4000 changes", "use_sim_time",
+    ),
     "hostile messages, a second publisher, pump node, controller or bringup": (
         "10000 hostile", "intruder", "second",
     ),
