@@ -30,6 +30,7 @@ from pump_rig import settings_for
 from ros_rig import write_forecast
 
 from greenroof_ros.common.alarm_log import read_alarms
+from greenroof_ros.common.alarms import Alarm
 from greenroof_ros.live.devices.modbus_line import Address, parse_address
 from greenroof_ros.model.pump_speed import flow_at
 from greenroof_ros.model.site import Site, read_site
@@ -247,8 +248,14 @@ class Rig:
     def signs(self, since: float, alarms: int = 0) -> set[Sign]:
         """Return the signs on /diagnostics since a time, and of alarms from a number on."""
         return self._reported(since) | {
-            (alarm.name.lstrip("/"), alarm.code) for alarm in read_alarms(self.output)[alarms:]
+            (alarm.name.lstrip("/"), alarm.code) for alarm in self._recorded()[alarms:]
         }
+
+    def _recorded(self) -> list[Alarm]:
+        """Return the recorded alarms; none if the disk fails."""
+        with suppress(OSError):
+            return read_alarms(self.output)
+        return []
 
     def _reported(self, since: float) -> set[Sign]:
         """Return the signs since a time; a case's own watcher hears that case alone."""
@@ -259,7 +266,7 @@ class Rig:
 
     def alarms(self) -> int:
         """Return the number of recorded alarms so far."""
-        return len(read_alarms(self.output))
+        return len(self._recorded())
 
     def __enter__(self) -> Rig:
         return self
