@@ -71,15 +71,24 @@ def end_on_interrupt() -> None:
         signal.signal(signal.SIGINT, end_interrupted)
 
 
-# If this is imported as "python -m greenroof_ros...", whose name is before its arguments, or by an
-# executable of "ros2 run"; not in another program. The command does it itself.
-if sys.argv and (
-    sys.orig_argv[-len(sys.argv)].removeprefix("-m").partition(".")[0] == __name__
-    if sys.argv[0] == "-m" else sys.argv[0].split("/")[-3:-1] == ["lib", __name__]
-):
+# The program that Python starts, if it is of this package: the module after "python -m", whose name
+# is before its arguments, or an executable of "ros2 run". Otherwise empty.
+_PROGRAM = ""
+if sys.argv[:1] == ["-m"]:
+    _PROGRAM = sys.orig_argv[-len(sys.argv)].removeprefix("-m")
+elif sys.argv and sys.argv[0].split("/")[-3:-1] == ["lib", __name__]:
+    _PROGRAM = f"{__name__}.nodes.{sys.argv[0].rpartition('/')[2]}"
+_PROGRAM = _PROGRAM if _PROGRAM.partition(".")[0] == __name__ else ""
+# The command does it itself.
+if _PROGRAM:
     end_on_interrupt()
 
 # After it, as Ctrl-C may come at any time.
 from greenroof_ros.common.registration import register  # noqa: E402
 
 register()
+
+if _PROGRAM.split(".")[1:2] in (["nodes"], ["live"]) and not _PROGRAM.endswith(".greenroof"):
+    from greenroof_ros.graph.environment import end_without_ros
+
+    end_without_ros()

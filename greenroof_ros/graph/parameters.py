@@ -2,7 +2,7 @@
 
 rclpy silently ignores a parameter that a node has not declared, so a mistyped limit would have no
 effect. Here it is refused on a node's command line; :mod:`greenroof_ros.graph.parameter_file`
-refuses it in files.
+refuses it in files of bringup.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from rclpy.parameter import Parameter as RosParameter
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.parameter import Parameter, suggest_parameter
+from greenroof_ros.common.parameter_sections import read_sections
 from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import Site, read_site
 
@@ -158,7 +159,7 @@ def fix(node: Node, name: str, value: Any, reason: str) -> None:
 def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
     """Refuse a parameter on the command line that the node has not declared.
 
-    Files are not checked here, since a section of a file can be for several nodes.
+    In a file, only sections that end with the node's name are checked; others are for several.
 
     Args:
         node: the node, after it has declared all its parameters.
@@ -167,12 +168,25 @@ def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
     Raises:
         ConfigurationError: there is such a parameter.
     """
-    for option, assignment in pairwise(arguments):
-        qualified, _, value = assignment.partition(":=")
-        of, _, name = qualified.rpartition(":")
-        ours = of in ("", node.get_name()) and not name.startswith("qos_overrides.")
-        if option in ("-p", "--param") and ours and not node.has_parameter(name):
+    own, known = node.get_name(), node.get_parameters_by_prefix("")
+
+    def refuse(name: str, value: object, **place: Any) -> None:
+        if name not in known and not name.startswith("qos_overrides."):
             raise ConfigurationError(
-                f"{suggest_parameter(name, node.get_parameters_by_prefix(''))}; --help lists all",
-                key=f"parameter {name} of {node.get_name()}", value=value,
+                f"{suggest_parameter(name, known)}; --help lists all",
+                key=f"parameter {name} of {own}", value=value, **place,
             )
+
+    for option, text in pairwise(arguments):
+        if option in ("-p", "--param"):
+            qualified, _, value = text.partition(":=")
+            of, _, name = qualified.rpartition(":")
+            if of in ("", own):
+                refuse(name, value)
+        elif option == "--params-file":
+            for section in read_sections(Path(text)):
+                if section.applies_to(node.get_fully_qualified_name()) and (
+                    section.name.rpartition("/")[2] == own
+                ):
+                    for name, value in section.values.items():
+                        refuse(name, value, file=text, line=section.lines[name])

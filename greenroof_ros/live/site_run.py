@@ -72,7 +72,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         name: node.module for node in site.nodes(state) for name in node.nodes
     }
     with require_ros():
-        user_files = node_parameter_files(arguments, modules, site.controller)
+        user_files = node_parameter_files(arguments, modules, site.controller, site.parameters)
     with (
         lock_namespace(arguments.namespace),
         _state_directory(state) as state,

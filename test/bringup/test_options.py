@@ -127,7 +127,8 @@ NODES = {
 def parameters(file: Path) -> list[Path]:
     """Return the parameter files that bringup with a drive makes from one."""
     arguments = make_parser().parse_args(["--namespace", "site1", "--node-parameters", str(file)])
-    return node_parameter_files(arguments, NODES, find_controller("onoff"))
+    given = {"fraction": 0.9, "level": 1.0}
+    return node_parameter_files(arguments, NODES, find_controller("onoff"), given)
 
 
 _ONLY_BRINGUP = "must not be given to the node pump"
@@ -140,6 +141,15 @@ NO_EFFECT = {
     "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
         "line 3: site1/plant: speed = 60.0: must not be given to the node plant here: under "
         "bringup --speed sets it",
+    # The summary has what the options say.
+    "/**:\n  ros__parameters:\n    level: 1\n    fraction: 0.5\n":
+        "line 4: /**: fraction = 0.5: must not be given to the node onoff here: under bringup "
+        "--fraction sets it",
+    "/site1/plant:\n  ros__parameters:\n    run_length: 4\n":
+        "line 3: /site1/plant: run_length = 4: must not be given to the node plant here: under "
+        "bringup an option of greenroof run sets it",
+    "/plant:\n  ros__parameters:\n    record: true\n":
+        "line 1: /plant: bringup starts no such node; the closest is /**/plant; it starts /site1/",
     "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    max_volume_per_dai: 0.5\n":
         "line 4: /**/pump: max_volume_per_dai = 0.5: there is no such parameter; the closest "
         "is max_volume_per_day;",
@@ -162,6 +172,26 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
         parameters(file)
     assert str(error.value).startswith(f"{file}, {NO_EFFECT[text]}")
     assert [file.name for file in tmp_path.iterdir()] == ["nodes.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("rule", "words"),
+    [
+        ("-r __node:=a", "must not rename or move a node of a run"),
+        ("-r plant:__ns:=/a", "must not rename or move a node of a run"),
+        ("--remap a", "Couldn't parse remap rule"),
+        ("-p plant:speed:=4", "is not a parameter of the controller's node, onoff"),
+        ("-p weight:=4", "is not a parameter of the controller's node, onoff"),
+        ("--params-file a.yaml", "by --parameters FILE, others by --node-parameters FILE"),
+        ("--log-level loud", "Couldn't parse log level"),
+        ("--nonsense", "--ros-args: ['--nonsense']"),
+    ],
+)
+def test_ros_arguments_that_do_not_fit_a_run(rule: str, words: str, tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    done = bringup(tmp_path, "--controller", "onoff", "--ros-args", *rule.split())
+    assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
+    assert words in done.stderr
 
 
 def test_a_drive_of_another_program_is_left_to_it() -> None:

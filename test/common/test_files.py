@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from refusals import refusal
 
 from greenroof_ros.common.command_line import refuse_unwritable
 from greenroof_ros.common.files import read_ros_parameters, read_yaml
+from greenroof_ros.common.parameter_sections import read_sections
 
 VALUES = (
     "on", "off", "yes", "Y", "n", "True", "tRUE", "010", "-010", "08", "0x1F", "0x1p3", "0o17",
@@ -36,14 +38,15 @@ def written(directory: Path, *values: str) -> Path:
 
 
 @contextmanager
-def node_with(file: Path, domain: int) -> Iterator[Any]:
+def node_with(file: Path, domain: int, namespace: str = "/") -> Iterator[Any]:
     """A node that has read a parameter file by rcl."""
     rclpy = pytest.importorskip("rclpy", reason="rcl comes with ROS 2")
     from rclpy.node import Node
 
     context = rclpy.Context()
     rclpy.init(
-        args=["--ros-args", "--params-file", str(file)], context=context, domain_id=domain
+        args=["--ros-args", "--params-file", str(file), "-r", f"__ns:={namespace}"],
+        context=context, domain_id=domain,
     )
     try:
         node = Node(
@@ -84,6 +87,31 @@ def test_values_that_rcl_refuses(value: str, tmp_path: Path, domain: int) -> Non
         node_with(file, domain),
     ):
         pass
+
+
+SECTIONS = ("/**", "reader", "/reader", "/**/reader", "/*/reader", "/*", "/x/**", "/x/reader", "y")
+
+
+@pytest.mark.parametrize("namespace", ["/", "/x", "/x/y"])
+def test_sections_apply_to_nodes_as_rcl_applies_them(
+    namespace: str, tmp_path: Path, domain: int
+) -> None:
+    """Two sections at a time, in both orders, one in a namespace; groups become dots."""
+    file = tmp_path / "parameters.yaml"
+    for first, second in permutations(SECTIONS, 2):
+        file.write_text(
+            f"{first}:\n  ros__parameters: {{a: 1, b: {{c: {{d: 2}}}}}}\n"
+            f"{second}:\n  ros__parameters: {{a: 3}}\n"
+            "x:\n  reader:\n    ros__parameters: {e: 4}\n"
+        )
+        given = dict[str, Any]()
+        for section in read_sections(file):
+            if section.applies_to(f"{namespace.rstrip('/')}/reader"):
+                given |= section.values
+        with node_with(file, domain, namespace) as node:
+            known = node.get_parameters_by_prefix("").items()
+            theirs = {name: value.value for name, value in known if name[1:2] in ("", ".")}
+        assert given == theirs, (first, second)
 
 
 def test_numbers_of_yaml_1_2(tmp_path: Path) -> None:

@@ -34,10 +34,54 @@ def test_a_file_for_all_nodes(tmp_path: Path) -> None:
     assert paper_run(*given, "--weight", "0.5").parameters["weight"] == 0.5
 
 
+DUMP = """{}/onoff:
+  ros__parameters:
+    fraction: 0.5
+    level: 1
+    qos_overrides:
+      /parameter_events:
+        publisher:
+          depth: 1000
+          durability: volatile
+    site_file: /runs/1/configuration/site.yaml
+    start_type_description_service: true
+    use_sim_time: true
+"""
+
+
+def test_a_dump_of_a_node(tmp_path: Path) -> None:
+    """As ``ros2 param dump`` writes it; it is for the node of that namespace alone, as in ROS."""
+    file, onoff = tmp_path / "dump.yaml", find_controller("onoff")
+    for namespace, other in (("", "/x"), ("/x", ""), ("/x", "/x/y")):
+        file.write_text(DUMP.format(namespace))
+        assert onoff.read_parameters(file, namespace) == {"fraction": 0.5, "level": 1.0}
+        with pytest.raises(ConfigurationError, match=f"is not for the node {other}/onoff$"):
+            onoff.read_parameters(file, other)
+
+
+def test_all_sections_of_a_node_count(tmp_path: Path) -> None:
+    """The last one wins, as in rcl."""
+    file = tmp_path / "mine.yaml"
+    file.write_text(
+        "/**:\n  ros__parameters: {fraction: 0.5, level: 0.9}\n"
+        "/x:\n  onoff:\n    ros__parameters: {level: 0.8}\n"
+    )
+    onoff = find_controller("onoff")
+    assert onoff.read_parameters(file) == {"fraction": 0.5, "level": 0.9}
+    assert onoff.read_parameters(file, "/x") == {"fraction": 0.5, "level": 0.8}
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("onoff", "mpc: {}\n", r"must hold '/\*\*/onoff:' and in it 'ros__parameters:'"),
+        (
+            "onoff", "mpc: {ros__parameters: {weight: 1.0}}\n",
+            r"must hold '/\*\*/onoff:' and in it 'ros__parameters:'; it has mpc, which is not",
+        ),
+        (
+            "onoff", "onoff: {ros__parameters: {level_limit: 3.0}}\n",
+            r"level_limit: is not a parameter of onoff; give it by --node-parameters",
+        ),
         (
             "onoff", "/**/onoff:\n  ros__parameters:\n    weight: 1.0\n",
             r"mine.yaml, line 3: weight: is not a parameter of onoff; choose from fraction",

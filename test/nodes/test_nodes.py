@@ -114,6 +114,8 @@ REFUSED = {
     "nodes.plant --ros-args -p initial_roof_volume:=250.0":
         ("at most 159.96 m3", "250 mm is 17.2 m3"),
     "nodes.plant --ros-args -p speed": ("-p speed",),
+    "nodes.plant --ros-args --params-file wrong.yaml":
+        ("wrong.yaml, line 2: parameter run_lenght of plant = 4: ", "the closest is run_length"),
     "live.recorder --ros-args -p use_sim_time:=true": ("use_sim_time", "must be false"),
     "nodes.weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
     "live.weather --ros-args -p forecast:=perfect":
@@ -144,6 +146,7 @@ def test_what_is_refused(domain: int, tmp_path: Path, command: str) -> None:
         ("sensors_mqtt.yaml", "login.yaml", "# login: /etc", "login: /no"),
     ):
         (tmp_path / name).write_text((CONFIG / file).read_text().replace(old, new))
+    (tmp_path / "wrong.yaml").write_text("/**/plant:\n  ros__parameters: {run_lenght: 4}\n")
     done = run_command(*command.split(), cwd=tmp_path, env=environment(domain))
     assert done.returncode == 2, done.stderr
     # The parameters are known only after the node exists, which may have logged something.

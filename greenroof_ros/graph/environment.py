@@ -1,0 +1,121 @@
+"""Checks the environment that ROS 2 is loaded from, before it is loaded.
+
+With a wrong one ROS ends the process by itself, raises an error that names no remedy, or silently
+takes another value, with which messages may leave the machine.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from xml.etree import ElementTree
+
+from greenroof_ros.common.command_line import EXIT_USAGE
+from greenroof_ros.common.errors import ConfigurationError, describe_choices, describe_extra
+from greenroof_ros.common.ranges import Range
+
+DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""name the profiles file; Fast DDS 3 (ROS 2 Kilted) has the second, and warns of the first"""
+_RANGES = ("LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")
+_MIDDLEWARE = "RMW_IMPLEMENTATION"
+_PACKAGES = (
+    "rclpy", "rcl_interfaces", "builtin_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs",
+    "diagnostic_msgs",
+)
+# Above it a domain's ports overlap the system's ephemeral ports.
+_LAST_DOMAIN = 101
+
+
+def check_environment() -> None:
+    """Check that ROS 2 can be loaded, and means what the environment says.
+
+    Raises:
+        ConfigurationError: ROS 2 is missing, is compiled for another Python, or lacks the
+            middleware that a variable names; or another variable has a value that ROS would not
+            take.
+    """
+    _check_ros()
+    read_domain()
+    scope = os.environ.get(DISCOVERY)
+    if scope and scope not in _RANGES:
+        raise ConfigurationError(describe_choices(_RANGES, scope), key=DISCOVERY, value=scope)
+    for variable in PROFILES:
+        if profiles := os.environ.get(variable):
+            _check_profiles(variable, profiles)
+
+
+def end_without_ros() -> None:
+    """End this process, a node's, in one line with exit code 2 if ROS 2 cannot be loaded."""
+    try:
+        _check_ros()
+    except ConfigurationError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(EXIT_USAGE)
+
+
+def read_domain() -> int:
+    """Return the ROS domain.
+
+    Raises:
+        ConfigurationError: it is no number that has ports, or one that ROS reads as octal.
+    """
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not re.fullmatch("0|[1-9][0-9]{0,2}", text) or int(text) > _LAST_DOMAIN:
+        raise ConfigurationError(
+            Range(0, _LAST_DOMAIN, whole=True).expected(), key="ROS_DOMAIN_ID", value=text
+        )
+    return int(text)
+
+
+def _check_ros() -> None:
+    if "rclpy" not in sys.modules:
+        _check_packages()
+        _check_middleware()
+
+
+def _check_packages() -> None:
+    ours = sysconfig.get_config_var("SOABI")
+    for package in _PACKAGES:
+        spec = importlib.util.find_spec(package)
+        if spec is None or spec.origin is None:
+            raise ConfigurationError(
+                f"there is no ROS 2 here: source yours, or {describe_extra('ros')}; "
+                f"greenroof simulate needs none (No module named {package!r})"
+            )
+        directory = Path(spec.origin).parent
+        others = {file.name.split(".")[1] for file in directory.glob("*.cpython-*.so")}
+        if others and ours not in others:
+            raise ConfigurationError(
+                f"is compiled for {', '.join(sorted(others))}, but this Python, {sys.executable}, "
+                f"is {ours}: use the Python of that ROS 2; or, in a shell in which none is sourced "
+                f"(unset PYTHONPATH AMENT_PREFIX_PATH LD_LIBRARY_PATH), {describe_extra('ros')}",
+                file=directory,
+            )
+
+
+def _check_middleware() -> None:
+    """Let another process load ROS: rcl ends one whose middleware is missing."""
+    name = os.environ.get(_MIDDLEWARE)
+    if name and subprocess.run(
+        [sys.executable, "-c", "import rclpy"], capture_output=True, check=False
+    ).returncode:
+        raise ConfigurationError(
+            "this ROS 2 has no such middleware (from PyPI it has rmw_fastrtps_cpp alone): install "
+            f"it, or unset {_MIDDLEWARE}", key=_MIDDLEWARE, value=name,
+        )
+
+
+def _check_profiles(variable: str, file: str) -> None:
+    try:
+        ElementTree.parse(file)  # noqa: S314 - the user's own file
+    except (OSError, ElementTree.ParseError) as error:
+        raise ConfigurationError(
+            f"must be a file of Fast DDS profiles, in XML ({error}); with another, all interfaces "
+            "would be used", key=variable, value=file,
+        ) from None
