@@ -89,6 +89,6 @@ from greenroof_ros.common.registration import register  # noqa: E402
 register()
 
 if _PROGRAM.split(".")[1:2] in (["nodes"], ["live"]) and not _PROGRAM.endswith(".greenroof"):
-    from greenroof_ros.graph.environment import end_without_ros
+    from greenroof_ros.common.ros_environment import end_without_ros
 
     end_without_ros()

@@ -20,7 +20,7 @@ from typing import Any
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError, describe_extra
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import LockedError, acquire_name_lock
-from greenroof_ros.graph.environment import DISCOVERY, PROFILES, check_environment, read_domain
+from greenroof_ros.common.ros_environment import DISCOVERY, PROFILES, check_environment, read_domain
 
 # Used in all profiles files: how long the others know a killed process (s). In lockstep, a node
 # stopped for longer than this is discovered a second time, and its recent messages come twice.
@@ -68,7 +68,7 @@ def choose_transport() -> None:
     ``SYSTEM_DEFAULT`` is set instead, with a profiles file that binds all sockets to loopback.
 
     Raises:
-        ConfigurationError: see :func:`greenroof_ros.graph.environment.check_environment`.
+        ConfigurationError: see :func:`greenroof_ros.common.ros_environment.check_environment`.
     """
     check_environment()
     import rclpy

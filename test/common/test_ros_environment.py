@@ -12,7 +12,7 @@ from refusals import refusal
 
 pytest.importorskip("rclpy", reason="it is about ROS 2")
 
-from greenroof_ros.graph.environment import check_environment
+from greenroof_ros.common.ros_environment import check_environment
 
 RUN = "greenroof_ros run --hours 0.01"
 NODE = "greenroof_ros.nodes.plant"
