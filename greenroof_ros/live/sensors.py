@@ -90,8 +90,9 @@ class SensorNode(LiveNode):
             if reading.value is not None:
                 # An empty tank or a stopped pump reads slightly below 0: noise, or a shifted zero.
                 self.publish(self._topic, max(reading.value, self._lowest))
+            problem = Diagnosis.if_any(reading.code, reading.problem)
             self.reports.diagnose(
-                self._part, Diagnosis.if_any(reading.code, reading.problem), "the sensor is read",
+                self._part, self._reader.share.diagnosis or problem, "the sensor is read",
                 self._level,
             )
 

@@ -13,7 +13,7 @@ from greenroof_ros.live.devices.modbus_line import (
     ModbusLine,
     decode,
 )
-from greenroof_ros.live.devices.readings import Reading, Readings
+from greenroof_ros.live.devices.readings import Reading, Readings, RefusedShare
 from greenroof_ros.live.devices.sensor_file import ModbusSensor
 
 # Longest wait for a connection, and for each answer (s).
@@ -125,6 +125,11 @@ class ModbusReader:
             self._reading = self._readings.current(self._reading)
             return self._reading
 
+    @property
+    def share(self) -> RefusedShare:
+        """How many of its readings were refused."""
+        return self._readings.share
+
     def start(self) -> None:
         """Start its line; see :meth:`SensorLine.start`."""
         self._line.start()
@@ -147,7 +152,7 @@ class ModbusReader:
 
     def report_failure(self, problem: str) -> None:
         """Report that a reading failed, and why."""
-        self._readings.clear()
+        self._readings.clear(problem)
         self._set_reading(Reading(time.monotonic(), problem))
 
     def _set_reading(self, reading: Reading) -> None:

@@ -11,7 +11,7 @@ import time
 import uuid
 
 from greenroof_ros.common.mqtt import make_client, value_at
-from greenroof_ros.live.devices.readings import Reading, Readings
+from greenroof_ros.live.devices.readings import Reading, Readings, RefusedShare
 from greenroof_ros.live.devices.sensor_file import MqttSensor
 
 # Longest message of a sensor that is accepted (bytes).
@@ -96,6 +96,11 @@ class MqttReader:
             self._reading = self._readings.current(self._reading)
             return self._reading
 
+    @property
+    def share(self) -> RefusedShare:
+        """How many of its readings were refused."""
+        return self._readings.share
+
     def start(self) -> None:
         """Connect, and start the client's thread."""
         self._client.loop_start()
@@ -137,5 +142,5 @@ class MqttReader:
         self._reading = Reading(now, "", value)
 
     def _report_failure(self, why: str, code: str = "sensor_lost") -> None:
-        self._readings.clear()
+        self._readings.clear(why)
         self._reading = Reading(time.monotonic(), f"{self._sensor.address}: {why}", code=code)

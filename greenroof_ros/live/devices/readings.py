@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import statistics
+import time
 from collections import deque
 from dataclasses import dataclass, replace
 
+from greenroof_ros.common.conditions import Diagnosis, read_conditions
 from greenroof_ros.common.times import suspended_time
 from greenroof_ros.live.devices.modbus_line import DeviceSnapshot
 from greenroof_ros.live.devices.sensor_file import Sensor
@@ -14,6 +16,9 @@ from greenroof_ros.live.devices.total import Total
 
 # After a suspend longer than this (s), earlier readings are too old.
 _SUSPEND_S = 1.0
+# A sensor is unreliable if in a minute (s) at least this many of its readings, and more than this
+# share, were refused.
+_WINDOW_S, _MIN_REFUSED, _MAX_SHARE = 60.0, 5, 0.1
 
 
 @dataclass(frozen=True)
@@ -31,12 +36,60 @@ class Reading(DeviceSnapshot):
     code: str = "sensor_lost"
 
 
+class RefusedShare:
+    """Counts the refused readings of each minute: between good ones, none lasts until an alarm.
+
+    What lasts that long is an alarm of its own, so it does not count.
+    """
+
+    def __init__(self) -> None:
+        """Begin the first minute."""
+        self._all = self._refused = 0
+        self._why = ""  # the last refusal
+        self._began, self._refused_since = time.monotonic(), math.inf
+        self._lasts = read_conditions()["sensor_lost"].lasts
+        self._diagnosis: Diagnosis | None = None
+
+    def count(self, why: str = "") -> None:
+        """Count a reading that was refused for a reason; a good one has none."""
+        now = time.monotonic()
+        if why:
+            self._refused_since, self._why = min(self._refused_since, now), why
+        else:
+            if now - self._refused_since > self._lasts:
+                self._all = self._refused = 0
+            self._refused_since = math.inf
+        self._all += 1
+        self._refused += bool(why)
+        ends = now - self._began >= _WINDOW_S
+        if ends or self._diagnosis is None:  # so its numbers change, and are logged, once a minute
+            self._diagnosis = self._judge()
+        if ends:
+            self._began, self._all, self._refused = now, 0, 0
+
+    def _judge(self) -> Diagnosis | None:
+        if not max(_MIN_REFUSED, _MAX_SHARE * self._all) <= self._refused < self._all:
+            return None
+        return Diagnosis.of(
+            "readings_refused", refused=self._refused, readings=self._all, why=self._why
+        )
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """That too many were refused between good ones; None if that is not so."""
+        lost = time.monotonic() - self._refused_since > self._lasts
+        return None if lost else self._diagnosis
+
+
 class Readings:
     """The last readings of a sensor; the quantity is their median.
 
     A median leaves single wrong readings out; a first-order filter would spread them over many
     readings. It follows a steady movement of the level, late by half its readings, and keeps the
     start of the movement sharp. Levels of tanks are slow enough for that delay.
+
+    Attributes:
+        share: how many of the readings were refused.
     """
 
     def __init__(self, sensor: Sensor, unit: str, spread_s: float = math.inf) -> None:
@@ -51,12 +104,14 @@ class Readings:
         self._values: deque[float] = deque(maxlen=sensor.median)
         self._total = Total(sensor, unit, spread_s) if sensor.counts else None
         self._suspended = suspended_time()
+        self.share = RefusedShare()
 
-    def clear(self) -> None:
-        """Forget all readings: the next value then comes from new ones only.
+    def clear(self, why: str) -> None:
+        """Forget all readings for a reason: the next value then comes from new ones only.
 
         A total is no such reading: its growth since then has come from the sky or through the pipe.
         """
+        self.share.count(why)
         self._values.clear()
         if self._total is not None:
             self._total.sensor_lost()
@@ -66,7 +121,7 @@ class Readings:
         before, self._suspended = self._suspended, suspended_time()
         if self._suspended - before <= _SUSPEND_S:
             return False
-        self.clear()
+        self.clear("the machine was suspended")
         return True
 
     def add(self, raw: float) -> float | None:
@@ -84,6 +139,7 @@ class Readings:
             raise ValueError(f"reports {raw}, which is not a number")
         if self._total is not None:
             self._total.add(raw)
+            self.share.count()
             return self._total.rate()
         if not sensor.low <= value <= sensor.high:
             raise ValueError(
@@ -91,6 +147,7 @@ class Readings:
                 f"to {sensor.high:g} {self._unit}"
             )
         self._values.append(value)
+        self.share.count()
         return statistics.median_low(self._values)
 
     def current(self, reading: Reading) -> Reading:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import closing, suppress
-from itertools import chain, pairwise, repeat
+from itertools import chain, cycle, islice, pairwise, repeat
 from pathlib import Path
 
 import pytest
@@ -111,6 +111,37 @@ def test_no_level_of_before_a_suspend_counts_after_it(monkeypatch: pytest.Monkey
     slept = chain([0.0] * 4, repeat(3600.0))  # the first call is before any reading
     monkeypatch.setattr(readings, "suspended_time", lambda: next(slept))
     assert levels(["2710"] * 3 + ["9C40"] * 2, median=3) == [1.0, 1.0, 1.0, 4.0, 4.0]
+
+
+GOOD, BAD = True, False
+
+
+@pytest.mark.parametrize(
+    ("stretches", "refused"),
+    [
+        ([(59, 1.0, [BAD, GOOD])], 5),  # of the first nine
+        ([(60, 1.0, [BAD, GOOD])], 30),  # the first minute is over
+        ([(5, 0.05, [*20 * [BAD], GOOD])], 20),  # at once
+        ([(180, 1.0, [*19 * [GOOD], BAD])], None),  # one in twenty is no tenth
+        ([(40, 1.0, [BAD]), (20, 1.0, [GOOD])], None),  # it was lost, which is an alarm of its own
+        ([(60, 1.0, [BAD, GOOD]), (5, 1.0, [BAD])], None),  # likewise, now
+        ([(60, 1.0, [BAD, GOOD]), (130, 1.0, [GOOD])], None),  # it is mended
+        ([(2, 0.1, [BAD])], None),  # none is good: it may be lost
+    ],
+)
+def test_too_many_refused_readings(
+    monkeypatch: pytest.MonkeyPatch, stretches: list[tuple[float, float, list[bool]]],
+    refused: int | None,
+) -> None:
+    """More than a tenth of a minute's, and five: for how long (s), and what comes in a period."""
+    now = 1000.0
+    monkeypatch.setattr(readings.time, "monotonic", lambda: now)
+    share = readings.RefusedShare()
+    for seconds, period, pattern in stretches:
+        for good in islice(cycle(pattern), round(seconds / period)):
+            now += period
+            share.count("" if good else "reports nonsense")
+    assert (share.diagnosis and share.diagnosis.values["refused"]) == refused
 
 
 def test_a_sensor_that_comes_and_goes_is_read_while_it_is_there() -> None:
