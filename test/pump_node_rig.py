@@ -105,9 +105,11 @@ class PumpRig:
     def publish(self, name: str, value: float) -> None:
         self._publishers[name].publish(Float64(data=float(value)))
 
-    def send_nonsense(self) -> None:
-        """Publish a truncated command."""
-        self._publishers["/pump/command"].publish(b"\x00\x01\x00\x00\x00")
+    def send_malformed(self, name: str, *messages: bytes) -> None:
+        """Publish bytes that are no message of a topic; the node takes only the newest of many."""
+        for message in messages:
+            self._publishers[name].publish(message)
+            time.sleep(0.1)
 
     def tick(self, command: float) -> float:
         """Publish the inputs of a tick, and return the newest flow at its end."""

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,8 @@ from rclpy.node import Node
 from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.common.files import read_yaml
 from greenroof_ros.common.interface import read_live_topics, read_topics
-from greenroof_ros.graph.messages import message_class, qos_profile
+from greenroof_ros.graph.errors import MalformedMessageError
+from greenroof_ros.graph.messages import deserialize, message_class, qos_profile
 
 OK, WARN, ERROR, STALE = b"\x00", b"\x01", b"\x02", b"\x03"
 TAU = 0.2
@@ -106,13 +107,14 @@ class Observer:
         self.diagnoses: dict[str, DiagnosticStatus] = {}
         self.messages: list[str] = []
         self.node.create_subscription(
-            DiagnosticArray, "/diagnostics", self._on_diagnostics, qos("/diagnostics")
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, qos("/diagnostics"), raw=True
         )
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            self.diagnoses[status.name] = status
-            self.messages.append(status.message)
+    def _on_diagnostics(self, message: bytes) -> None:
+        with suppress(MalformedMessageError):
+            for status in deserialize(DiagnosticArray, message).status:
+                self.diagnoses[status.name] = status
+                self.messages.append(status.message)
 
     def start(
         self, command: str, *, popen: dict[str, Any] | None = None, **parameters: object

@@ -70,7 +70,10 @@ class NodeDiagnostics:
         if "failure" in values:
             level, code = DiagnosticStatus.ERROR, "node_failed"
         elif values["warnings"]:
-            level, code = DiagnosticStatus.WARN, "input_publishers"
+            refused = values.get("refused")
+            level, code = DiagnosticStatus.WARN, (
+                "values_refused" if refused else "input_publishers"
+            )
         elif self.state == STARTING:
             code = "peers_awaited"
         if code != self._code:

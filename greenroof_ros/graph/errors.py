@@ -12,6 +12,10 @@ class LockstepError(Exception):
     """The graph cannot go on; the message names the topic and the node."""
 
 
+class MalformedMessageError(Exception):
+    """The bytes of a message are none of its topic's type."""
+
+
 def describe(error: Exception) -> str:
     """Return an unexpected error as one line: its type, its message and its place in the code."""
     if isinstance(error, HangError):

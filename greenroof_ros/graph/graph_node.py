@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from greenroof_ros.common.files import as_started
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.states import ENDED, STARTING
 from greenroof_ros.graph.diagnostics import NodeDiagnostics
-from greenroof_ros.graph.errors import LockstepError, describe
+from greenroof_ros.graph.errors import LockstepError, MalformedMessageError, describe
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import encoder, message_class, qos_profile
 from greenroof_ros.graph.parameters import declare, site_file
@@ -39,6 +40,7 @@ class GraphNode(Node):
         role: its role in the interface: its name, or ``controller``.
         failure: the error after which the node cannot go on; None if there is none.
         on_failure: called when there is such an error.
+        malformed: how many messages were dropped as malformed, by topic.
         inputs: the topics that it acts on, by name in the interface.
         interface: every topic of the graph, by name.
         reports: reports the node's state.
@@ -66,6 +68,8 @@ class GraphNode(Node):
         self.role = role
         self.failure: Exception | None = None
         self.on_failure: Callable[[], None] = lambda: None
+        self.malformed = Counter[str]()
+        self._malformed: list[str] = []  # a sentence on the first of each topic
         self.interface = interface
         self.inputs: dict[str, Input] = {}
         self.warnings: list[str] = []
@@ -123,12 +127,23 @@ class GraphNode(Node):
         self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
         events: SubscriptionEventCallbacks | None = None,
     ) -> None:
-        """Pass each serialised message of a topic to a callback, and keep its error."""
+        """Pass each serialised message of a topic to a callback, and keep its error.
+
+        A malformed message is dropped and counted, since any program may publish on the topic.
+        """
 
         def guarded(message: bytes) -> None:
             """Keep an error for the run: the executor would print it with a traceback."""
             try:
                 callback(message)
+            except MalformedMessageError as error:
+                self.malformed[topic.name] += 1
+                if self.malformed[topic.name] == 1:
+                    self._malformed.append(
+                        f"dropped a malformed message on {topic.name} ({error}); further ones are "
+                        "only counted"
+                    )
+                    self.get_logger().warning(self._malformed[-1])
             except Exception as error:
                 self.fail(error)
 
@@ -182,8 +197,9 @@ class GraphNode(Node):
     def report_state(self, **values: Any) -> None:
         """Report the node's state with further values."""
         waiting = {} if self.ready else {"waiting": list(self.absent())}
-        refused = {name: entry.refused for name, entry in self.inputs.items() if entry.refused}
+        refused = {name: entry.refused for name, entry in self.inputs.items()}
         self.reports.publish({
-            **self._site_file, **values, **self.progress(), **waiting, "refused": refused,
-            "warnings": self.warnings, **self._final,
+            **self._site_file, **values, **self.progress(), **waiting,
+            "refused": +(Counter(refused) + self.malformed),
+            "warnings": self.warnings + self._malformed, **self._final,
         })

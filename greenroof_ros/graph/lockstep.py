@@ -18,12 +18,15 @@ and the plant is at most 32 ticks ahead of the recorder. These end a run:
   tick's own message comes; after the last tick, any message ends the run. A message that only the
   recorder misses shows in its count.
 
+A malformed message is dropped: the tick still awaits its own.
+
 The plant publishes ``/run`` before the first tick: N, with which every node knows its last tick. No
 timer or sleep delays a tick. Wall clocks only end a run that hangs.
 """
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable
 from typing import NamedTuple
@@ -88,6 +91,7 @@ class Lockstep:
 
         def receive(message: bytes) -> None:
             """Keep a message, and act if it was the last one awaited."""
+            entry.receive(message)
             if name not in awaited:
                 kind = LockstepError if self.tick else OccupiedError
                 raise kind(
@@ -95,7 +99,6 @@ class Lockstep:
                     f"({self._publishers_of(name)}); another publisher, or nodes from an earlier "
                     "run, are in this graph"
                 )
-            entry.receive(message)
             awaited.discard(name)
             if not awaited:
                 self.act()
@@ -118,10 +121,10 @@ class Lockstep:
             LockstepError: this is another run, so this node's run has ended; the plant is of
                 another version; or a message arrived after the last tick.
         """
-        if len(values) != len(RunIdentity._fields):
+        if len(values) != len(RunIdentity._fields) or not all(map(math.isfinite, values)):
             raise LockstepError(
-                f"{RUN} has {len(values)} numbers, not {len(RunIdentity._fields)}: the plant is "
-                "of another version"
+                f"{RUN} has {len(values)} numbers, not {len(RunIdentity._fields)} finite ones: the "
+                "plant is of another version"
             )
         before, self.run = self.run, RunIdentity(*values)
         if before not in (None, self.run):

@@ -5,7 +5,8 @@ encoded and decoded here, in a third of the time of the generated code of the me
 first makes a Python object for each field. The generated code also leaves the padding of a message
 uninitialised; here it is 0, so two equal runs give equal bags. Everything is written little-endian,
 like every machine that ROS 2 runs on. Other messages, such as big-endian ones or those with a
-layout, are decoded by the generated code.
+layout, are decoded by the generated code. A publisher may send any bytes: what is no message of the
+type is a :class:`~greenroof_ros.graph.errors.MalformedMessageError`, and nothing else.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import math
 import struct
 from array import array
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -27,7 +29,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64, Float64MultiArray, String
 
 from greenroof_ros.common.interface import Qos
-from greenroof_ros.graph.errors import LockstepError
+from greenroof_ros.graph.errors import MalformedMessageError
 
 _HEADER = b"\x00\x01\x00\x00"  # little-endian, no options
 _NUMBER = struct.Struct("<4sd")
@@ -115,27 +117,66 @@ def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any],
 
 
 def decoder(type_name: str) -> Callable[[bytes], Any]:
-    """Return a function that reads the value from a message of a type; see :func:`encoder`."""
+    """Return a function that reads the value from a message of a type; see :func:`encoder`.
+
+    The value of a type that has no encoder is the message itself. The function raises
+    MalformedMessageError.
+    """
     return {
         "std_msgs/msg/Float64": _decode_number,
         "std_msgs/msg/Float64MultiArray": lambda message: decode_numbers(message).values,
         "rosgraph_msgs/msg/Clock": decode_clock,
-    }[type_name]
+    }.get(type_name, partial(deserialize, message_class(type_name)))
+
+
+def pass_whole(type_name: str, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    """Return a function that passes on the bytes of a message if they are one of a type."""
+    decode = decoder(type_name)
+
+    def receive(message: bytes) -> None:
+        decode(message)
+        callback(message)
+
+    return receive
+
+
+def deserialize(kind: Any, message: bytes, size: int | None = None) -> Any:
+    """Return a message of a class.
+
+    Args:
+        kind: the class.
+        message: its bytes.
+        size: how many they must be; None for any number.
+
+    Raises:
+        MalformedMessageError: they are no such message.
+    """
+    with suppress(Exception):  # of the middleware, or of the class
+        if size in (None, len(message)):
+            return deserialize_message(message, kind)
+    raise MalformedMessageError(f"{len(message)} bytes are no {kind.__name__}")
 
 
 def _decode_number(message: bytes) -> float:
     if len(message) == _NUMBER.size and message.startswith(_HEADER):
         return float(_NUMBER.unpack(message)[1])
-    return float(deserialize_message(message, Float64).data)
+    return float(deserialize(Float64, message, _NUMBER.size).data)
 
 
 def decode_clock(message: bytes) -> int:
-    """Return the time of a clock message (ns since 1970)."""
+    """Return the time of a clock message (ns since 1970).
+
+    Raises:
+        MalformedMessageError: it is none, or its time is before 1970.
+    """
     if len(message) == _CLOCK.size and message.startswith(_HEADER):
         _, seconds, nanoseconds = _CLOCK.unpack(message)
-        return int(seconds) * _NS + int(nanoseconds)
-    stamp = deserialize_message(message, Clock).clock
-    return int(stamp.sec) * _NS + int(stamp.nanosec)
+    else:
+        stamp = deserialize(Clock, message, _CLOCK.size).clock
+        seconds, nanoseconds = stamp.sec, stamp.nanosec
+    if seconds < 0:
+        raise MalformedMessageError(f"a time of {seconds} s is before 1970")
+    return int(seconds) * _NS + int(nanoseconds)
 
 
 def _encode_numbers(
@@ -163,17 +204,21 @@ def _encode_numbers(
 
 
 def decode_numbers(message: bytes) -> WithFront:
-    """Return the numbers of a message, in the shape of its layout, and those in front of them."""
+    """Return the numbers of a message, in the shape of its layout, and those in front of them.
+
+    Raises:
+        MalformedMessageError: it is none, or its layout is not of that many numbers.
+    """
     if len(message) >= _ROW.size:
         header, dimensions, offset, size = _ROW.unpack_from(message)
-        if (header, dimensions, size) == (_HEADER, 0, (len(message) - _ROW.size) // 8):
+        if (header, dimensions, _ROW.size + 8 * size) == (_HEADER, 0, len(message)):
             numbers = array("d", message[_ROW.size :])
             return WithFront(numbers[:offset], numbers[offset:])
-    received = deserialize_message(message, Float64MultiArray)
+    received = deserialize(Float64MultiArray, message)
     offset, shape = received.layout.data_offset, [each.size for each in received.layout.dim]
     front, data = received.data[:offset], received.data[offset:]
     if len(shape) < 2:
         return WithFront(front, data)
-    if math.prod(shape) != len(data):
-        raise LockstepError(f"a message has {len(data)} values, but its layout is {shape}")
+    if len(shape) > 2 or math.prod(shape) != len(data):
+        raise MalformedMessageError(f"a message has {len(data)} values, but its layout is {shape}")
     return WithFront(front, np.asarray(data).reshape(shape))

@@ -24,7 +24,7 @@ from greenroof_ros.graph.errors import LockstepError
 from greenroof_ros.graph.graph_node import GraphNode
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.lockstep import CLOCK, RUN, Lockstep
-from greenroof_ros.graph.messages import decoder, qos_profile
+from greenroof_ros.graph.messages import decoder, pass_whole, qos_profile
 from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
 from greenroof_ros.graph.peers import Peers
 from greenroof_ros.graph.publishers import Publishers
@@ -114,8 +114,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
         """Pass each serialised message of a topic of any type to a callback."""
-        self._input(name)
-        self._open(name, callback)
+        self._open(name, pass_whole(self._input(name).topic.type, callback))
 
     def _input(self, name: str) -> Input:
         topic = self.interface[name]

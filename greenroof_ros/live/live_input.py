@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 import time
 from collections.abc import Iterable
 from dataclasses import replace
@@ -16,7 +15,7 @@ from rclpy.qos import QoSProfile
 from greenroof_ros.common.conditions import Diagnosis, join_diagnoses
 from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.times import boot_time
-from greenroof_ros.graph.errors import LockstepError
+from greenroof_ros.graph.errors import MalformedMessageError
 from greenroof_ros.graph.inputs import Input
 from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
@@ -134,7 +133,7 @@ class LiveInput(Input):
         self.received, self._unknown = True, False
         try:
             super().receive(message)
-        except (LockstepError, ValueError, struct.error) as error:
+        except MalformedMessageError as error:
             self.refused += 1
             self.refusal = str(error)
         refused = None

@@ -19,6 +19,7 @@ from greenroof_ros.common.states import READY
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.graph_node import GraphNode
+from greenroof_ros.graph.messages import pass_whole
 from greenroof_ros.graph.parameters import USE_SIM_TIME, fix
 from greenroof_ros.graph.peers import group_by_role
 from greenroof_ros.graph.publishers import DISCOVERY_S
@@ -106,7 +107,9 @@ class LiveNode(GraphNode):
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
         """Pass each serialised message of a topic of any type to a callback."""
-        self._open(LivePublishers(self, self.interface[name], recorded=True), callback)
+        topic = self.interface[name]
+        publishers = LivePublishers(self, topic, recorded=True)
+        self._open(publishers, pass_whole(topic.type, callback))
 
     def _open(self, publishers: LivePublishers, callback: Callable[[bytes], None]) -> None:
         self._subscribed.append(publishers)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import random
 import struct
 from array import array
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -19,12 +21,17 @@ from rclpy.duration import Duration, Infinite  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
-from std_msgs.msg import Float64, Float64MultiArray  # noqa: E402
+from std_msgs.msg import (  # noqa: E402
+    Float64,
+    Float64MultiArray,
+    MultiArrayDimension,
+    MultiArrayLayout,
+)
 
 from greenroof_ros.common.interface import Qos, read_topics  # noqa: E402
+from greenroof_ros.graph.errors import MalformedMessageError  # noqa: E402
 from greenroof_ros.graph.inputs import Input  # noqa: E402
 from greenroof_ros.graph.messages import (  # noqa: E402
-    LockstepError,
     WithFront,
     decoder,
     encoder,
@@ -34,6 +41,8 @@ from greenroof_ros.graph.messages import (  # noqa: E402
 NUMBER, NUMBERS, CLOCK = (
     "std_msgs/msg/Float64", "std_msgs/msg/Float64MultiArray", "rosgraph_msgs/msg/Clock"
 )
+REPORTS = "diagnostic_msgs/msg/DiagnosticArray"
+KINDS = (NUMBER, NUMBERS, CLOCK, REPORTS)
 ENSEMBLE = ("member", "step")
 VALUES = [0.0, -0.0, 1.0, -1 / 3, 5e-324, 1.7976931348623157e308, math.inf, -math.inf, math.nan]
 
@@ -121,12 +130,45 @@ def test_members_travel_in_the_layout() -> None:
     assert encoder(NUMBERS, ENSEMBLE)(values[:1]) == encoder(NUMBERS)(array("d", values[0]))
 
 
-def test_layout_that_does_not_fit() -> None:
-    """A message with a layout larger than its data ends the run with its name, not in numpy."""
-    message = deserialize_message(encoder(NUMBERS, ENSEMBLE)(np.ones((2, 3))), Float64MultiArray)
-    message.layout.dim[0].size = 4
-    with pytest.raises(LockstepError, match="6 values"):
-        decoder(NUMBERS)(serialize_message(message))
+def layout(*sizes: int) -> bytes:
+    """Return six numbers with a layout of these sizes."""
+    dimensions = [MultiArrayDimension(size=size) for size in sizes]
+    message: bytes = serialize_message(
+        Float64MultiArray(layout=MultiArrayLayout(dim=dimensions), data=[1.0] * 6)
+    )
+    return message
+
+
+HEAD = b"\0\1\0\0"  # little-endian
+# Bytes that are no message of any type here, and some that are none of one type.
+MALFORMED = (b"", b"\0", HEAD, bytes(7), HEAD + bytes(7), b"x" * 1_000_000)
+
+
+@pytest.mark.parametrize(("kind", "message"), [
+    *((kind, message) for kind in KINDS for message in MALFORMED),
+    (NUMBER, HEAD + bytes(16)), (NUMBER, HEAD + bytes(1_000_000)), (CLOCK, HEAD + bytes(12)),
+    (CLOCK, encoder(CLOCK)(-1)),
+    (NUMBERS, HEAD + struct.pack("<III", 0, 0, 2**31) + bytes(4)),
+    (NUMBERS, HEAD + struct.pack("<I", 2**32 - 1)),
+    (NUMBERS, layout(4, 3)), (NUMBERS, layout(1, 2, 3)),
+    (REPORTS, HEAD + struct.pack("<iIII", 0, 0, 0, 2**26) + bytes(100)),
+], ids=lambda value: value if isinstance(value, str) else f"{len(value)} bytes")
+def test_other_bytes_are_malformed(kind: str, message: bytes) -> None:
+    """A wrong length, huge counts, a layout of other sizes, another encoding."""
+    with pytest.raises(MalformedMessageError):
+        decoder(kind)(message)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_changed_bytes_are_read_or_malformed(kind: str) -> None:
+    """No other error comes out."""
+    rng = random.Random(0)
+    for _ in range(2000):
+        changed = bytearray(rng.choice((layout(2, 3), HEAD + bytes(rng.randrange(64)))))
+        for _ in range(3):
+            changed[rng.randrange(len(changed))] = rng.randrange(256)
+        with suppress(MalformedMessageError):
+            decoder(kind)(bytes(changed))
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from array import array
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from itertools import cycle, pairwise
 from pathlib import Path
 from statistics import median
@@ -45,8 +46,10 @@ from ros_rig import (
     newest,
     write_forecast,
 )
+from rosbags.highlevel import AnyReader
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
+from greenroof_ros.common.interface import read_live_topics
 from greenroof_ros.live.devices.sensor_file import QUANTITIES
 from greenroof_ros.model.look_ahead import growing_steps
 
@@ -126,6 +129,45 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         assert median(gaps) == pytest.approx(TAU, rel=0.5)
         assert "/onoff: forecast" not in site.diagnoses
     check_diagnostics(arrays)
+
+
+def test_nothing_that_is_published_ends_a_node(site: Site) -> None:
+    """Bytes that are no message, on each topic of a live site; the bag has none of them.
+
+    Those of a fixed size can only be shorter: the middleware sends no longer ones. After one of no
+    bytes it delivers nothing more of its publisher.
+    """
+    watcher, topics = site.watcher, read_live_topics()
+    publishers = {name: watcher.publisher(name) for name in topics}
+
+    def counted(node: str, *names: str) -> bool:
+        """Publish, and return whether the node has counted some of each topic."""
+        for size in (1, 4, 7, 1_000_000):
+            for name, publisher in publishers.items():
+                if size < 12 or "Array" in topics[name].type:
+                    publisher.publish(b"\0\1\0\0abc"[:size].ljust(size, b"x"))
+            site.during(0.05)
+        counts = watcher.values(node).get("refused", {})
+        return all(counts.get(name, 0) > 8 for name in names)
+
+    with site.live("controller --controller lookahead"):
+        others = [
+            watcher.start("live.recorder", directory="bag"),
+            watcher.start("live.weather", site_file=site.cwd / "site.yaml"),
+        ]
+        for node, names in (
+            ("/lookahead", ["/roof/level", *FORECASTS]), ("/weather", ["/gauge/temperature"]),
+            ("/recorder", [*topics]),
+        ):
+            site.until(partial(counted, node, *names), LATE, f"{node} counts")
+        warnings = watcher.values("/recorder")["warnings"]
+        assert any("dropped a malformed message on /diagnostics" in text for text in warnings)
+        for process in others:
+            process.send_signal(signal.SIGINT)
+            assert process.wait(300) in (0, -signal.SIGALRM)
+    with AnyReader([site.cwd / "bag"]) as bag:
+        for connection, _, message in bag.messages():
+            bag.deserialize(message, connection.msgtype)
 
 
 # Bad rain forecasts, and what is reported: too long, an impossible value far ahead, none.

@@ -67,6 +67,7 @@ def test_it_connects_by_itself_and_its_report_shows_the_state(rig: PumpRig) -> N
     assert rig.drive_state == "ready"
 
 
+HEAD = b"\x00\x01\x00\x00"  # of a message, little-endian
 GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
 
 
@@ -135,12 +136,23 @@ def test_what_the_drive_file_reports(rig: PumpRig) -> None:
     assert rig.shows("drive timeout", OK, "beware: a changed 58.14 to 58.16 is in force only")
 
 
-def test_after_an_unexpected_error_the_motor_stands(rig: PumpRig) -> None:
+def test_malformed_messages_stop_the_motor_and_not_the_node(rig: PumpRig) -> None:
+    """Each is counted and reported, and acts like a refused value until the next good one.
+
+    On their way between processes they are padded to a multiple of 4 bytes.
+    """
     node = rig.start()
-    rig.run()
-    rig.send_nonsense()
-    assert node.wait(120) == 1
-    assert rig.drive.speed() == 0.0
+    for topic in ("/pump/command", "/cistern/level", "/weather/frost"):
+        rig.run()
+        rig.send_malformed(topic, HEAD + b"abc", HEAD, b"\x00")
+        assert rig.drive.speed() < 0.5
+
+        def is_counted(topic: str = topic) -> bool:
+            return bool(rig.observer.values("/pump")["refused"].get(topic) == 3)
+
+        rig.tick_until(0.5, is_counted, LATE, "its count")
+    assert any("/pump/command was refused: 8 bytes are " in it for it in rig.observer.messages)
+    assert node.poll() is None
 
 
 def ends_in_words(rig: PumpRig, node: subprocess.Popen[str], fault: str, *words: str) -> None:

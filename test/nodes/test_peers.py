@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from bag_topics import MPC_TOPICS
+from builtin_interfaces.msg import Time
 from graphs import Process, bag_file, wait_for
 from mcap.reader import make_reader
 from rclpy.duration import Duration
@@ -203,3 +204,37 @@ def test_what_lockstep_cannot_be_ends_the_node(nodes: Nodes, observer: Observer,
         publish(then)
     assert nodes.code(node) in (code, -signal.SIGALRM)
     assert words in nodes.log(node)
+
+
+ANSWERED: dict[str, tuple[Messages, str]] = {
+    "onoff": (INPUTS, "/pump/command"),
+    "weather": ([("/clock", Time(sec=1_625_641_200))], "/weather/frost"),
+    "plant": ([("/weather/precipitation", 0.0), ("/weather/evapotranspiration", 0.0),
+               ("/pump/command", 0.0)], "/pump/flow"),
+    "recorder": ([RUN, *RECORDED], "/recorder/written"),
+}
+
+
+@pytest.mark.parametrize("node", ANSWERED)
+def test_malformed_messages_are_dropped(nodes: Nodes, observer: Observer, node: str) -> None:
+    """Some on each topic, before the tick's own, which the node still awaits, and acts on."""
+    messages, output = ANSWERED[node]
+    publishers = {topic: observer.publisher(topic) for topic, _ in messages}
+    answers = observer.collect(output)
+    process = nodes.node(node, **({"run_length": 1} if node == "plant" else {}))
+    for publisher in publishers.values():
+        publisher.publish(b"\x00\x01\x00\x00")
+        publisher.publish(b"\x00\x01\x00\x00abc")
+    for topic, _ in messages:
+        process.until_printed(f"dropped a malformed message on {topic} (")
+    for topic, value in messages:
+        kind = message_class(read_topics()[topic].type)
+        if isinstance(value, Time):
+            publishers[topic].publish(Clock(clock=value))
+        else:
+            publishers[topic].publish(kind() if kind is Clock else kind(data=value))
+    observer.until(lambda: answers, 60, "an answer")
+    observer.until(
+        lambda: observer.values(f"/{node}").get("refused", {}).keys() == publishers.keys(), 60,
+        "their counts",
+    )

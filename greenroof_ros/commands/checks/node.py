@@ -9,22 +9,23 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from std_msgs.msg import Float64
 
 from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError, OccupiedError
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.graph.domain import choose_transport
+from greenroof_ros.graph.errors import MalformedMessageError
 from greenroof_ros.graph.lockstep import CLOCK, RUN, RunIdentity
 from greenroof_ros.graph.messages import (
+    decoder,
     describe_qos,
     encoder,
     find_lacking,
@@ -214,17 +215,25 @@ class NodeCheck(ABC):
 
     def join(self) -> None:
         """Open the topics, and listen until the node has found them."""
-
-        def receive(message: Float64) -> None:
-            self.answers.append(message.data)
-
-        output = self.interface[self.output]
-        self.node.create_subscription(Float64, output.graph_name, receive, qos_profile(output.qos))
+        self.listen(self.output, self.answers.append)
         for name in (RUN, *self.played):
             self._publishers[name] = self.open_publisher(self.node, name)
         # A fixed identity: a node can be checked twice.
         self._publishers[RUN](RunIdentity(0.0, _LAST_TICK, self._speed).values)
         self.spin(_DISCOVERY_S)
+
+    def listen(self, name: str, callback: Callable[[Any], None]) -> None:
+        """Pass each value of a topic to a callback; a malformed message is none."""
+        topic = self.interface[name]
+        decode = decoder(topic.type)
+
+        def receive(message: bytes) -> None:
+            with suppress(MalformedMessageError):
+                callback(decode(message))
+
+        self.node.create_subscription(
+            message_class(topic.type), topic.graph_name, receive, qos_profile(topic.qos), raw=True
+        )
 
     def close_publishers(self) -> None:
         """Close every topic of a tick, as nodes that end do."""

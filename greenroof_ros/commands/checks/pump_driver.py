@@ -13,7 +13,6 @@ from std_msgs.msg import String
 
 from greenroof_ros.commands.checks.node import NodeCheck, require
 from greenroof_ros.common.states import PumpState
-from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.model.initial_state import initial_states
 from greenroof_ros.model.site import Site
 
@@ -165,10 +164,7 @@ class PumpCheck(NodeCheck):
         def receive_state(message: String) -> None:
             self._state = PumpState.read(message.data)
 
-        state = self.interface["/pump/state"]
-        self.node.create_subscription(
-            String, state.graph_name, receive_state, qos_profile(state.qos)
-        )
+        self.listen("/pump/state", receive_state)
         super().join()
 
     # --- ticks ----------------------------------------------------------------------------------
