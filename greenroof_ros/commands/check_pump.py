@@ -31,7 +31,6 @@ _LIMIT = (
     "The flows in the answers are the only evidence: topics do not show whether the pump's shaft "
     "is really stopped, so watch the pump."
 )
-# Options in seconds: option, field of `DriverLimits`, minimum value, default and meaning.
 
 
 def make_parser() -> Parser:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -14,6 +13,7 @@ from rclpy.parameter import Parameter as RosParameter
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.failure import locate_error
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
+from greenroof_ros.experiment.summary import replace_infinity
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.model.site import Site
 
@@ -82,15 +82,10 @@ class ControllerParameters:
             self._change_count += 1
             self._changes.append({
                 "tick": tick, "parameter": name,
-                "before": _finite(before), "value": _finite(value),
+                **replace_infinity({"before": before, "value": value}),
             })
             self._node.get_logger().info(f"{name} is {value:g} from tick {tick} on")
         return SetParametersResult(successful=True)
-
-
-def _finite(value: float) -> float | None:
-    """Return a parameter's value for a summary, in which null means no limit."""
-    return value if math.isfinite(value) else None
 
 
 def of_reference(

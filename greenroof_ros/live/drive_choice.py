@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from greenroof_ros.common.command_line import refuse
 from greenroof_ros.controllers.registry import EXTERNAL
@@ -21,19 +20,19 @@ _MAY_RUN = (
 
 @dataclass(frozen=True)
 class DriveChoice:
-    """A drive and its address.
+    """A drive and its address; each attribute is a parameter of the pump node.
 
     Attributes:
-        file: the drive file, which describes the drive.
-        at: the address as the user wrote it.
-        login: login file for a relay's broker; empty for none.
-        authority: file of certificates to trust for that broker; empty for the system's.
+        drive: the drive file, which describes the drive.
+        address: of the drive, as the user wrote it.
+        broker_login: login file for a relay's broker; empty for none.
+        broker_authority: file of certificates to trust for that broker; empty for the system's.
     """
 
-    file: Path
-    at: str
-    login: str = ""
-    authority: str = ""
+    drive: str
+    address: str
+    broker_login: str = ""
+    broker_authority: str = ""
 
     def read(self) -> Endpoint:
         """Return the drive's description and its address, both parsed.
@@ -41,21 +40,9 @@ class DriveChoice:
         Raises:
             ConfigurationError: the file or the address is wrong.
         """
-        return read_endpoint(self.file, self.at, "--drive-at", self.login, self.authority)
-
-    def parameters(self, state_file: Path) -> dict[str, Any]:
-        """Return the pump node's parameters for this drive.
-
-        Args:
-            state_file: file for what must survive a restart of the node.
-        """
-        return {
-            "drive": str(self.file),
-            "address": self.at,
-            "broker_login": self.login,
-            "broker_authority": self.authority,
-            "state_file": str(state_file),
-        }
+        return read_endpoint(
+            Path(self.drive), self.address, "--drive-at", self.broker_login, self.broker_authority
+        )
 
     def stopper(self) -> StopDrive:
         """Return a function that stops the drive without the pump node.
@@ -123,4 +110,4 @@ def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
         str(Path(file).resolve()) if file else ""
         for file in (arguments.broker_login, arguments.broker_authority)
     ]
-    return DriveChoice(find_drive_file(drive).resolve(), at, *files) if drive else None
+    return DriveChoice(str(find_drive_file(drive).resolve()), at, *files) if drive else None

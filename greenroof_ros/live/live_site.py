@@ -43,7 +43,7 @@ class LiveSite:
         forecast: forecast file, or ``open-meteo`` to fetch it from there; None if there is none or
             the user runs the weather node.
         drive: the pump's drive; None if the user's own node runs the pump.
-        bag_limit: size beyond which the bag's oldest files are removed (MB); None for no bag.
+        bag_limit: size beyond which the bag's oldest files are removed (MB).
     """
 
     def __init__(self, arguments: argparse.Namespace) -> None:
@@ -102,23 +102,22 @@ class LiveSite:
         )
         self.weather = not others_weather
         self.forecast = _forecast(arguments)
-        self.bag_limit: float | None = None if arguments.no_record else arguments.bag_limit
+        self.bag_limit: float = arguments.bag_limit
 
     def files(self) -> dict[str, Path]:
         """Return the files that its nodes read, by name; without the forecast: it changes."""
         files = {
             "site": self.site_file, "sensors": self.sensors,
-            "drive": self.drive.file if self.drive is not None else None,
+            "drive": Path(self.drive.drive) if self.drive is not None else None,
         }
         return {name: file for name, file in files.items() if file is not None}
 
     def broker_files(self) -> list[Path]:
         """Return the files of logins and certificates that its nodes read."""
-        devices = [self.drive, *(self.sensed.by_section.values() if self.sensed else ())]
-        return [
-            Path(file) for device in devices for key in ("login", "authority")
-            if (file := getattr(device, key, ""))
-        ]
+        files = [] if self.drive is None else [self.drive.broker_login, self.drive.broker_authority]
+        for sensor in self.sensed.by_section.values() if self.sensed else ():
+            files += [getattr(sensor, key, "") for key in ("login", "authority")]
+        return [Path(file) for file in files if file]
 
     def nodes(self, state: Path) -> Iterator[NodeStart]:
         """Yield the nodes that bringup starts; ``state`` is the site's directory."""
@@ -157,16 +156,12 @@ class LiveSite:
         if self.drive is not None:
             yield NodeStart(
                 PUMP, "greenroof_ros.live.pump", (),
-                {**common, **self.drive.parameters(state / "pump.json")},
+                {**common, **vars(self.drive), "state_file": str(state / "pump.json")},
             )
-        if self.bag_limit is not None:
-            yield NodeStart(
-                RECORDER, "greenroof_ros.live.recorder", (),
-                {
-                    "directory": str(state / "bag"),
-                    "total_limit": self.bag_limit,
-                },
-            )
+        yield NodeStart(
+            RECORDER, "greenroof_ros.live.recorder", (),
+            {"directory": str(state / "bag"), "total_limit": self.bag_limit},
+        )
 
 
 def make_parser() -> Parser:
@@ -213,7 +208,6 @@ def make_parser() -> Parser:
         help="directory for what must survive a restart (a stop, a fault, the pump's use of 24 "
         "h), bag, logs and summary (default: live)",
     )
-    group.add_argument("--no-record", action="store_true", help="no bag")
     group.add_argument(
         "--bag-limit", type=make_number_type(MIN_BAG_MB, 1e9), default=10_000.0, metavar="MB",
         help="size of the bag beyond which its oldest files are removed (default: %(default)g MB); "
@@ -273,5 +267,5 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
             raise ConfigurationError(
                 f"is also the serial line of the sensor {section}, which only one program can "
                 "open: connect a Modbus TCP gateway to it, or use another line",
-                key="--drive-at", value=drive.at,
+                key="--drive-at", value=drive.address,
             )

@@ -250,8 +250,8 @@ class _SiteRecord:
             "site": str(site.site_file),
             "sensors": str(site.sensors or EXTERNAL),
             "forecast": str(site.forecast) if site.forecast else None if site.weather else EXTERNAL,
-            "drive": str(site.drive.file if site.drive else EXTERNAL),
-            "drive_at": site.drive.at if site.drive else None,
+            "drive": site.drive.drive if site.drive else EXTERNAL,
+            "drive_at": site.drive.address if site.drive else None,
             "versions": versions(),
         }
 
@@ -360,8 +360,6 @@ def _state_directory(path: Path) -> Iterator[Path]:
 
 def _fit_bag(site: LiveSite, bag: Path) -> None:
     """Reduce the bag's limit to nine tenths of what fits on its disk, and print that."""
-    if site.bag_limit is None:
-        return
     fits = shutil.disk_usage(bag.parent).free + sum(
         file.stat().st_size for file in bag.glob("*.mcap")
     )

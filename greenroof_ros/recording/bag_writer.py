@@ -375,16 +375,23 @@ class FileIndex(NamedTuple):
     statistics: Statistics
 
 
+def seek_summary(stream: BinaryIO) -> Footer | None:
+    """Move to the summary of a file, and return its footer; None if the file was not closed."""
+    stream.seek(-(FOOTER_SIZE + MAGIC_SIZE), os.SEEK_END)
+    footer = next(StreamReader(stream, skip_magic=True).records)
+    if not isinstance(footer, Footer) or not footer.summary_start:
+        return None
+    stream.seek(footer.summary_start)
+    return footer
+
+
 def read_index(path: Path) -> FileIndex | None:
     """Return the index of a file; None if it was not closed, or cannot be read."""
     types: dict[int, str] = {}
     channels: list[Channel] = []
     with suppress(OSError, *DAMAGED), path.open("rb") as stream:
-        stream.seek(-(FOOTER_SIZE + MAGIC_SIZE), os.SEEK_END)
-        footer = next(StreamReader(stream, skip_magic=True).records)
-        if not isinstance(footer, Footer) or not footer.summary_start:
+        if seek_summary(stream) is None:
             return None
-        stream.seek(footer.summary_start)
         # Do not read to the end: a day has thousands of chunks, each with an index.
         for record in StreamReader(stream, skip_magic=True).records:
             if isinstance(record, Schema):

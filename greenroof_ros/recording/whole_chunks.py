@@ -16,11 +16,10 @@ from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE
-from mcap.records import Channel, Chunk, ChunkIndex, Footer, McapRecord, Schema
+from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Schema
 from mcap.stream_reader import MAGIC_SIZE, StreamReader, breakup_chunk
 
-from greenroof_ros.recording.bag_writer import DAMAGED
+from greenroof_ros.recording.bag_writer import DAMAGED, seek_summary
 
 _HEAD = struct.Struct("<BQ")  # a record's opcode and length
 _DATA_END_SIZE = _HEAD.size + 4
@@ -36,7 +35,7 @@ def read_whole_chunks(stream: BinaryIO) -> Iterator[list[McapRecord] | int]:
         Records, or a number of lost bytes.
     """
     size = os.fstat(stream.fileno()).st_size
-    summary = _read_summary(stream, size)
+    summary = _read_summary(stream)
     yield [record for record in summary if isinstance(record, Schema | Channel)]
     chunks = [record for record in summary if isinstance(record, ChunkIndex)]
     for chunk in chunks:
@@ -67,13 +66,10 @@ def _read_in_order(stream: BinaryIO, size: int) -> Iterator[list[McapRecord] | i
         at = end
 
 
-def _read_summary(stream: BinaryIO, size: int) -> list[McapRecord]:
+def _read_summary(stream: BinaryIO) -> list[McapRecord]:
     """Return the records of a file's summary; none if it was not closed, or they are damaged."""
     with suppress(OSError, *DAMAGED):
-        stream.seek(size - FOOTER_SIZE - MAGIC_SIZE)
-        footer = next(StreamReader(stream, skip_magic=True).records)
-        if isinstance(footer, Footer) and footer.summary_start:
-            stream.seek(footer.summary_start)
+        if (footer := seek_summary(stream)) is not None:
             summary = stream.read()
             if footer.summary_crc in (0, zlib.crc32(summary[: -MAGIC_SIZE - 4])):
                 return list(StreamReader(BytesIO(summary), skip_magic=True).records)

@@ -197,7 +197,7 @@ def test_ros_arguments_that_do_not_fit_a_run(rule: str, words: str, tmp_path: Pa
 def test_a_drive_of_another_program_is_left_to_it() -> None:
     """As at the end of a second bringup that was started with the same drive by mistake."""
     with closing(Wire(acs880())) as wire:
-        choice = DriveChoice(find_drive_file("abb_acs880"), wire.gateway)
+        choice = DriveChoice(str(find_drive_file("abb_acs880")), wire.gateway)
         driver, stop = acquire_drive_lock(choice.read()), choice.stopper()
         assert stop(1) == (
             False,

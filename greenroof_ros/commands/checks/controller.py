@@ -53,7 +53,6 @@ class ControllerCheck(NodeCheck):
     optional: ClassVar[tuple[str, ...]] = _FORECASTS
     played: ClassVar[tuple[str, ...]] = (CLOCK, *inputs, *optional, *_WEATHER)
     peers: ClassVar[str] = "plant and weather"
-    checks = 13
 
     def __init__(self, node: Node, controller: str, site: Site, *, horizon: float) -> None:
         """Prepare a check.

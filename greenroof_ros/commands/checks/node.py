@@ -68,7 +68,6 @@ class NodeCheck(ABC):
         optional: the topics that it may subscribe to, and whose quality of service must then fit.
         played: the topics that the check publishes, in the order of a tick.
         peers: which nodes the check plays, for messages.
-        checks: the number of checks, for the progress messages.
         answers: the values received on ``output`` and not counted yet.
         surplus: the first tick that had more answers than it must have, in words; empty if none.
         results: of the checks so far.
@@ -85,7 +84,6 @@ class NodeCheck(ABC):
     optional: ClassVar[tuple[str, ...]] = ()
     played: ClassVar[tuple[str, ...]]
     peers: ClassVar[str]
-    checks: int
     live = False
 
     def __init__(self, node: Node, tested: str, tau: float, speed: float) -> None:
@@ -134,7 +132,7 @@ class NodeCheck(ABC):
     @contextmanager
     def check(self, title: str) -> Iterator[None]:
         """Run a check and store its result."""
-        self._current_check = f"check {len(self.results) + 1} of {self.checks}: {title}"
+        self._current_check = f"check {len(self.results) + 1}: {title}"
         problem, self.result = "", ""
         try:
             yield

@@ -73,7 +73,6 @@ class PumpCheck(NodeCheck):
         "/clock", "/cistern/level", "/roof/level", "/weather/frost", _COMMAND,
     )
     peers: ClassVar[str] = "plant, weather and controller"
-    checks = 22
 
     def __init__(
         self, node: Node, driver: str, site: Site, *, command: float, period: float, live: bool
@@ -91,7 +90,6 @@ class PumpCheck(NodeCheck):
         self._passed = period if live else site.tau  # in a tick (s)
         super().__init__(node, driver, site.tau, max(1.0, self._passed / period))
         self.live, self._period, self._usual = live, period, command
-        self.checks = 21 if live else 22
         self._site = site
         # Low, so that the roof has room for all water that will be pumped.
         self._empty_roof = 0.5 * initial_states(site)["low-low"][1]
