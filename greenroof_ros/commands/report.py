@@ -44,12 +44,8 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="directory of the report, new or empty unless --force (default: report in the "
-             "first PATH)",
-    )
-    parser.add_argument(
-        "--force", action="store_true",
-        help="replace an earlier report in the output directory; other files are never replaced",
+        help="directory of the report, new, empty or with an earlier report, which is replaced; "
+        "other files are never replaced (default: report in the first PATH)",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -58,28 +54,24 @@ def make_parser() -> Parser:
     return parser
 
 
-def _former_report(directory: Path, own: Callable[[str], bool], *, force: bool) -> list[Path]:
-    """Return the files of an earlier report that the new one replaces.
+def _former_figures(directory: Path, own: Callable[[str], bool]) -> list[Path]:
+    """Return the figures of an earlier report, which the new one replaces.
 
     Args:
         directory: of the new report.
         own: returns by its name whether a file in ``figures/`` belongs to a report.
-        force: whether an earlier report may be replaced.
 
     Raises:
-        ConfigurationError: there is a report and ``force`` is not set, or there are other files.
+        ConfigurationError: there are other files.
     """
     figures = directory / "figures"
     others = [file for file in directory.glob("*") if file not in (figures, directory / _PAGE)]
     others += [file for file in figures.glob("*") if not (file.is_file() and own(file.name))]
-    wrong = ""
     if others:
-        name = min(others).relative_to(directory)
-        wrong = f"holds {name}, which does not belong to a report; choose another directory"
-    elif any(directory.glob("*")) and not force:
-        wrong = "already holds a report; replace it with --force, or choose another directory"
-    if wrong:
-        raise ConfigurationError(wrong, key="--output", value=str(directory))
+        raise ConfigurationError(
+            f"holds {min(others).relative_to(directory)}, which does not belong to a report; "
+            "choose another directory", key="--output", value=str(directory),
+        )
     return list(figures.glob("*"))
 
 
@@ -92,7 +84,7 @@ def main() -> None:
         from greenroof_ros.analysis.report.groups import Report
         from greenroof_ros.analysis.report.sources import find_runs
     output: Path = arguments.output or arguments.paths[0] / "report"
-    former = _former_report(output, figures.is_figure, force=arguments.force)
+    former = _former_figures(output, figures.is_figure)
     with ProgressBar() as progress:
         report = Report(find_runs(arguments.paths, arguments.site, progress.show))
         made = list(figures.make_figures(report))

@@ -10,7 +10,6 @@ from operator import attrgetter
 from pathlib import Path
 
 from greenroof_ros.common.command_line import Parser, command, make_number_type
-from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment import summary, summary_table
@@ -49,8 +48,8 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
-        help="write a tick every S seconds, and the last, instead of all: at a hundred bytes per "
-        "tick a year takes gigabytes",
+        help="the same with a tick every S seconds, and the last, instead of all: at a hundred "
+        "bytes per tick a year takes gigabytes",
     )
     return parser
 
@@ -60,15 +59,13 @@ def main() -> None:
     """Simulate the run that the command line asks for."""
     arguments = make_parser().parse_args()
     run = build_run(arguments)
-    if arguments.trajectory_every and not arguments.trajectory:
-        raise ConfigurationError("needs --trajectory", key="--trajectory-every")
     every = max(1, round(arguments.trajectory_every / run.site.tau))
     simulation = Simulation(run)  # a controller that cannot be made leaves no directory
     directory = make_run_directory(arguments.output, run.controller.name)
     write_configuration(directory, run, {})
     with RunProgress(run.steps, run.site.tau) as progress:
         ticks = _paced(run, simulation.ticks(), arguments.speed, progress)
-        if arguments.trajectory:
+        if arguments.trajectory or arguments.trajectory_every:
             ticks = _written(run, ticks, every, directory / CSV)
         last = None
         try:

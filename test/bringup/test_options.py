@@ -91,29 +91,23 @@ def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert name in message and "such as site1" in message
 
 
-def test_the_depth_of_a_moisture_probes_substrate_is_the_sites(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize(("old", "new", "drive", "wrong"), [
+    # Table I: the soil is 0.5 m deep.
+    ("high: 0.6 ", "high: 0.1\n  substrate_depth: 0.108 ", DRIVE,
+     "FILE: roof.substrate_depth = 0.108: must be z_soil of the site file, 0.5 m"),
+    # Only one program can open a serial line, so the sensor or the drive would never answer.
+    ("tcp://127.0.0.1:5031", "/dev/ttyS0", "--drive danfoss_fc202 --drive-at /dev/ttyS0,1",
+     "--drive-at = '/dev/ttyS0,1': is also the serial line of the sensor roof"),
+])
+def test_what_contradicts_the_sensors(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, old: str, new: str, drive: str, wrong: str
 ) -> None:
-    """Table I: the soil is 0.5 m deep."""
     sensors = tmp_path / "sensors.yaml"
     shipped = (CHECKOUT / "config" / "sensors.yaml").read_text()
-    sensors.write_text(shipped.replace("high: 0.6 ", "high: 0.1\n  substrate_depth: 0.108 "))
+    sensors.write_text(shipped.replace(old, new))
     assert refused(
-        monkeypatch, "live", "--weather", "external", "--sensors", str(sensors), *DRIVE.split(),
-    ) == f"{sensors}: roof.substrate_depth = 0.108: must be z_soil of the site file, 0.5 m"
-
-
-def test_a_serial_line_of_a_sensor_and_the_drive(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Only one program can open it, so the sensor or the drive would never answer."""
-    sensors = tmp_path / "sensors.yaml"
-    shipped = (CHECKOUT / "config" / "sensors.yaml").read_text()
-    sensors.write_text(shipped.replace("tcp://127.0.0.1:5031", "/dev/ttyS0"))
-    assert refused(
-        monkeypatch, "live", "--weather", "external", "--sensors", str(sensors),
-        "--drive", "danfoss_fc202", "--drive-at", "/dev/ttyS0,1",
-    ).startswith("--drive-at = '/dev/ttyS0,1': is also the serial line of the sensor roof")
+        monkeypatch, "live", "--weather", "external", "--sensors", str(sensors), *drive.split(),
+    ).startswith(wrong.replace("FILE", str(sensors)))
 
 
 NODES = {

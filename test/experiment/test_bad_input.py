@@ -31,7 +31,6 @@ OPTIONS = {
     "--site nowhere.yaml": "nowhere.yaml: cannot be read: No such file",
     "--output full": "never overwritten",
     "--output /proc/greenroof --trajectory": "/proc/greenroof",
-    "--trajectory-every 60": "--trajectory-every: needs --trajectory",
     "--forecast perfekt": "did you mean perfect?",
     "--forecast file": "a file (.csv, ",
     "--forecast late.csv": "from 2021-07-07T03:00-05:00 on",

@@ -20,8 +20,8 @@ from greenroof_ros.recording.trajectory import read_trajectory
 def test_csv(tmp_path: Path) -> None:
     """Its rows are at full minutes, and at the end."""
     done = run_command(
-        "simulate", "--controller", "onoff", "--hours", "0.055", "--trajectory",
-        "--trajectory-every", "60", "--output", "out", cwd=tmp_path, env=environment(0),
+        "simulate", "--controller", "onoff", "--hours", "0.055", "--trajectory-every", "60",
+        "--output", "out", cwd=tmp_path, env=environment(0),
     )
     assert done.returncode == 0, done.stderr
     rows = list(csv.DictReader((tmp_path / "out" / "trajectory.csv").open()))

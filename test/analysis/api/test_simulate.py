@@ -317,10 +317,7 @@ def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
 
 def test_the_commands_run_is_read_by_the_report(tmp_path: Path) -> None:
     """With its results, and its trajectory, digit for digit."""
-    of_command(
-        tmp_path, "--controller", "onoff", "--hours", "0.3", "--trajectory",
-        "--trajectory-every", "10",
-    )
+    of_command(tmp_path, "--controller", "onoff", "--hours", "0.3", "--trajectory-every", "10")
     expected = gr.simulate("onoff", hours=0.3)
     (run,) = find_runs([tmp_path / "out"]).runs
     assert run.row["total_deviation_m3"] == expected.metrics["total_deviation_m3"]

@@ -125,7 +125,7 @@ def test_command(tmp_path: Path) -> None:
     (tmp_path / "mine" / "figures").mkdir(parents=True)
     (tmp_path / "mine" / "figures" / "mine.svg").touch()
     before = sorted(tmp_path.rglob("*"))
-    done = command("in", "--output", "mine", "--force", cwd=tmp_path)
+    done = command("in", "--output", "mine", cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr and done.stdout == ""
     message = done.stderr.partition("error:")[2].strip()

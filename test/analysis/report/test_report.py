@@ -143,7 +143,7 @@ def test_any_controller_with_any_parameters(tmp_path: Path) -> None:
 def test_study(tmp_path: Path) -> None:
     """A page, each figure twice, the failed runs with their errors, and where the page is.
 
-    A previous report is refused, or removed with --force.
+    A previous report is replaced.
     """
     example = simulate("onoff", "2", "low-low", "0.01")
     failed = {**example.row, "status": "failed", "error": "solver: <gave up>", TOTAL: ""}
@@ -152,9 +152,7 @@ def test_study(tmp_path: Path) -> None:
     report = write_study(tmp_path / "study", runs) / "report"
     (report / "figures").mkdir(parents=True)
     (report / "figures" / "water-7.svg").touch()
-    refused = command("study", cwd=tmp_path)
-    assert refused.returncode == 2 and "with --force" in refused.stderr
-    done = command("study", "--force", cwd=tmp_path)
+    done = command("study", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert str(report / "report.html") in done.stdout
     assert "failed or did not run: 2" in done.stdout
