@@ -279,6 +279,11 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
     return allowed.read(value, key=".".join(parts), about=f"{example} ({entry.meaning})")
 
 
+def replace_infinity(parameters: Mapping[str, float]) -> dict[str, float | None]:
+    """Return parameters for JSON, which has no infinity: null stands for no limit."""
+    return {name: value if math.isfinite(value) else None for name, value in parameters.items()}
+
+
 def suggest_parameter(name: str, names: Iterable[str]) -> str:
     """Return that there is no parameter of a name, and the closest of the names that there are."""
     return f"there is no such parameter; the closest is {find_closest(name, names)}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import math
 import platform
 from collections.abc import Mapping, Sequence
 from importlib import metadata
@@ -14,6 +13,7 @@ from typing import Any
 
 from greenroof_ros import __version__
 from greenroof_ros.common.files import replace_text
+from greenroof_ros.common.parameter import replace_infinity
 from greenroof_ros.experiment.run import Run
 
 # The file's name in the directory of a run.
@@ -127,11 +127,6 @@ def describe_setting(run: Run) -> dict[str, Any]:
         "notes": run.notes(),
         "weather_notes": [*weather.notes, *run.forecast.notes],
     }
-
-
-def replace_infinity(parameters: Mapping[str, float]) -> dict[str, float | None]:
-    """Return parameters for JSON, which has no infinity: null stands for no limit."""
-    return {name: value if math.isfinite(value) else None for name, value in parameters.items()}
 
 
 def write(summary: Mapping[str, Any], directory: Path) -> None:

@@ -10,10 +10,9 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.parameter import Parameter, replace_infinity
 from greenroof_ros.controllers.failure import locate_error
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
-from greenroof_ros.experiment.summary import replace_infinity
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.model.site import Site
 

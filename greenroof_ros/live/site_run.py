@@ -20,6 +20,7 @@ from greenroof_ros.common.command_line import EXIT_DONE, EXIT_FAILED
 from greenroof_ros.common.disk import DISK, LatestWriter
 from greenroof_ros.common.errors import OccupiedError
 from greenroof_ros.common.files import COPIES, add_path_to_errors
+from greenroof_ros.common.parameter import replace_infinity
 from greenroof_ros.common.processes import (
     IN_MEMORY,
     InterruptedRun,
@@ -246,7 +247,7 @@ class _SiteRecord:
         self._started_at = iso(time.time())
         self._setting = {
             "controller": site.controller.name,
-            "parameters": summary.replace_infinity(site.parameters),
+            "parameters": replace_infinity(site.parameters),
             "site": str(site.site_file),
             "sensors": str(site.sensors or EXTERNAL),
             "forecast": str(site.forecast) if site.forecast else None if site.weather else EXTERNAL,
