@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 
 from greenroof_ros.live.devices.modbus_line import (
@@ -13,7 +12,7 @@ from greenroof_ros.live.devices.modbus_line import (
     ModbusLine,
     decode,
 )
-from greenroof_ros.live.devices.readings import Reading, Readings, RefusedShare
+from greenroof_ros.live.devices.readings import Reading, SensorReader
 from greenroof_ros.live.devices.sensor_file import ModbusSensor
 
 # Longest wait for a connection, and for each answer (s).
@@ -87,11 +86,8 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
             self._line.close()
 
 
-class ModbusReader:
+class ModbusReader(SensorReader):
     """A sensor on a line, and what is known about its quantity.
-
-    A refused value, a failure, or a suspend of the machine empties the filter: the next value then
-    comes from new readings only. The rise of a total remains.
 
     Attributes:
         sensor: what is read.
@@ -113,22 +109,9 @@ class ModbusReader:
             spread_s: longest time over which a rise of a total is spread (s).
         """
         self.sensor, self.max_age, self.due = sensor, max_age, time.monotonic()
-        self._readings = Readings(sensor, unit, spread_s)
-        self._reading, self._lock = Reading(problem="not yet read"), threading.Lock()
+        super().__init__(sensor, unit, spread_s, Reading(problem="not yet read"))
         self._line = line
         line.readers.append(self)
-
-    @property
-    def snapshot(self) -> Reading:
-        """What is known now."""
-        with self._lock:
-            self._reading = self._readings.current(self._reading)
-            return self._reading
-
-    @property
-    def share(self) -> RefusedShare:
-        """How many of its readings were refused."""
-        return self._readings.share
 
     def start(self) -> None:
         """Start its line; see :meth:`SensorLine.start`."""
@@ -148,16 +131,8 @@ class ModbusReader:
         """
         self._readings.clear_after_suspend()
         value = self._read_quantity(line)
-        self._set_reading(Reading(time.monotonic(), "", value))
-
-    def report_failure(self, problem: str) -> None:
-        """Report that a reading failed, and why."""
-        self._readings.clear(problem)
-        self._set_reading(Reading(time.monotonic(), problem))
-
-    def _set_reading(self, reading: Reading) -> None:
         with self._lock:
-            self._reading = reading
+            self._reading = Reading(time.monotonic(), "", value)
 
     def _read_quantity(self, line: ModbusLine) -> float | None:
         """Return the filtered quantity after another reading."""

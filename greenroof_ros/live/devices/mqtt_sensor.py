@@ -6,12 +6,11 @@ import json
 import logging
 import math
 import re
-import threading
 import time
 import uuid
 
 from greenroof_ros.common.mqtt import make_client, value_at
-from greenroof_ros.live.devices.readings import Reading, Readings, RefusedShare
+from greenroof_ros.live.devices.readings import Reading, SensorReader
 from greenroof_ros.live.devices.sensor_file import MqttSensor
 
 # Longest message of a sensor that is accepted (bytes).
@@ -54,11 +53,11 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
     return int(text) if _WHOLE.fullmatch(text) else number
 
 
-class MqttReader:
+class MqttReader(SensorReader):
     """Receives what a sensor publishes. The client reconnects automatically after each failure.
 
     A message is a reading of the moment when it arrives. A retained message is no reading: it may
-    be of any age. Each loss, refusal or suspend empties the filter; the rise of a total remains.
+    be of any age.
     """
 
     def __init__(
@@ -77,9 +76,8 @@ class MqttReader:
         """
         broker, self._topic = sensor.broker_and_topic()
         self._sensor = sensor
-        self._readings = Readings(sensor, unit, spread_s)
-        self._reading = Reading(problem=f"{sensor.address}: not yet connected", code="broker_lost")
-        self._lock = threading.Lock()
+        first = Reading(problem=f"{sensor.address}: not yet connected", code="broker_lost")
+        super().__init__(sensor, unit, spread_s, first)
         self._ignoring_until = 0.0
         self._client = make_client(
             broker, f"greenroof_{name}_{uuid.uuid4().hex[:8]}",
@@ -92,14 +90,8 @@ class MqttReader:
         with self._lock:
             age = time.monotonic() - self._reading.read_at
             if not self._reading.problem and age > self._sensor.max_age:
-                self._report_failure(f"has sent nothing for {self._sensor.max_age:g} s")
-            self._reading = self._readings.current(self._reading)
-            return self._reading
-
-    @property
-    def share(self) -> RefusedShare:
-        """How many of its readings were refused."""
-        return self._readings.share
+                self._fail(f"has sent nothing for {self._sensor.max_age:g} s")
+            return super().snapshot
 
     def start(self) -> None:
         """Connect, and start the client's thread."""
@@ -112,23 +104,21 @@ class MqttReader:
     # --- in the client's thread -------------------------------------------------------------------
 
     def _on_connect(self) -> None:
-        with self._lock:
-            self._report_failure("has sent nothing yet")
+        self._fail("has sent nothing yet")
         self._client.subscribe(self._topic)
 
     def _on_disconnect(self, why: str) -> None:
-        with self._lock:
-            self._report_failure(f"no connection to the broker: {why}", "broker_lost")
+        self._fail(f"no connection to the broker: {why}", "broker_lost")
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         with self._lock:
             try:
                 self._receive(payload, retained)
             except ValueError as error:
-                self._report_failure(str(error))
+                self._fail(str(error))
             except Exception as error:  # any error: the next message is still read
                 logging.getLogger(__name__).exception("%s failed", self._sensor.address)
-                self._report_failure(f"reading failed: {error!r}")
+                self._fail(f"reading failed: {error!r}")
 
     def _receive(self, payload: bytes, retained: bool) -> None:
         now = time.monotonic()
@@ -141,6 +131,5 @@ class MqttReader:
         value = self._readings.add(read_number(payload, self._sensor))
         self._reading = Reading(now, "", value)
 
-    def _report_failure(self, why: str, code: str = "sensor_lost") -> None:
-        self._readings.clear(why)
-        self._reading = Reading(time.monotonic(), f"{self._sensor.address}: {why}", code=code)
+    def _fail(self, why: str, code: str = "sensor_lost") -> None:
+        self.report_failure(f"{self._sensor.address}: {why}", code)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
+import threading
 import time
 from collections import deque
 from dataclasses import dataclass, replace
@@ -155,3 +156,41 @@ class Readings:
         if self._total is None or (rate := self._total.rate()) == reading.value:
             return reading
         return replace(reading, value=rate)
+
+
+class SensorReader:
+    """What is known about a sensor's quantity; a subclass reads the sensor.
+
+    A refused value, a failure, or a suspend of the machine empties the filter: the next value then
+    comes from new readings only. The rise of a total remains.
+    """
+
+    def __init__(self, sensor: Sensor, unit: str, spread_s: float, first: Reading) -> None:
+        """Start without readings; for the others see :class:`Readings`.
+
+        Args:
+            sensor: see there.
+            unit: see there.
+            spread_s: see there.
+            first: what is known until a reading has come or failed.
+        """
+        self._readings, self._reading = Readings(sensor, unit, spread_s), first
+        self._lock = threading.RLock()
+
+    @property
+    def snapshot(self) -> Reading:
+        """What is known now."""
+        with self._lock:
+            self._reading = self._readings.current(self._reading)
+            return self._reading
+
+    @property
+    def share(self) -> RefusedShare:
+        """How many of its readings were refused."""
+        return self._readings.share
+
+    def report_failure(self, problem: str, code: str = "sensor_lost") -> None:
+        """Report that a reading failed, and why."""
+        with self._lock:
+            self._readings.clear(problem)
+            self._reading = Reading(time.monotonic(), problem, code=code)
