@@ -50,8 +50,7 @@ class Panel(NamedTuple):
 
     chart: Chart
     """without size and title"""
-    title: str | list[str]
-    """line by line"""
+    title: str
     height: int = 190
     """of its plotting area (px)"""
 
@@ -149,7 +148,7 @@ def round_value(value: float | None) -> float | None:
 
 
 def series_panel(
-    lines: alt.Chart, field: str, names: list[str], title: str | list[str], *,
+    lines: alt.Chart, field: str, names: list[str], title: str, *,
     below: Sequence[alt.Chart] = (), zoom: bool = False,
 ) -> Panel:
     """Return a panel of lines; on the page a click on its legend shows one line alone.

@@ -74,26 +74,53 @@ def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
 
 # --- results by case ------------------------------------------------------------------------------
 
+_DEVIATION = "total |x2 - x2*| (m³)"
 
-def _rows_panel(
-    dataset: str, rows: Rows, axis: str, title: str, reference: float | None = None
-) -> Panel:
-    """Return a panel with a row for each case: its value, and a line from a low to a high one.
+
+def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
+    """Return the total deviation of a window's cases, a panel for each initial state."""
+    panels, data = list[Panel](), dict[str, Rows]()
+    for initial in dict.fromkeys(case.place[1] for case in cases):
+        here = [case for case in cases if case.place[1] == initial]
+        dataset = f"deviation-{name}-{len(panels) + 1}"
+        data[dataset] = list(map(_make_row, here))
+        bounds = [case.row["bound_m3"] for case in here if case.row["ratio"] is not None]
+        chart = _draw_rows(dataset, data[dataset], bounds[0] if bounds else None)
+        height = max(60, 18 * len({row["case"] for row in data[dataset]}))
+        panels.append(Panel(chart, f"from {initial}", height))
+    return Figure(
+        f"deviation-{name}", f"Total deviation: {cases[0].place[0]}",
+        "Lines: from the smallest to the largest of a case's runs. Dashed: the minimum possible",
+        tuple(panels), min(len(panels), 3), data,
+    )
+
+
+def _make_row(case: CaseRuns) -> dict[str, Any]:
+    """Return the row of a case: its mean ``v``, and ``low`` and ``high`` of its runs (m3)."""
+    totals = np.concatenate([*case.deviations.totals.values()])
+    return {
+        "case": case.label, "controller": case.row["controller"],
+        "v": round_value(case.row[TOTAL]), "low": round_value(totals.min()),
+        "high": round_value(totals.max()),
+    }
+
+
+def _draw_rows(dataset: str, rows: Rows, reference: float | None) -> Chart:
+    """Return a chart with a row for each case: its value, and a line from low to high.
 
     Args:
         dataset: name of the rows.
-        rows: with case, controller, value ``v``, ``low`` and ``high``.
-        axis: title of the axis of values.
-        title: of the panel.
+        rows: of :func:`_make_row`.
         reference: value of a dashed line, if any.
     """
     controllers = list(dict.fromkeys(row["controller"] for row in rows))
+    cases = list(dict.fromkeys(row["case"] for row in rows))
     ends = [reference, *(row[key] for row in rows for key in ("v", "low", "high"))]
-    x = alt.X("v:Q", title=axis, scale=value_scale(ends))
+    x = alt.X("v:Q", title=_DEVIATION, scale=value_scale(ends))
     base = alt.Chart(alt.NamedData(dataset)).encode(
-        y=_case_axis(rows),
+        y=alt.Y("case:N", sort=cases, title=None, axis=alt.Axis(labelLimit=190)),
         color=alt.Color("controller:N", scale=cycle_choices(COLOURS, controllers), legend=None),
-        tooltip=make_tooltips("case:N", ("v:Q", axis), "low:Q", "high:Q"),
+        tooltip=make_tooltips("case:N", ("v:Q", _DEVIATION), "low:Q", "high:Q"),
     )
     layers: list[Chart] = [
         base.mark_rule(strokeWidth=2).encode(x=alt.X("low:Q"), x2=alt.X2("high:Q")),
@@ -103,41 +130,4 @@ def _rows_panel(
         layers.insert(0, alt.Chart(alt.InlineData([{"v": round_value(reference)}])).mark_rule(
             strokeDash=[6, 3], color="black"
         ).encode(x=x))
-    return Panel(alt.layer(*layers), title, _height(rows))
-
-
-def _row(case: CaseRuns, *values: float) -> dict[str, Any]:
-    """Return a row of such a panel, with value, low and high."""
-    rounded = zip(("v", "low", "high"), map(round_value, values), strict=True)
-    return {"case": case.label, "controller": case.row["controller"], **dict(rounded)}
-
-
-def _case_axis(rows: Rows) -> alt.Y:
-    """Return an axis with a row for each case, in their order."""
-    cases = list(dict.fromkeys(row["case"] for row in rows))
-    return alt.Y("case:N", sort=cases, title=None, axis=alt.Axis(labelLimit=190))
-
-
-def _height(rows: Rows) -> int:
-    return max(60, 18 * len({row["case"] for row in rows}))
-
-
-def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
-    """Return the total deviation of a window's cases, a panel for each initial state."""
-    panels, data = list[Panel](), dict[str, Rows]()
-    for initial in dict.fromkeys(case.place[1] for case in cases):
-        here = [case for case in cases if case.place[1] == initial]
-        dataset = f"deviation-{name}-{len(panels) + 1}"
-        data[dataset] = [
-            _row(case, case.row[TOTAL], min(totals), max(totals)) for case in here
-            for totals in [np.concatenate([*case.deviations.totals.values()])]
-        ]
-        bounds = [case.row["bound_m3"] for case in here if case.row["ratio"] is not None]
-        panels.append(_rows_panel(
-            dataset, data[dataset], "total |x2 - x2*| (m³)", f"from {initial}", *bounds[:1]
-        ))
-    return Figure(
-        f"deviation-{name}", f"Total deviation: {cases[0].place[0]}",
-        "Lines: from the smallest to the largest of a case's runs. Dashed: the minimum possible",
-        tuple(panels), min(len(panels), 3), data,
-    )
+    return alt.layer(*layers)
