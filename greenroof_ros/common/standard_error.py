@@ -16,8 +16,8 @@ from greenroof_ros.common.disk import DiskThread
 
 # How many lines may wait, and how long the end of the process waits for them (s).
 _MAX_LINES, _END_S = 1000, 2.0
-# How often progress is printed (s).
-_EVERY_S = 10.0
+# How often progress is printed, and how often a line that others can cause (s).
+_EVERY_S, _SELDOM_S = 10.0, 60.0
 
 
 class Lines:
@@ -37,12 +37,30 @@ class Lines:
         self._number = number
         self._waiting: deque[str] = deque()
         self._dropped = 0
+        # By kind: when the next line is due (steady clock, s), and how many were left out.
+        self._kinds: dict[str, tuple[float, int]] = {}
         self._lock = threading.Lock()
         self._thread = DiskThread()
 
     def print_line(self, text: str) -> None:
         """Queue one or more lines for writing; return at once."""
         self.write(f"{text}\n")
+
+    def print_seldom(self, kind: str, text: str) -> None:
+        """Print what others can cause at will: once a minute, with how often it was left out.
+
+        Args:
+            kind: what is printed once a minute, whatever its text.
+            text: one or more lines.
+        """
+        now = time.monotonic()
+        with self._lock:
+            due, left_out = self._kinds.get(kind, (0.0, 0))
+            if now < due:
+                self._kinds[kind] = due, left_out + 1
+                return
+            self._kinds[kind] = now + _SELDOM_S, 0
+        self.print_line(text + (f" (and {left_out} more like this before)" if left_out else ""))
 
     def write(self, text: str) -> None:
         """Queue a text for writing; with the next two methods this is a file for progress bars."""
@@ -84,7 +102,7 @@ class Lines:
 
 # The lines of this process, which are written before it ends.
 LINES = Lines(2)
-print_line = LINES.print_line
+print_line, print_seldom = LINES.print_line, LINES.print_seldom
 atexit.register(LINES.wait, _END_S)
 
 

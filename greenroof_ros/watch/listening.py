@@ -18,8 +18,12 @@ from greenroof_ros.common.files import check_private
 LOOPBACK = "127.0.0.1"
 # The ports to try unless one is asked for: the first free one is used.
 PORTS = range(8080, 8100)
-# How much the kernel may hold for a slow reader (bytes): it would be old when it arrives.
-_SENDING = 65_536
+# How much the kernel may hold for a slow reader (bytes): it would be old when it arrives. And how
+# much may arrive before it is read: a request has at most 10 kB. And how long it sends to someone
+# who takes nothing, also after the connection was closed (ms).
+_SENDING, _RECEIVING, _UNREAD_MS = 65_536, 16_384, 30_000
+# How many connections may wait to be accepted.
+_WAITING = 4096
 # An address for documentation (RFC 5737): the route to it shows this machine's own address.
 _ELSEWHERE = ("192.0.2.1", 9)
 # Characters of a token that need no escape in an address, and the fewest of them.
@@ -80,7 +84,7 @@ def listen(host: str, port: int | None) -> Listener:
     ports = PORTS if port is None else [port]
     for number in ports:
         try:
-            listening = socket.create_server((address, number), family=family)
+            listening = socket.create_server((address, number), family=family, backlog=_WAITING)
         except OSError as error:
             if error.errno == errno.EADDRINUSE and number != ports[-1]:
                 continue
@@ -92,7 +96,13 @@ def listen(host: str, port: int | None) -> Listener:
                 key=key, value=value,
             ) from error
         break
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING)  # connections inherit it
+    listening.setblocking(False)
+    for level, option, value in (  # connections inherit them
+        (socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING),
+        (socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVING),
+        (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNREAD_MS),
+    ):
+        listening.setsockopt(level, option, value)
     anywhere = ipaddress.ip_address(address.split("%")[0]).is_unspecified
     shown = _find_own_address(address) if anywhere else host
     url = f"http://{f'[{shown}]' if ':' in shown else shown}:{listening.getsockname()[1]}/"

@@ -17,11 +17,21 @@ import asyncio
 import hmac
 import json
 import logging
+import math
+import select
+import socket
 import time
 import traceback
 import zlib
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping
-from contextlib import asynccontextmanager, suppress
+from collections.abc import (
+    AsyncGenerator,
+    AsyncIterator,
+    Awaitable,
+    Callable,
+    Iterator,
+    Mapping,
+)
+from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -30,6 +40,7 @@ from aiohttp import web
 
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.ranges import Range, read_number
+from greenroof_ros.common.standard_error import print_seldom
 from greenroof_ros.watch import words
 from greenroof_ros.watch.document import HOURS, make_document, make_series
 from greenroof_ros.watch.feed import Feed
@@ -54,8 +65,10 @@ _HEADERS = {
 # The most connections at a time, and the most streams among them. A browser has up to six.
 _MAX_CONNECTIONS = 128
 _MAX_STREAMS = 32
-# How long a connection may wait before its first request, and between an answer and the next (s).
-_FIRST_S, _NEXT_S = 10.0, 60.0
+# How long a connection may take to send its request and read the whole answer (s).
+_ANSWER_S = 30.0
+# How long the server rests if no connection can be accepted (s).
+_RETRY_S = 0.5
 # How long a stream's reader may take nothing before it is disconnected (s).
 _UNREAD_S = 30.0
 # How often that is checked (s).
@@ -158,7 +171,7 @@ class EventStream:
             try:
                 new = await asyncio.to_thread(self._build_event, key)
             except Exception:
-                traceback.print_exc()
+                print_seldom("event", traceback.format_exc())
                 return None
             if old is not None and old.plain == new.plain and (
                 new.made_at - old.made_at < _RENEW_S
@@ -179,55 +192,76 @@ class EventStream:
 
 
 class _Connections:
-    """The connections of a server; if there are too many, the idle one that is due first ends."""
+    """The connections of a server: a new one is always accepted, and ends the oldest if need be.
+
+    So the newest have the time of a hundred others to make their request, and a stop comes through
+    however many connect, and whether or not they send and read.
+    """
 
     def __init__(self, server: web.Server) -> None:
         self._server = server
-        # When the next request of each is due (steady clock, s); None while one is answered.
-        self._until: dict[web.RequestHandler, float | None] = {}
-        self._open: set[web.RequestHandler] = set()  # at the last check
+        # When each must have its whole answer (steady clock, s), the oldest first.
+        self._until: dict[web.RequestHandler, float] = {}
 
-    def accept(self) -> web.RequestHandler:
-        """Make the handler of another connection, for asyncio."""
-        self._forget_closed()
-        if len(self._until) >= _MAX_CONNECTIONS:  # those just accepted count, too
-            idle = {handler: at for handler, at in self._until.items() if at is not None}
-            if idle:
-                self._drop(min(idle, key=idle.__getitem__))
-        handler = self._server()
-        self._until[handler] = time.monotonic() + _FIRST_S
-        return handler
+    async def accept(self, listening: socket.socket) -> None:
+        """Accept connections, one after the other, without end."""
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                connection, _ = await loop.sock_accept(listening)
+            except OSError as error:  # files or memory run out elsewhere
+                print_seldom("accept", f"no connection can be accepted: {error.strerror}")
+                await asyncio.sleep(_RETRY_S)
+                continue
+            self._make_room()
+            # Until it is made, what came before is answered.
+            with suppress(OSError):
+                _, handler = await loop.connect_accepted_socket(self._server, connection)
+                self._until[handler] = time.monotonic() + _ANSWER_S
 
-    async def answer(
-        self, request: web.Request, call: Awaitable[web.StreamResponse]
-    ) -> web.StreamResponse:
-        """Keep the connection of a request while the request is answered."""
-        self._until[request.protocol] = None
+    def _make_room(self) -> None:
+        self._until = {
+            handler: until for handler, until in self._until.items() if handler.transport
+        }
+        if len(self._until) >= _MAX_CONNECTIONS:
+            self._drop(min(self._until, key=self._until.__getitem__))
+
+    @contextmanager
+    def keep(self, request: web.Request) -> Iterator[None]:
+        """Keep a connection whose answer has another limit, and read nothing more from it."""
+        if request.transport is not None:
+            request.transport.pause_reading()
+        self._until[request.protocol] = math.inf
         try:
-            return await call
+            yield
         finally:
-            self._until[request.protocol] = time.monotonic() + _NEXT_S
+            self._until[request.protocol] = time.monotonic() + _ANSWER_S
 
-    async def drop_idle(self) -> None:
-        """End connections with an overdue next request, again and again."""
+    async def drop_overdue(self) -> None:
+        """End connections that take too long, again and again."""
         while True:
             await asyncio.sleep(1.0)
-            self._forget_closed()
             now = time.monotonic()
-            for handler, until in list(self._until.items()):
-                if until is not None and until < now:
-                    self._drop(handler)
+            for handler in [handler for handler, until in self._until.items() if until < now]:
+                self._drop(handler)
 
     def drop_all(self) -> None:
         """End all connections."""
         for handler in list(self._until):
             self._drop(handler)
 
-    def _forget_closed(self) -> None:
-        """Forget connections that were closed; one that was just accepted is not open yet."""
-        before, self._open = self._open, set(self._server.connections)
-        for handler in before - self._open:
-            self._until.pop(handler, None)
+    def drop_gone(self) -> bool:
+        """End a kept connection whose reader has gone, or reads nothing, if there is one."""
+        for handler, until in self._until.items():
+            transport = handler.transport
+            if until < math.inf or transport is None:
+                continue
+            poll = select.poll()
+            poll.register(transport.get_extra_info("socket"), select.POLLRDHUP)
+            if poll.poll(0) or transport.get_write_buffer_size():
+                self._drop(handler)
+                return True
+        return False
 
     def _drop(self, handler: web.RequestHandler) -> None:
         del self._until[handler]
@@ -243,7 +277,7 @@ class _PageApplication:
         self._names, self._token = names, token
         self._acting: dict[str, asyncio.Task[tuple[bool, str]]] = {}
         self._newest: asyncio.Task[tuple[bool, str]] | None = None
-        self.connections: _Connections | None = None
+        self.connections: _Connections  # once it is served
         self.event_stream = EventStream(store)
         self.app = web.Application(
             middlewares=[self._refusals, self._check_origin], client_max_size=_MAX_BODY
@@ -261,14 +295,13 @@ class _PageApplication:
 
     @web.middleware
     async def _refusals(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
-        """Answer a refused request with the reason, in a sentence."""
-        assert self.connections is not None
+        """Answer a refused request with the reason, in a sentence; a connection has one answer."""
         try:
-            return await self.connections.answer(request, handler(request))
+            answer = await handler(request)
         except web.HTTPException as error:
             answer = _make_response(False, error.reason, error.status)
-            answer.force_close()
-            return answer
+        answer.force_close()
+        return answer
 
     @web.middleware
     async def _check_origin(
@@ -299,7 +332,7 @@ class _PageApplication:
     async def _events(self, request: web.Request) -> web.StreamResponse:
         """Push events to one browser until it disconnects, or does not read."""
         hours = _read_hours(request.query.get("hours", _HOURS))
-        if self.event_stream.readers >= _MAX_STREAMS:
+        if self.event_stream.readers >= _MAX_STREAMS and not self.connections.drop_gone():
             raise web.HTTPServiceUnavailable(reason="too many pages are open; close one")
         compressed = "gzip" in request.headers.get("Accept-Encoding", "")
         answer = web.StreamResponse(headers={
@@ -313,9 +346,10 @@ class _PageApplication:
             await answer.prepare(request)
             if compressed:
                 await answer.write(GZIP_HEAD)
-            async for event in events:
-                data = event.compressed if compressed else event.plain
-                await asyncio.wait_for(_send(answer, data, transport), _UNREAD_S)
+            with self.connections.keep(request):
+                async for event in events:
+                    data = event.compressed if compressed else event.plain
+                    await asyncio.wait_for(_send(answer, data, transport), _UNREAD_S)
         except (ConnectionError, asyncio.TimeoutError):
             if transport is not None:
                 transport.abort()
@@ -352,7 +386,8 @@ class _PageApplication:
             self._acting[action] = self._newest = task
         elif given:
             return _make_response(False, "Another dose was asked for a moment ago.")
-        return _make_response(*await asyncio.shield(task))
+        with self.connections.keep(request):
+            return _make_response(*await asyncio.shield(task))
 
     async def _request_action(
         self, action: str, given: dict[str, float], asker: str
@@ -365,7 +400,7 @@ class _PageApplication:
         except PumpRequestError as failure:
             ok, sentence = False, str(failure)
         except Exception as error:
-            traceback.print_exc()
+            print_seldom(action, traceback.format_exc())
             ok = False
             sentence = (
                 "It is unknown whether that was done: the watcher failed "
@@ -464,18 +499,22 @@ async def run_server(
     quiet.propagate = False
     runner = web.AppRunner(
         site.app, access_log=None, auto_decompress=False, handler_cancellation=True,
-        keepalive_timeout=_NEXT_S, lingering_time=1.0, logger=quiet, shutdown_timeout=1.0,
+        lingering_time=1.0, logger=quiet, shutdown_timeout=1.0,
     )
     await runner.setup()
     assert runner.server is not None
     site.connections = connections = _Connections(runner.server)
-    server = await loop.create_server(connections.accept, sock=listener.socket)
-    dropping = loop.create_task(connections.drop_idle())
+    tasks = [
+        loop.create_task(work)
+        for work in (connections.accept(listener.socket), connections.drop_overdue())
+    ]
     try:
         yield
     finally:
-        server.close()
-        dropping.cancel()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        listener.socket.close()
         connections.drop_all()
         await runner.cleanup()
 

@@ -79,3 +79,18 @@ def _empty(reading: int) -> bytes:
         return printed
     finally:
         os.set_blocking(reading, True)
+
+
+def test_a_line_that_others_can_cause_is_printed_once_a_minute(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    printed: list[str] = []
+    lines, now = Lines(2), 100.0
+    monkeypatch.setattr(lines, "print_line", printed.append)
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    for now in (100.0, 130.0, 159.0, 160.0):
+        lines.print_seldom("stop", f"refused at {now:g}")
+    lines.print_seldom("another kind", "printed")
+    assert printed == [
+        "refused at 100", "refused at 160 (and 2 more like this before)", "printed",
+    ]

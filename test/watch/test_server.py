@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import gzip
 import json
+import resource
 import socket
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
@@ -289,7 +290,7 @@ def test_broken_requests_stop_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Nor do they keep other clients away, all at the same time."""
-    monkeypatch.setattr(server, "_FIRST_S", 1.0)
+    monkeypatch.setattr(server, "_ANSWER_S", 1.0)
     with ExitStack() as stack:
         connections = []
         for data in BROKEN:
@@ -305,34 +306,58 @@ def test_broken_requests_stop_nothing(
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_silent_connections_keep_no_one_away(
-    port: int, look: Callable[..., Stream], watched: GraphStore, monkeypatch: pytest.MonkeyPatch
+HOSTILE = {
+    "silent": b"", "half a request": b"GET / HT",
+    "endless body": POST + b"Content-Length: 9\r\n\r\n{",
+    "unread answers": 300 * b"GET /uPlot.js HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    "unread streams": GET + b"\r\n", "broken": b"GET\r\n\r\n",
+}
+
+
+@pytest.mark.parametrize("data", HOSTILE.values(), ids=HOSTILE)
+def test_hostile_connections_keep_no_stop_away(
+    data: bytes, port: int, look: Callable[..., Stream], watched: GraphStore,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Three times the permitted number."""
-    monkeypatch.setattr(server, "_FIRST_S", 1.0)
+    """Three times the permitted number, none of which reads; an open page continues."""
+    monkeypatch.setattr(server, "_ANSWER_S", 1.0)
     events = look().events()
     next(events)
-    before = _open_files()
+    before, memory = _open_files(), _memory()
     with ExitStack() as stack:
-        silent = []
+        hostile = []
         for number in range(3 * server._MAX_CONNECTIONS):
             connection = socket.create_connection((LOOPBACK, port), timeout=300)
-            silent.append(stack.enter_context(connection))
-            if number % 3 == 0:
-                connection.sendall(b"GET / HT")
+            hostile.append(stack.enter_context(connection))
+            connection.settimeout(0.0)
+            with suppress(OSError):  # no room for all of it, or it was ended
+                connection.sendall(data)
             if number % 100 == 0:
-                assert_goes_on(port)
-        assert_goes_on(port)
-        taken = _open_files() - before - len(silent)
-        assert taken <= server._MAX_CONNECTIONS + 10
+                began = time.monotonic()
+                assert request(port, "POST", "/stop", b"{}", **ACT).status == 200
+                assert time.monotonic() - began < 5  # 1.5 s of them without a pump node
+        assert _open_files() - before - len(hostile) <= server._MAX_CONNECTIONS + 10
+        assert _memory() - memory < 50e6
         set_level(watched, 0.03, 1)
-        for _, content in events:  # an open page continues
+        for _, content in events:
             if level_in(content) == 0.03:
                 break
-        for connection in silent:  # the remaining connections are ended, too
-            connection.settimeout(60)
-            with suppress(ConnectionResetError):
-                assert connection.recv(1) == b""
+        if b"events" not in data:  # the remaining connections are ended, too
+            wait_for(lambda: not _count_open(port, hostile), 60, "the end of all")
+
+
+def test_too_many_open_files_are_one_line(port: int, capfd: pytest.CaptureFixture[str]) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with socket.socket() as connection:
+        try:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (connection.fileno() + 1, hard))
+            connection.connect((LOOPBACK, port))
+            time.sleep(2.0)  # it has tried again
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert connection.recv(12) == b"HTTP/1.1 200"
+    assert capfd.readouterr().err == "no connection can be accepted: Too many open files\n"
 
 
 def test_there_is_a_most_of_streams(port: int, look: Callable[..., Stream]) -> None:
@@ -342,8 +367,10 @@ def test_there_is_a_most_of_streams(port: int, look: Callable[..., Stream]) -> N
     answer = request(port, "GET", "/events")
     assert answer.status == 503 and "too many pages" in answer.json()["sentence"]
     assert_goes_on(port)
-    streams.pop().close()
-    wait_for(lambda: "200 OK" in look().head(), 60, "room for another page")
+    for _ in range(3):  # a page that is closed makes room at once
+        streams.pop(0).close()
+        streams.append(look())
+        assert "200 OK" in streams[-1].head()
 
 
 # ------------------------------------------------------------------------------------- the stream
@@ -430,15 +457,18 @@ def test_who_does_not_read_is_skipped_and_costs_no_one_anything(
                 break
     assert len(states) < 8  # those in between were not kept
     # The others are ended after a while, and make room.
-    for stream in deaf[1:]:
-        wait_for(lambda stream=stream: _is_ended(stream.socket), 60, "the end of a deaf one")
+    ended = [stream.socket for stream in deaf[1:]]
+    wait_for(lambda: not _count_open(port, ended), 60, "the end of the deaf ones")
 
 
-def _is_ended(connection: socket.socket) -> bool:
-    """Return whether the other side has closed a connection; data may still be on its way."""
+def _count_open(port: int, connections: Iterable[socket.socket]) -> int:
+    """Return how many the server has not closed; data may still be on its way."""
     lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
-    port = f":{connection.getsockname()[1]:04X}"
-    return not any(remote.endswith(port) and state == "01" for _, _, remote, state, *_ in lines)
+    here = {
+        remote.partition(":")[2] for _, local, remote, state, *_ in lines
+        if local.endswith(f":{port:04X}") and state == "01"
+    }
+    return len(here & {f"{connection.getsockname()[1]:04X}" for connection in connections})
 
 
 def _open_files() -> int:
