@@ -84,7 +84,6 @@ class PumpRequest:
 
         try:
             with require_ros(), closing(GraphClient(arguments.namespace, receive)) as client:
-                client.find_pumps([f"{arguments.namespace}/pump"])
                 print(self.request(client, arguments, reports))
         except PumpRequestError as failure:
             print(f"error: {failure}", file=sys.stderr)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -69,6 +69,7 @@ class Feed:
         self._requesting.acquire()  # until the graph is joined
         # The stops that wait or are made, and the last one: another object for each.
         self._stops, self._last_stop = set[object](), object()
+        self._reported: Collection[str] = ()  # the nodes that report to be the pump node
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._watch_graph, name="graph", daemon=True)
         self._client: GraphClient | None = None
@@ -128,7 +129,7 @@ class Feed:
                     two = self._graph.two_pumps(time.monotonic())
                 if two:  # a stop goes to each of them
                     raise PumpRequestError(two)
-            return self._client.request(action, _STOP_S, **request)
+            return self._client.request(action, _STOP_S, self._reported, **request)
         finally:
             self._stops.discard(this)
             self._requesting.release()
@@ -282,10 +283,12 @@ class Feed:
         if not self._requesting.acquire(blocking=False):
             return  # a request finds them itself
         try:
-            pumps = self._client.find_pumps(self._graph.pumps(time.monotonic()))
+            pumps = self._client.find_pumps()
         finally:
             self._requesting.release()
-        self._store.can_stop = bool(pumps)
+        with self._store.lock:
+            self._graph.offered = {*pumps}
+            self._reported = self._graph.pumps(time.monotonic())
 
 
 def _write(file: Path, rows: Any) -> None:

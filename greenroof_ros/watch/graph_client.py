@@ -21,6 +21,7 @@ from typing import Any
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.graph.domain import SHUTDOWN_S, join
 from greenroof_ros.graph.rclpy_internals import take_messages
+from greenroof_ros.watch.words import list_names
 
 # How many messages of a topic can wait for the next poll: 1 s at 60 times real time.
 _DEPTH = 64
@@ -88,7 +89,8 @@ class GraphClient:
             "dose": SetParametersAtomically,
         }
         self._namespace, self._joined_at = namespace, time.monotonic()
-        self._pumps: dict[str, dict[str, Any]] = {}  # by node, a client of each of its services
+        self._pumps: set[str] = set()
+        self._clients: dict[tuple[str, str], Any] = {}  # by node and service
         self._on_message = on_message
         self._interface = read_topics()
         self._subscriptions: dict[str, Any] = {}
@@ -123,42 +125,41 @@ class GraphClient:
                 number = info["publication_sequence_number"]
                 self._on_message(name, message, number, info["received_timestamp"])
 
-    def find_pumps(self, reported: Collection[str] = ()) -> Collection[str]:
-        """Find the nodes that may control the pump, and open clients, so that calls find them.
+    def find_pumps(self) -> Collection[str]:
+        """Find the nodes that offer to hold the pump, whatever is reported; return their names.
 
-        A node may control it if it offers the service for a hold, whatever is reported, or if it is
-        reported to.
-
-        Args:
-            reported: fully qualified names.
-
-        Returns:
-            Their names.
+        A client of that service is opened, so that a later stop finds it.
         """
         hold = "rcl_interfaces/srv/SetParametersAtomically"
         pattern = re.compile(re.escape(self._namespace) + "(/[^/]+)/hold")
-        found = {*reported} | {
+        self._pumps = {
             self._namespace + offered[1]
             for service, types in self._caller.get_service_names_and_types()
             if hold in types and (offered := pattern.fullmatch(service))
             and self._caller.count_services(service)  # listed for this client alone, too
         }
-        for name in self._pumps.keys() - found:
-            for client in self._pumps.pop(name).values():
-                self._caller.destroy_client(client)
-        for name in found - self._pumps.keys():
-            self._pumps[name] = {
-                service: self._caller.create_client(kind, f"{name}/{service}")
-                for service, kind in self._types.items()
-            }
-        return self._pumps.keys()
+        for key in [key for key in self._clients if key[0] not in self._pumps]:
+            self._caller.destroy_client(self._clients.pop(key))
+        self._open_clients("hold")
+        return self._pumps
 
-    def request(self, action: str, timeout_s: float, **parameters: float | str) -> str:
+    def _open_clients(self, service: str) -> None:
+        for name in self._pumps:
+            if (name, service) not in self._clients:
+                self._clients[name, service] = self._caller.create_client(
+                    self._types[service], f"{name}/{service}"
+                )
+
+    def request(
+        self, action: str, timeout_s: float, reported: Collection[str] = (),
+        **parameters: float | str,
+    ) -> str:
         """Make a request of the pump node, and return its answer.
 
-        A stop goes to each node that may control the pump; if there are several, anything else goes
-        to none. The answer of one of two nodes of one name says nothing about the other one: it is
-        asked again when only one is left.
+        A stop goes to each node that may control the pump, and the answer then warns of those that
+        are only reported; if there are several, anything else goes to none. The answer of one of
+        two nodes of one name says nothing about the other one: it is asked again when only one is
+        left.
 
         Args:
             action: ``stop``: hold the pump until someone releases it, or until a time. ``release``:
@@ -166,6 +167,7 @@ class GraphClient:
                 done from afar. ``reset``: clear any, for a person at the pump. ``dose``: deliver a
                 volume.
             timeout_s: longest wait for the answer (s).
+            reported: full names of nodes that report to be the pump node.
             parameters: of a stop: ``owner``, who requests it, ``reason``, which may be empty, and
                 ``until``, its end (s since 1970), unless it has none. Of a dose: ``volume`` (m3),
                 and ``asked_at``, when the user requested it (s since 1970).
@@ -175,37 +177,44 @@ class GraphClient:
         """
         service, to_all = _SERVICES[action], action == "stop"
         request = {"data": False} if action == "release" else _make_parameters(parameters)
-        until, reported = time.monotonic() + timeout_s, tuple(self._pumps)
+        until = time.monotonic() + timeout_s
         settled = min(until, self._joined_at + _DISCOVERY_S)
         sent: dict[str, Any] = {}
         twice, waiting = set[str](), True
         while waiting:
-            self.find_pumps(reported)
+            self.find_pumps()
+            self._open_clients(service)
             before, twice = twice, {
                 name for name in self._pumps
                 if self._caller.count_services(f"{name}/{service}") > 1
             }
             for name in before - twice:
                 sent.pop(name, None)
-            if (len(self._pumps) > 1 or twice) and not to_all:
-                names = " and ".join(sorted([*self._pumps, *twice]))
+            if (len({*self._pumps, *reported}) > 1 or twice) and not to_all:
                 raise PumpRequestError(
-                    f"Nothing was done: it is not clear which node controls the pump, {names}. "
+                    "Nothing was done: it is not clear which node controls the pump, "
+                    f"{list_names([*self._pumps, *reported, *twice])}. "
                     "End those that should not run."
                 )
-            for name, clients in self._pumps.items():
-                if name not in sent and clients[service].service_is_ready():
-                    message = self._types[service].Request(**request)
-                    sent[name] = clients[service].call_async(message)
+            for name in self._pumps - sent.keys():
+                client = self._clients[name, service]
+                if client.service_is_ready():
+                    sent[name] = client.call_async(self._types[service].Request(**request))
             self._executor.spin_once(timeout_sec=_SPIN_S)
             now = time.monotonic()
-            waiting = now < until and (now < settled or bool(twice) or not (
-                self._pumps.keys() <= sent.keys() and all(future.done() for future in sent.values())
+            waiting = now < until and (now < settled or bool(twice) or not sent or not (
+                self._pumps <= sent.keys() and all(future.done() for future in sent.values())
             ))
+        silent = {*reported} - self._pumps
         if not self._pumps:
-            raise PumpRequestError("There is no pump node that could be stopped from here.")
+            raise PumpRequestError(
+                f"There is no pump node that could be asked: nothing provides the service {service}"
+                + (f" of {list_names(silent)}" if silent else "") + ". Start its graph "
+                "first, in the same ROS_DOMAIN_ID and with the same ROS_AUTOMATIC_DISCOVERY_RANGE "
+                "and --namespace."
+            )
         answers = {
-            name: _explain(name, service, sent.get(name), timeout_s) for name in sorted(self._pumps)
+            name: _explain(name, sent.get(name), timeout_s) for name in sorted(self._pumps)
         }
         for name in twice & answers.keys():
             answers[name] = False, (
@@ -214,10 +223,15 @@ class GraphClient:
             )
         for name, future in sent.items():
             if not future.done() and name in self._pumps:
-                self._pumps[name][service].remove_pending_request(future)
+                self._clients[name, service].remove_pending_request(future)
         said = [text for _, text in answers.values()]
         if len(answers) > 1:
             said = [f"{name}: {text}" for name, text in zip(answers, said, strict=True)]
+        if silent:
+            said.append(
+                "but others that claim to be the pump node could not be asked, "
+                f"{list_names(silent)}: if the pump turns, stop it at its drive's panel"
+            )
         if not all(ok for ok, _ in answers.values()):
             # A hold with this answer may be in force, but would not survive a restart.
             answered = any(future.done() for future in sent.values())
@@ -243,21 +257,16 @@ def _make_parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
     ]} if values else {}
 
 
-def _explain(name: str, service: str, future: Any, timeout_s: float) -> tuple[bool, str]:
+def _explain(name: str, future: Any, timeout_s: float) -> tuple[bool, str]:
     """Return whether a node did what it was asked, and its answer.
 
     Args:
         name: of the node.
-        service: its service.
-        future: of the answer; None if the service was not there.
+        future: of the answer; None if its service could not be reached.
         timeout_s: how long it was waited for.
     """
     if future is None:
-        return False, (
-            f"{name} does not answer: nothing provides its service {service}. Start its graph "
-            "first, in the same ROS_DOMAIN_ID and with the same ROS_AUTOMATIC_DISCOVERY_RANGE and "
-            "--namespace."
-        )
+        return False, f"{name} could not be reached within {timeout_s:g} s."
     if not future.done():
         return False, (
             f"{name} did not answer within {timeout_s:g} s: it may or may not have done that."

@@ -97,12 +97,12 @@ def listen(host: str, port: int | None) -> Listener:
             ) from error
         break
     listening.setblocking(False)
-    for level, option, value in (  # connections inherit them
+    for level, option, setting in (  # connections inherit them
         (socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING),
         (socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVING),
         (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNREAD_MS),
     ):
-        listening.setsockopt(level, option, value)
+        listening.setsockopt(level, option, setting)
     anywhere = ipaddress.ip_address(address.split("%")[0]).is_unspecified
     shown = _find_own_address(address) if anywhere else host
     url = f"http://{f'[{shown}]' if ':' in shown else shown}:{listening.getsockname()[1]}/"

@@ -11,8 +11,10 @@ import math
 import re
 import socket
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +29,10 @@ from greenroof_ros.common.alarms import (
     is_starting,
     make_diagnosis,
 )
+from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.states import ENDED, FINISHED, PLANT, PUMP, STATES
 from greenroof_ros.watch.wire import WireStatus
-from greenroof_ros.watch.words import clean_sentence, clean_text
+from greenroof_ros.watch.words import clean_sentence, clean_text, list_names
 
 # Other devices may be slower than this package's nodes: after this silence (s) they are lost.
 _FOREIGN_SILENT_S = 5.0
@@ -37,9 +40,10 @@ _FOREIGN_SILENT_S = 5.0
 _GONE_S = 10.0
 # The time over which the speed of a simulation is measured, at least and at most (s).
 _SPEED_S, _SPEED_MAX_S = 1.0, 3.0
-# Limits to what a hostile sender can fill, besides the limits of :mod:`.wire`: nodes, parts of
-# each, statuses of other devices, and characters of a name. A graph has seven nodes.
-_NODES, _PARTS, _FOREIGN, _NAME = 32, 24, 200, 160
+# Limits to what a hostile sender can fill, besides the limits of :mod:`.wire`: nodes of a role, so
+# that it takes no other role's room, parts of each, statuses of other devices, and characters of a
+# name. A graph has at most two nodes of a role.
+_NODES, _PARTS, _FOREIGN, _NAME = 8, 24, 200, 160
 _NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
 # The maximum tick of a run, and the end of the times of a run (ns since 1970): the year 2116.
 _LAST_TICK, _LAST_NS = 2**40, 2**62
@@ -86,6 +90,7 @@ class Registry:
     Attributes:
         runs: how often another run began, because the plant was started again.
         time_ns: the time of the plant's newest tick (ns since 1970); 0 before the first.
+        offered: the nodes that offer to hold the pump, whatever is reported.
     """
 
     def __init__(self, namespace: str = "", on_event: Callable[[str], None] | None = None) -> None:
@@ -97,6 +102,7 @@ class Registry:
         """
         self.runs = 0
         self.time_ns = 0
+        self.offered: Collection[str] = ()
         self._namespace = "/" + namespace.strip("/")
         self._on_event = on_event or (lambda _: None)
         self._nodes: dict[tuple[str, str], Node] = {}  # by name and process
@@ -165,7 +171,8 @@ class Registry:
             values = {key: _read_value(text) for key, text in status.values.items()}
         except (ValueError, RecursionError):
             return None
-        named = isinstance(values.get("role"), str) and isinstance(values.get("process"), str)
+        role, process = values.get("role"), values.get("process")
+        named = isinstance(role, str) and role in _list_roles() and isinstance(process, str)
         return values if named else None
 
     def _receive_node(
@@ -174,7 +181,7 @@ class Registry:
         role, process = (clean_text(values[key], _NAME) for key in ("role", "process"))
         node = self._nodes.get((name, process))
         if node is None:
-            if not self._make_room(wall):
+            if not self._make_room(wall, role):
                 return None
             node = Node(name, role, process, state, values, wall)
             node.replace_process(self._latest.get(name))
@@ -183,21 +190,24 @@ class Registry:
             self._nodes[name, process] = node
             for part in [other for other in self._foreign if other.startswith(f"{name}: ")]:
                 del self._foreign[part]
+        elif node.role != role:
+            return None
         # With a run that is over, its nodes finish and then end; that is one event.
         elif state == ENDED and not node.has_ended:
             self._on_event(f"{name} ended")
-        before, node.role = node.values, role
+        before = node.values
         node.receive(wall, now, state, values)
         self._report_changes(node, before)
         self._latest[name] = node
         self._assign_role(wall, node)
         return node
 
-    def _make_room(self, wall: float) -> bool:
-        """Forget the longest silent node if there are too many; return whether there is room."""
-        if len(self._nodes) < _NODES:
+    def _make_room(self, wall: float, role: str) -> bool:
+        """Forget the longest silent node of a role if there are many; return if there is room."""
+        same = [node for node in self._nodes.values() if node.role == role]
+        if len(same) < _NODES:
             return True
-        silent = min(self._nodes.values(), key=lambda node: node.received_at)
+        silent = min(same, key=lambda node: node.received_at)
         if wall - silent.received_at <= SILENT_S:
             return False
         self._remove(silent)
@@ -308,36 +318,42 @@ class Registry:
         return node if node is not None and node.is_present(wall) else None
 
     def pumps(self, wall: float) -> list[str]:
-        """Return the names of all nodes that claim to be the pump node, and are there."""
-        return [
+        """Return the names of all nodes that may be the pump node, and are there."""
+        return sorted({*self.offered} | {
             node.name for node in self._latest.values()
             if node.role == PUMP and node.is_present(wall)
-        ]
+        })
+
+    def _claimants(self, wall: float) -> list[str]:
+        """Return the names of the nodes that are the pump node by a service or by a report now."""
+        return sorted({*self.offered} | {
+            node.name for node in self._latest.values()
+            if node.role == PUMP and node.is_online(wall)
+        })
 
     def two_pumps(self, wall: float) -> str:
-        """Return a warning if two present nodes claim to be the pump node; otherwise empty."""
-        node = self._by_role.get(PUMP)
-        rival = None if node is None else self._rival(node, wall, "role")
-        if node is None or rival is None:
+        """Return a warning if it is unclear which process is the pump node; otherwise empty."""
+        names, pump = self._claimants(wall), self._by_role.get(PUMP)
+        if len(names) < 2 and (pump is None or self._find_twins(pump.name, wall) is None):
             return ""
-        two = " and ".join(f"{pump.name} ({pump.process})" for pump in (node, rival))
-        return clean_text(
-            f"Two nodes claim to be the pump node, {two}; which one controls the pump is unknown. "
-            "A stop goes to both; nothing else is done from here. End the node that should not run."
+        return (
+            f"Two nodes claim to be the pump node, {list_names(names)}; which one controls the "
+            "pump is unknown. A stop goes to all; nothing else is done from here. End the node "
+            "that should not run."
         )
 
-    def _rival(self, node: Node, wall: float, same: str) -> Node | None:
-        """Return another process of the same name, or role, that reports alternately with a node.
+    def _find_twins(self, name: str, wall: float) -> tuple[Node, Node] | None:
+        """Return two processes that report alternately under a name, the older one first.
 
-        None if there is none. A process that replaced another one is no rival: the earlier process
+        None if there are none. A process that replaced another one is no twin: the earlier process
         did not report after the later one began.
         """
-        for rival in self._nodes.values():
-            alike = rival is not node and getattr(rival, same) == getattr(node, same)
-            if alike and rival.is_online(wall) and node.is_online(wall):
-                older, newer = sorted((rival, node), key=lambda process: process.began)
-                if older.received_at > newer.began:
-                    return rival
+        online = [
+            node for node in self._nodes.values() if node.name == name and node.is_online(wall)
+        ]
+        for older, newer in combinations(sorted(online, key=lambda node: node.began), 2):
+            if older.received_at > newer.began:
+                return older, newer
         return None
 
     def site(self) -> Path | None:
@@ -371,13 +387,22 @@ class Registry:
             elif part.diagnosis.level != OK and not silent:
                 diagnoses[name] = part.diagnosis
         for node in self._latest.values():
+            other = self._by_role.get(node.role, node)
+            if other is not node and other.is_online(wall) and (
+                wall - node.received_at > _GONE_S
+            ):
+                continue  # another node has its role, or no such node was ever there
             diagnoses.update(node.diagnoses(wall))
-            twin = self._rival(node, wall, "name")
-            if twin is not None:
-                older, newer = sorted((node, twin), key=lambda process: process.began)
+            if (twins := self._find_twins(node.name, wall)) is not None:
+                older, newer = twins
                 diagnoses[node.name] = make_diagnosis(
                     ERROR, node.role, "two_processes", older=older.process, newer=newer.process
                 )
+        if len(names := self._claimants(wall)) > 1:
+            pump = self._by_role.get(PUMP)
+            diagnoses[f"{pump.name if pump else names[0]}: pump nodes"] = make_diagnosis(
+                ERROR, PUMP, "two_pump_nodes", nodes=list_names(names)
+            )
         return diagnoses
 
     def _has_ended(self, name: str, part: PartReport) -> bool:
@@ -419,3 +444,13 @@ def _find_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple
         return [], 0
     new = listed[-min(last - first, _NEWEST):] if last > first else []
     return new, max(0, last - first) - len(new)
+
+
+@cache
+def _list_roles() -> frozenset[str]:
+    """Return the roles of all nodes of the interface."""
+    return frozenset(
+        role for topic in read_topics().values() for roles in (
+            topic.publishers, topic.subscribers, topic.live_publishers, topic.live_subscribers
+        ) for role in roles
+    )

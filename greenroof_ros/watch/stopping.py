@@ -36,7 +36,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     node = None if two else store.graph.pump(store.wall)
     values = {} if node is None else node.values
     hold, is_silent = "" if node is None else node.hold, store.is_lost(node)
-    possible = store.can_stop or bool(store.graph.pumps(store.wall))
+    possible = bool(store.graph.pumps(store.wall))
     at_rest = not is_silent and values.get("stands") is True
     stopped, warning = bool(hold) and at_rest, two
     if hold and not at_rest and not is_silent:

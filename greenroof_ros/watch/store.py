@@ -108,7 +108,6 @@ class GraphStore:
             that is over.
         factor: simulated time per wall time; None if there is none.
         allow_release: whether the pump may be released from here.
-        can_stop: whether a node offers to hold the pump, whatever is reported.
         graph: what its nodes report.
         judge: what is wrong now, and what is only missing while the site starts.
         events: the newest events, each with its time (s since 1970).
@@ -127,7 +126,7 @@ class GraphStore:
         """
         self.lock = threading.RLock()
         self.namespace = namespace
-        self.allow_release = self.can_stop = False
+        self.allow_release = False
         self.site = read_site(default_site_file())
         self.notes = ["", ""]
         self.mode = "none"
@@ -223,7 +222,12 @@ class GraphStore:
 
     @property
     def pump_report(self) -> PumpState | None:
-        """The pump's state and why, as its node last reported; None if it has not."""
+        """The pump's state and why, as its node last reported; None if it has not.
+
+        It is unknown if it is unclear which node that is.
+        """
+        if two := self.graph.two_pumps(self.wall):
+            return PumpState("unknown", two)
         if self.pump is None or not (state := self.pump.text("pump_state")):
             return None
         return PumpState(state if state in PUMP_STATES else "unknown", self.pump.text("pump_why"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from datetime import datetime, timedelta, tzinfo
 from functools import cache, lru_cache
 from zoneinfo import ZoneInfo
@@ -19,6 +20,8 @@ _CUBIC = re.compile(r"\bm3\b")
 SPACE = "\N{NO-BREAK SPACE}"
 """Between a number and its unit: no line ends there."""
 _HOUR = timedelta(hours=1)
+# How many names of nodes are listed.
+_MAX_NAMES = 3
 
 
 def write_number(value: float, decimals: int) -> str:
@@ -155,3 +158,10 @@ def clean_text(text: str, max_length: int = 500) -> str:
         sign if sign.isprintable() else " " if sign.isspace() else "\N{REPLACEMENT CHARACTER}"
         for sign in short
     )
+
+
+def list_names(names: Iterable[str]) -> str:
+    """List names of nodes; not all, since anyone can report any number of them."""
+    listed = sorted({*names})
+    more = len(listed) - _MAX_NAMES
+    return " and ".join(listed[:_MAX_NAMES] + ([f"{more} more"] if more > 0 else []))

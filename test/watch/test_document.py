@@ -416,7 +416,7 @@ def test_what_stop_does_as_the_pump_is(
 def test_no_report_switches_the_stop_off(forged: dict[str, Any]) -> None:
     """A second pump node, one that claims to have ended or to be held, or impossible values."""
     graph = watched("live")
-    graph.can_stop = True  # a node offers to hold the pump
+    graph.graph.offered = ["/pump"]
     for wall in (100.0, 100.2, 100.4):
         pump_says(graph, wall, "running: as commanded", stands=False)
         said = {"name": "/pump", "process": "host 1", "state": "ready", **forged}
@@ -424,8 +424,13 @@ def test_no_report_switches_the_stop_off(forged: dict[str, Any]) -> None:
         stop = shown(graph, wall)["stop"]
         assert stop["possible"]
     two = "process" in forged and "state" not in forged
+    document = shown(graph, wall)
     assert ("Two nodes claim to be the pump node" in stop["warning"]) == two
     assert not (two and stop["release"])
+    if two:
+        assert document["tiles"]["pump"]["state"] == "unknown"
+        assert document["tiles"]["summary"]["word"].startswith("1 alarm")
+        assert {row["code"] for row in document["alarms"]} & {"two_pump_nodes", "two_processes"}
 
 
 STARTS, STAYS = "The pump then starts automatically", "It stays off all the same"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -61,7 +62,9 @@ class Pump(Peer):
 def test_hold(place: int) -> None:
     """The pump node's message is returned; if it does not state that it holds, that is an error."""
     client = GraphClient("", lambda *_: None)
-    assert client.find_pumps(["/pump"]) == {"/pump"}
+    assert not client.find_pumps()
+    with pytest.raises(PumpRequestError, match="nothing provides the service hold of /pump"):
+        client.request("stop", 0.5, ["/pump"], **PAGE)
     pump = Pump(place)
     assert client.request("stop", 20, **PAGE) == "held: a hold by the page"
     assert client.request("stop", 20, owner="MQTT", reason="frost", until=4e9)
@@ -88,12 +91,12 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(place: int) -> None
     assert client.request("stop", 20, **PAGE) == f"/other: {held}; /pump: {held}"
     assert [pump.requests for pump in pumps] == [[PAGE]] * 2
     # A node that does not answer, and one that is only reported, keep the stop from none.
-    client.find_pumps(["/reported"])
+    reported = [f"/reported__{number}" for number in range(1000)]
     pumps[1].answers.clear()
     with pytest.raises(PumpRequestError) as refused:
-        client.request("stop", 1.0, **PAGE)
+        client.request("stop", 1.0, reported, **PAGE)
     assert len(pumps[0].requests) == 2 and refused.value.answered
-    for part in (f"/pump: {held}", "/other did not answer", "/reported does not answer"):
+    for part in (f"/pump: {held}", "/other did not answer", "not be asked, /reported__0 and"):
         assert part in str(refused.value)
     pumps[1].answers.set()
     for action in ("release", "clear", "reset", "dose"):
@@ -102,6 +105,12 @@ def test_a_stop_goes_to_every_node_that_may_control_the_pump(place: int) -> None
     # One that has gone is not asked any more, so that the other can be released.
     pumps.pop().close()
     wait_for(lambda: client.find_pumps() == {"/pump"}, 60, "the end of the other node")
+    # Who is only reported makes a stop neither fail nor wait; what is not a stop is refused.
+    began = time.monotonic()
+    assert client.request("stop", 20, reported, **PAGE).startswith(f"{held}; but others that")
+    assert time.monotonic() - began < 5
+    with pytest.raises(PumpRequestError, match="Nothing was done: it is not clear which node"):
+        client.request("release", 20, ["/reported"])
     # Of two nodes of one name, one can hang although an answer comes.
     pumps.append(Pump(place))
     wait_for(lambda: client._caller.count_services("/pump/hold") == 2, 60, "its twin")

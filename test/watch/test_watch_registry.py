@@ -6,6 +6,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
+import pytest
 from page_inputs import node
 
 from greenroof_ros.watch.registry import Registry
@@ -40,6 +41,51 @@ def test_a_pump_node_that_is_started_again_is_one() -> None:
         assert graph.two_pumps(at) == ""
         pump = graph.pump(at)
         assert pump is not None and pump.process == "host 2"
+
+
+@pytest.mark.parametrize(("reported", "offered", "two"), [
+    (["/pump"], ["/pump"], False), ([], ["/pump"], False), (["/other/pump"], ["/pump"], False),
+    (["/pump", "/forged"], ["/pump"], True), (["/pump"], ["/pump", "/second"], True),
+    (["/forged"], ["/pump"], True),
+])
+def test_each_node_that_may_be_the_pump_node_is_stopped_and_several_are_an_alarm(
+    reported: list[str], offered: list[str], two: bool
+) -> None:
+    """By its service, or by what is reported of this namespace."""
+    graph = Registry()
+    graph.offered = offered
+    for name in reported:
+        say(graph, 0.0, "pump", name=name)
+    own = {*offered, *reported} - {"/other/pump"}
+    assert {*graph.pumps(0.0)} == own
+    codes = [diagnosis.code for diagnosis in graph.diagnoses(0.0).values()]
+    assert (codes == ["two_pump_nodes"]) == bool(graph.two_pumps(0.0)) == two
+
+
+def test_processes_that_report_once_hide_no_other() -> None:
+    graph = Registry()
+    for step in range(50):
+        at = step / 10
+        say(graph, at, "pump", process="host 1" if step % 10 == 0 else f"forged {step}")
+        diagnosis = graph.diagnoses(at).get("/pump")
+        assert (diagnosis is not None and diagnosis.code == "two_processes") == (step >= 10)
+        assert bool(graph.two_pumps(at)) == (step >= 10)
+
+
+def test_forged_nodes_take_no_room_from_others() -> None:
+    graph = Registry()
+    say(graph, 0.0, "pump")
+    for number in range(1000):
+        for role in ("pump", "weather", f"role {number}"):
+            say(graph, 1.0, role, name=f"/{role}{number}", process=f"host {number}")
+    say(graph, 2.0, "weather", name="/pump")  # of the same process
+    say(graph, 2.0, "controller")
+    assert graph.pump(2.0) is graph.node("pump") and graph.node("controller") is not None
+    assert "/pump" in graph.pumps(2.0) and len(graph.pumps(2.0)) < 10
+    assert "and 5 more" in graph.two_pumps(2.0)
+    for role in ("pump", "weather"):
+        say(graph, 12.0, role, name=f"/{role}")
+    assert graph.diagnoses(12.0).keys() == {"/controller"}  # silent for 10 s
 
 
 def test_the_time_of_a_run_is_its_plants_after_the_first_tick() -> None:
