@@ -8,6 +8,8 @@ should publish while it is not connected are dropped.
 from __future__ import annotations
 
 import re
+import ssl
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -175,33 +177,46 @@ def make_client(
     if will is not None:
         client.will_set(*will, qos=1, retain=True)
 
-    refused = False
+    refused = answered = False
 
     def connected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
-        nonlocal refused
-        refused = code.is_failure
+        nonlocal refused, answered
+        refused, answered = code.is_failure, True
         if refused:
             on_disconnect(str(code))
         else:
             on_connect()
 
     def disconnected(client: Client, data: Any, flags: Any, code: Any, properties: Any) -> None:
-        nonlocal refused
+        nonlocal refused, answered
+        lost = "the connection was lost"
+        if not answered and not broker.tls:
+            lost += " before an answer; if the broker expects TLS, its address is mqtts://"
         if not refused:  # otherwise the reason was already reported
-            on_disconnect("the connection was lost" if code.value == _UNSPECIFIED else str(code))
-        refused = False
+            on_disconnect(lost if code.value == _UNSPECIFIED else str(code))
+        refused = answered = False
 
     client.on_connect = connected
     client.on_disconnect = disconnected
-    silent = f"no one answers at {broker}"
-    silent +=  ", or its certificate is not trusted" if broker.tls else ""
-    client.on_connect_fail = lambda client, data: on_disconnect(silent)
+    # Paho calls this while it handles the error.
+    client.on_connect_fail = lambda client, data: on_disconnect(
+        _why_not_connected(broker, sys.exc_info()[1])
+    )
     client.on_message = lambda client, data, message: on_message(
         message.topic, bytes(message.payload), message.retain
     )
     client.reconnect_delay_set(_FIRST_WAIT_S, _MAX_WAIT_S)
     client.connect_async(broker.host, broker.port, keepalive=_KEEP_ALIVE_S)
     return client
+
+
+def _why_not_connected(broker: Broker, error: BaseException | None) -> str:
+    """Return in words why there is no connection to a broker."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"the certificate of {broker} is not trusted: {error.verify_message}"
+    if broker.tls and isinstance(error, ssl.SSLError | ConnectionResetError):
+        return f"{broker} does not answer in TLS; without it, its address is mqtt://"
+    return f"no one answers at {broker}: {getattr(error, 'strerror', None) or error}"
 
 
 def _read_login(file: Path) -> tuple[str, str]:

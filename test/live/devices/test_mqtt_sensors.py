@@ -6,6 +6,9 @@ Totals are in test_total.py, and with a broker in test_sensor_node.py.
 
 from __future__ import annotations
 
+import getpass
+import shutil
+import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -106,6 +109,40 @@ MESSAGES: list[tuple[str, str, float | str]] = [
     ("[" * 60_000, "", f"reports {b'[' * 40!r}, which is not JSON"),
     ("1" + " " * 65_536, "", "a message of 65537 bytes, which is more than 65536"),
 ]
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no openssl here")
+def test_why_a_broker_cannot_be_used_is_reported(tmp_path: Path) -> None:
+    """An unknown certificate, another host's, TLS on one side only, a wrong password."""
+    files = certificate, key, login, users = [
+        tmp_path / name for name in ("c.pem", "k.pem", "login.yaml", "users")
+    ]
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out",
+         certificate, "-subj", "/CN=x", "-addext", "subjectAltName=DNS:elsewhere"],
+        check=True, capture_output=True,
+    )
+    login.write_text("username: a\npassword: wrong\n")
+    users.write_text("")
+    for file in files:
+        file.chmod(0o600)
+    user = f"user {getpass.getuser()}"
+    open_to_all = ("allow_anonymous true", user)
+    secret = (*open_to_all, f"certfile {certificate}", f"keyfile {key}")
+    strict = ("allow_anonymous false", user, f"password_file {users}")
+    for lines, scheme, changed, why in (
+        (secret, "mqtts", {}, "is not trusted: self-signed certificate"),
+        (secret, "mqtts", {"authority": str(certificate)}, "is not trusted: IP address mismatch"),
+        (secret, "mqtt", {}, "if the broker expects TLS, its address is mqtts://"),
+        (open_to_all, "mqtts", {}, "does not answer in TLS"),
+        (strict, "mqtt", {"login": str(login)}, "Not authorized"),
+    ):
+        with mosquitto(tmp_path, *lines) as broker:
+            address = f"{scheme}://127.0.0.1:{broker.port}/x"
+            reader = MqttReader("cistern", sensor_at(address, **changed), "m")
+            with closing(reader):
+                reader.start()
+                until(lambda why=why, reader=reader: why in reader.snapshot.problem, 10)
 
 
 @pytest.mark.parametrize(("message", "value", "expected"), MESSAGES)
