@@ -15,7 +15,8 @@ from greenroof_ros.live.devices.sensor_file import MqttSensor
 
 # Longest message of a sensor that is accepted (bytes).
 _MAX_BYTES = 65_536
-# Messages are refused for this long after a suspend (s): they may have been waiting.
+# Messages are refused for this long from the first one after a silence (s): they may have been
+# waiting, or be what another broker had retained.
 _IGNORING_S = 1.0
 # A number as text, which need not be JSON: "317.3988", 00317.3988, +5.0 or .5.
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", re.ASCII | re.IGNORECASE)
@@ -56,8 +57,8 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
 class MqttReader(SensorReader):
     """Receives what a sensor publishes. The client reconnects automatically after each failure.
 
-    A message is a reading of the moment when it arrives. A retained message is no reading: it may
-    be of any age.
+    A message is a reading of the moment when it arrives. A retained message is no reading, nor are
+    the first ones after a silence or a loss: they may be of any age.
     """
 
     def __init__(
@@ -78,7 +79,8 @@ class MqttReader(SensorReader):
         self._sensor = sensor
         first = Reading(problem=f"{sensor.address}: not yet connected", code="broker_lost")
         super().__init__(sensor, unit, spread_s, first)
-        self._ignoring_until = 0.0
+        # When the last message arrived, and until when messages are refused (s).
+        self._heard_at, self._ignoring_until = -math.inf, -math.inf
         self._client = make_client(
             broker, f"greenroof_{name}_{uuid.uuid4().hex[:8]}",
             self._on_connect, self._on_message, self._on_disconnect,
@@ -104,6 +106,7 @@ class MqttReader(SensorReader):
     # --- in the client's thread -------------------------------------------------------------------
 
     def _on_connect(self) -> None:
+        self._heard_at = -math.inf
         self._fail("has sent nothing yet")
         self._client.subscribe(self._topic)
 
@@ -124,10 +127,12 @@ class MqttReader(SensorReader):
         now = time.monotonic()
         if retained:
             raise ValueError("has sent nothing yet; the retained message may be old")
-        if self._readings.clear_after_suspend():
+        suspended = self._readings.clear_after_suspend()
+        if suspended or now - self._heard_at > self._sensor.max_age:
             self._ignoring_until = now + _IGNORING_S
+        self._heard_at = now
         if now < self._ignoring_until:
-            raise ValueError("this message may be from before the suspend")
+            raise ValueError("sends again, but its first messages may be old")
         value = self._readings.add(read_number(payload, self._sensor))
         self._reading = Reading(now, "", value)
 
