@@ -96,7 +96,7 @@ class Rig:
         self.delivered += decision.flow * self.tau
         setpoint = decision.speed or 0.0
         true_flow = self.plant_flow(1.0 if self.contactor_stuck else self.speed)
-        flows = self.plant.flows(rain, evapotranspiration, true_flow)
+        flows = self.plant.flows(rain, evapotranspiration, 0.0, true_flow)
         leaving_m3_s = self.leak + (self.leaving - 1) * flows.pump
         arrived = flows.pump * self.arriving
         self.plant.step(rain, flows)
@@ -116,7 +116,7 @@ class Rig:
         for second in range(round(seconds / self.tau)):
             if second * self.tau >= runs_on:
                 self.speed = 0.0
-            self.plant.step(0.0, self.plant.flows(0.0, 0.0, self.plant_flow(self.speed)))
+            self.plant.step(0.0, self.plant.flows(0.0, 0.0, 0.0, self.plant_flow(self.speed)))
             self.plant.x1 -= self.leak * self.tau
         self.now += seconds
         self.control.count_unseen(seconds)

@@ -96,7 +96,7 @@ def record_rows(
         for _ in range(ticks):
             flows = plant.flows(
                 fell / 1000 / STEP_S, wanted_mm * site.crop_coefficient * site.a2 / 1000 / STEP_S,
-                float(command[step]) * maximum_pump_flow(site, plant.x1),
+                0.0, float(command[step]) * maximum_pump_flow(site, plant.x1),
             )
             drained += flows.drainage * STEP_S / ticks
             plant.step(fell / 1000 / STEP_S, flows)

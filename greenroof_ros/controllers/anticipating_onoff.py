@@ -136,9 +136,9 @@ class AnticipatingOnOff:
         command = self.fraction if dry else 0.0
         self._waited += site.tau
         now = float(rain[0, 0]), float(evaporated[0])
-        pumped = Plant(site, x1, x2).pump_flow(command, *now) if command else 0.0
+        pumped = Plant(site, x1, x2).flows(*now, command).pump if command else 0.0
         self._observer.predict(x2, *now, pumped)
-        self._regret_budget.move(x1, x2, self.fraction, pumped, *now)
+        self._regret_budget.move(x1, x2, self.fraction, command, *now)
         return command
 
     def skip(self) -> None:

@@ -238,7 +238,7 @@ class Lookahead:
         self.fill_to = site.roof_level(level) if level >= x2 else math.nan
         self._flow = share * maximum_pump_flow(site, x1) if share else 0.0
         self._observer.predict(x2, *now, self._flow)
-        self._regret_budget.move(x1, x2, 0.0 if quiet else fraction, self._flow, *now)
+        self._regret_budget.move(x1, x2, 0.0 if quiet else fraction, share, *now)
         self._pass_tick()
         self.solve_seconds.append(time.perf_counter() - started)
         return share

@@ -146,7 +146,7 @@ class RegretBudget:
         self._unseen += 1
 
     def move(
-        self, x1: float, x2: float, fraction: float, pumped: float,
+        self, x1: float, x2: float, fraction: float, command: float,
         precipitation: float = 0.0, evapotranspiration: float = 0.0,
     ) -> None:
         """Move on by one tick.
@@ -155,7 +155,7 @@ class RegretBudget:
             x1: in the cistern (m3).
             x2: on the roof (m3).
             fraction: as for :meth:`judge`.
-            pumped: actual pump flow (m3/s).
+            command: the actual one.
             precipitation: rain in the tick (m/s).
             evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
         """
@@ -163,9 +163,8 @@ class RegretBudget:
         ours.x1, ours.x2 = x1, x2
         theirs.x1, theirs.x2 = max(0.0, x1 + self._stored), max(0.0, x2 + self._more)
         weather = precipitation, evapotranspiration
-        flow = theirs.pump_flow(fraction, *weather)
-        theirs.step(precipitation, theirs.flows(*weather, flow))
-        ours.step(precipitation, ours.flows(*weather, pumped))
+        theirs.step(precipitation, theirs.flows(*weather, fraction))
+        ours.step(precipitation, ours.flows(*weather, command))
         self._stored, self._more = theirs.x1 - ours.x1, theirs.x2 - ours.x2
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from greenroof_ros.experiment.plan import find_pumping_ticks
 from greenroof_ros.experiment.roof_range import ROUNDING, RoofRange, roof_range
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.plant import maximum_pump_flow
+from greenroof_ros.model.plant import has_short_ticks, maximum_pump_flow
 
 Values = NDArray[np.float64]
 
@@ -88,10 +88,11 @@ def _limits(run: Run, max_command: float) -> RoofRange:
     )
     # As if the mains' valve were always open.
     received = _sums(run.x1, tau * (site.effective_catchment * rain + (site.mains_flow or 0.0)))
-    before = received[:-1]
-    flow = np.fromiter((maximum_pump_flow(site, x1) for x1 in before), float, run.steps)
-    usable = before - site.a1 * site.suction_level
-    full = np.where(usable < -ROUNDING * before, 0, tau * max_command * flow)
+    # In a short tick the pumps lift what was there before it.
+    held = received[:-1] if has_short_ticks(site) else received[1:]
+    flow = np.fromiter((maximum_pump_flow(site, x1) for x1 in held), float, run.steps)
+    usable = held - site.a1 * site.suction_level
+    full = np.where(usable < -ROUNDING * held, 0, tau * max_command * flow)
     mains = np.where(full > 0, np.minimum(usable + full, received[1:]), 0)
     pumped = np.where(find_pumping_ticks(run), full, 0)
 

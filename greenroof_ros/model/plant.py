@@ -1,9 +1,9 @@
 """The plant: Eqs. (1)-(4) of the paper, integrated tick by tick.
 
-In a short tick, as in Table I, that is Euler's method, as in the paper. In a longer one, outlets
-and pumps act within the tick: each stops at its level (:func:`has_short_ticks`). Eq. (4) is in
-:mod:`greenroof_ros.model.soil`, with the measured soil, which can have a third state: the water in
-its drainage layer.
+In a short tick, as in Table I, that is Euler's method, as in the paper. In a longer one, outlets,
+pumps and mains act within the tick: each stops at its level (:func:`has_short_ticks`). Eq. (4) is
+in :mod:`greenroof_ros.model.soil`, with the measured soil, which can have a third state: the water
+in its drainage layer.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ _new = tuple.__new__
 
 # A short tick: see :func:`has_short_ticks`.
 _SHORT_SHARE, _SHORT_HEAD = 0.01, 1e-4
-# Steps in which the outlets are computed in a longer tick (s): storms of five minutes keep their
-# peaks within 3 %.
+# Steps in which the cistern is computed in a longer tick (s).
 _MAX_STEP_S = 10.0
+# A cistern that is pumped down to the suction level ends above it, not a bit below it (share).
+_ROUNDING = 1e-9
 
 RUNNING_SHARE = 0.01
 """The pumps run above this share of their maximum flow."""
@@ -65,55 +66,25 @@ def has_short_ticks(site: Site) -> bool:
     return pumped <= _SHORT_SHARE * site.x2_star and overdrawn <= _SHORT_HEAD
 
 
-def drain_cistern(site: Site, x1: float, inflow: float) -> float:
-    """Return the mean flow through the outlets in a tick (m3/s), however long it is.
-
-    The backward Euler method, in steps of up to 10 s: an outlet takes at most what stands above
-    it and flows in. Its head after a step, s^2, solves a quadratic equation,
-
-        a1 s^2 + c t s = volume above the outlet without its flow.
-
-    Args:
-        site: its parameters.
-        x1: in the cistern at the beginning (m3).
-        inflow: net of what is pumped (m3/s); it may be negative.
-    """
-    low = site.a1 * site.min_outlet_level
-    if max(x1, x1 + site.tau * inflow) <= low:
-        return 0.0
-    steps = math.ceil(site.tau / _MAX_STEP_S)
-    seconds, left = site.tau / steps, 0.0
-    for _ in range(steps):
-        x1 += seconds * inflow
-        # The upper outlet first: while it flows, the lower one's head hardly changes.
-        for elevation, coefficient in ((site.z_o, site.c_out), (site.min_outlet_level, site.c_low)):
-            above = x1 - site.a1 * elevation
-            if above > 0:
-                drop = coefficient * seconds
-                taken = drop * 2 * above / (drop + math.sqrt(drop * drop + 4 * site.a1 * above))
-                x1 -= taken
-                left += taken
-    return left / site.tau
-
-
-def mains_flow(site: Site, x1: float, drawn: float) -> float:
-    """Return the mean flow of the mains in a tick (m3/s), through a float valve; 0 without one.
+def mains_flow(site: Site, x1: float, drawn: float, seconds: float) -> float:
+    """Return the mean flow of the mains in a step (m3/s), through a float valve; 0 without one.
 
     Below its level the valve is open; at its level it replaces what is drawn, up to ``mains_flow``.
 
     Args:
         site: its parameters.
         x1: in the cistern at the beginning (m3).
-        drawn: what is pumped and drains, less the rain that flows in (m3/s), constant in the tick.
+        drawn: what is pumped and drains, less the rain that flows in (m3/s), constant in the step.
+        seconds: duration of the step (s).
     """
     if site.mains_flow is None or site.mains_level is None:
         return 0.0
     missing, maximum = site.a1 * site.mains_level - x1, site.mains_flow
     before = 0.0 if missing <= 0 else maximum  # its flow until the level is the valve's
     towards = before - drawn
-    seconds = missing / towards if missing * towards > 0 else site.tau if missing else 0.0
-    reached = min(1.0, seconds / site.tau)
-    return before * reached + min(max(0.0, drawn), maximum) * (1 - reached)
+    reaches = missing / towards if missing * towards > 0 else seconds if missing else 0.0  # s
+    share = min(1.0, reaches / seconds)
+    return before * share + min(max(0.0, drawn), maximum) * (1 - share)
 
 
 def maximum_pump_flow(site: Site, x1: float) -> float:
@@ -217,42 +188,10 @@ class Plant:
         """
         return self.x1 / self._a1, self.x2 / self._a2
 
-    def pump_flow(
-        self, command: float, precipitation: float = 0.0, evapotranspiration: float = 0.0
-    ) -> float:
-        """What the pumps deliver in the present tick at a command (m3/s), Eq. (3a).
-
-        In a tick that is not short they stop within it when the roof reaches its target, or the
-        cistern their suction level; the result is the mean. They do not start for less than a
-        second.
-
-        Args:
-            command: share of the maximum flow.
-            precipitation: rain (m/s).
-            evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
-        """
-        if not command:
-            return 0.0
-        site, x1, x2 = self._site, self.x1, self.x2
-        flow = pump_flow(site, x1, x2, command)
-        if flow == 0 or self._short:
-            return flow
-        rain, target = precipitation * self._a2, self._a2 * site.z_veg
-        evaporated = evapotranspiration * self._soil.water_stress(x2)
-        if rain > evaporated:
-            arrived = self._soil.water_to_raise(x2, target) / self._tau
-            to_target = flow * arrived / (flow + rain - evaporated)
-        else:  # they also replace what is lost in the rest of the tick
-            lost = self._tau * evaporated
-            to_target = self._soil.water_to_raise(x2, target + lost) / self._tau - rain
-        collected = precipitation * self._catchment
-        usable = (x1 - self._a1 * site.suction_level) / self._tau + collected
-        usable += mains_flow(site, x1, flow - collected)
-        usable -= drain_cistern(site, x1, collected - flow)
-        mean = min(flow, to_target, usable)
-        return mean if mean * self._tau >= flow * min(self._tau, MIN_RUN_S) else 0.0
-
-    def flows(self, precipitation: float, evapotranspiration: float, pump: float) -> Flows:
+    def flows(
+        self, precipitation: float, evapotranspiration: float, command: float,
+        pumped: float | None = None,
+    ) -> Flows:
         """Return what moves during the present tick.
 
         If the paper's model would empty a tank below zero, all that leaves it is scaled down to
@@ -261,35 +200,124 @@ class Plant:
         Args:
             precipitation: rain (m/s).
             evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
-            pump: flow from the cistern to the roof (m3/s).
+            command: to the pumps (share of the maximum flow), Eq. (3a).
+            pumped: flow from the cistern to the roof (m3/s), if another program drives the pumps.
         """
-        x1, x2 = self.x1, self.x2
-        rain = precipitation * self._catchment
+        x1, x2, tau = self.x1, self.x2, self._tau
+        collected, rain = precipitation * self._catchment, precipitation * self._a2
+        mains, limited = 0.0, False
         if not self._short:
-            outflow = drain_cistern(self._site, x1, rain - pump)
-        elif x1 / self._a1 > self._min_outlet_level:
-            outflow = outlet_flow(self._site, x1)
+            missing = rise = 0.0
+            if pumped is None and command and x2 / self._a2 < self._site.z_veg:
+                missing, rise = self._find_missing(rain, evapotranspiration)
+            outflow, pump, mains, limited = self._step_cistern(
+                collected, command, pumped, missing, rise
+            )
         else:
+            pump = pump_flow(self._site, x1, x2, command) if pumped is None else pumped
             outflow = 0.0
-        limited, demand = False, outflow + pump
-        mains = mains_flow(self._site, x1, demand - rain) if self._has_mains else 0.0
-        available = x1 / self._tau + rain + mains
-        if demand > available:
-            share = available / demand
-            outflow *= share
-            pump *= share
-            limited = True
+            if x1 / self._a1 > self._min_outlet_level:
+                outflow = outlet_flow(self._site, x1)
+            demand = outflow + pump
+            if self._has_mains:
+                mains = mains_flow(self._site, x1, demand - collected, tau)
+            available = x1 / tau + collected + mains
+            if demand > available:
+                share = available / demand
+                outflow *= share
+                pump *= share
+                limited = True
         drainage = 0.0
-        available = x2 / self._tau + precipitation * self._a2 + pump
+        available = x2 / tau + rain + pump
         # Otherwise the soil loses what is demanded: in most ticks of the paper's site, which saves
         # a call that would make them a tenth longer.
         if x2 >= self._retains_all_below or evapotranspiration > available:
-            arriving = precipitation * self._a2 + pump
             drainage, evapotranspiration, dry = self._soil.tick(
-                x2, self.layer, available, arriving, evapotranspiration
+                x2, self.layer, available, rain + pump, evapotranspiration
             )
             limited = limited or dry
         return _new(Flows, (outflow, pump, drainage, evapotranspiration, limited, mains))
+
+    def _find_missing(self, rain: float, evapotranspiration: float) -> tuple[float, float]:
+        """Return what must be pumped until the roof is at its target in a long tick.
+
+        Args:
+            rain: on the roof (m3/s).
+            evapotranspiration: off it (m3/s), of plants that do not lack water.
+
+        Returns:
+            A volume (m3), and by how much it falls because of rain (m3/s).
+        """
+        target = self._a2 * self._site.z_veg
+        evaporated = evapotranspiration * self._soil.water_stress(self.x2)
+        if rain > evaporated:
+            return self._soil.water_to_raise(self.x2, target), rain - evaporated
+        # They also replace what is lost in the rest of the tick.
+        arrive = self._soil.water_to_raise(self.x2, target + self._tau * evaporated)
+        return arrive - self._tau * rain, 0.0
+
+    def _step_cistern(
+        self, collected: float, command: float, pumped: float | None, missing: float, rise: float
+    ) -> tuple[float, float, float, bool]:
+        """Return outflow, pumped and mains water in a long tick (m3/s).
+
+        If something changes quickly, in steps of up to 10 s. In each, pumps and mains stop at their
+        levels. The outlets follow by the backward Euler method, so they take at most what stands
+        above them. Their head after a step, s^2, solves a quadratic equation,
+
+            a1 s^2 + c t s = volume above the outlet without its flow.
+
+        Args:
+            collected: rain that flows in (m3/s).
+            command: to the pumps (share of the maximum flow).
+            pumped: flow to the roof (m3/s), if another program drives the pumps.
+            missing: what must be pumped until the roof is at its target (m3).
+            rise: by how much that falls because of rain (m3/s).
+
+        Returns:
+            The three flows, and whether the cistern held less than another program pumped.
+        """
+        site, x1, tau = self._site, self.x1, self._tau
+        lowest, min_run = self._a1 * site.suction_level * (1 + _ROUNDING), MIN_RUN_S
+        flow = command * maximum_pump_flow(site, x1) if missing > 0 else 0.0
+        if pumped is not None:
+            flow, missing, lowest, min_run = pumped, math.inf, 0.0, 0.0
+        filled = max(x1, self._a1 * (site.mains_level or 0.0)) + tau * collected
+        overflows = filled > self._a1 * site.min_outlet_level
+        quick = overflows or tau * flow > _SHORT_SHARE * site.x2_star
+        steps = math.ceil(tau / _MAX_STEP_S) if quick else 1
+        seconds, running, limited = tau / steps, False, False
+        out = lifted = let_in = 0.0  # m3
+        for _ in range(steps):
+            if pumped is None:
+                flow = command * maximum_pump_flow(site, x1) if missing > 0 else 0.0
+            volume = min(flow * seconds, missing * flow / (flow + rise)) if flow else 0.0
+            min_volume = 0.0 if running else flow * min(seconds, min_run)
+            arrives = seconds * collected
+            mains = seconds * mains_flow(site, x1, -collected, seconds)
+            if volume and min(volume, x1 + arrives + mains - lowest) >= min_volume:
+                mains = seconds * mains_flow(site, x1, volume / seconds - collected, seconds)
+                usable = x1 + arrives + mains - lowest
+                if volume > usable:
+                    volume, limited = usable, pumped is not None
+            else:
+                volume = 0.0
+            running = volume >= flow * seconds > 0
+            missing -= volume + seconds * rise
+            x1 += arrives + mains - volume
+            lifted += volume
+            let_in += mains
+            # The upper outlet first: while it flows, the lower one's head hardly changes.
+            for level, coefficient in (
+                (site.z_o, site.c_out), (site.min_outlet_level, site.c_low)
+            ):
+                above = x1 - self._a1 * level
+                if above > 0:
+                    drop = coefficient * seconds
+                    taken = drop * 2 * above / (drop + math.sqrt(drop**2 + 4 * self._a1 * above))
+                    x1 -= taken
+                    out += taken
+        return out / tau, lifted / tau, let_in / tau, limited
 
     def step(self, precipitation: float, flows: Flows) -> None:
         """Move on by one tick, Eq. (1).

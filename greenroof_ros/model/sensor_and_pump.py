@@ -13,7 +13,6 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import entry, parameters_of
-from greenroof_ros.model.plant import Plant
 
 # Ticks whose noise is drawn together: one draw at a time takes ten times as long.
 _BLOCK = 4096
@@ -116,28 +115,23 @@ class Pump:
         self._ticks = self._min_off  # since they were switched
         self._passed = 0.0
 
-    def flow(
-        self, plant: Plant, command: float, may_run: bool, precipitation: float,
-        evapotranspiration: float,
-    ) -> float:
-        """Return what the pumps deliver in the present tick (m3/s); call it once a tick.
+    def switch(self, command: float, may_run: bool) -> float:
+        """Return the command that reaches the pumps in the present tick.
 
         Args:
-            plant: in its present state.
             command: the controller's (share of the maximum flow).
             may_run: whether neither frost nor quiet hours forbid pumping.
-            precipitation: rain (m/s).
-            evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
         """
         if not may_run or (not self._on and self._ticks < self._min_off):
-            command = 0.0
-        elif self._on and command == 0 and self._ticks < self._min_on:
-            command = self._passed
-        else:
-            self._passed = command
-        flow = plant.pump_flow(command, precipitation, evapotranspiration)
+            return 0.0
+        if self._on and command == 0 and self._ticks < self._min_on:
+            return self._passed
+        self._passed = command
+        return command
+
+    def observe(self, flow: float) -> None:
+        """Count the present tick, in which the pumps deliver a flow (m3/s)."""
         if (flow > 0) != self._on:
             self._on = flow > 0
             self._ticks = 0
         self._ticks += 1
-        return flow

@@ -31,7 +31,7 @@ def f(
         pumped: q_pump, Eq. (8) (m3/s).
         soil: including q_drain, Eq. (9).
     """
-    f1 = w_r * site.effective_catchment + mains_flow(site, x1, 0.0) - out - pumped
+    f1 = w_r * site.effective_catchment + mains_flow(site, x1, 0.0, site.tau) - out - pumped
     return f1, (w_r * site.a2 + pumped) * soil.retained - w_e * soil.stress - soil.drained
 
 

@@ -70,18 +70,14 @@ class VirtualSite:
             command: to the pumps (share of the maximum flow).
             pumped: flow (m3/s) of pumps that another program drives; None for the site's own.
         """
-        plant = self.plant
-        if pumped is None:
-            may_run = self.frost == 0 and not self.quiet
-            if self._pump is None:
-                pumped = (
-                    plant.pump_flow(command, precipitation, evapotranspiration) if may_run else 0.0
-                )
-            else:
-                pumped = self._pump.flow(
-                    plant, command, may_run, precipitation, evapotranspiration
-                )
-        flows = plant.flows(precipitation, evapotranspiration, pumped)
+        may_run = self.frost == 0 and not self.quiet
+        if self._pump is None:
+            switched = command if may_run else 0.0
+        else:
+            switched = self._pump.switch(command, may_run)
+        flows = self.plant.flows(precipitation, evapotranspiration, switched, pumped)
+        if self._pump is not None:
+            self._pump.observe(flows.pump)
         self._acted = command, precipitation, evapotranspiration, flows
         return flows
 

@@ -274,7 +274,7 @@ def test_what_it_plans_is_what_happens(max_command: float, x1: float) -> None:
         rain, zip(plan[:, 1], np.diff(growing_steps(12.0)), strict=True), strict=True
     ):
         for _ in range(int(seconds)):
-            plant.step(falls, plant.flows(falls, 3e-6, flow))
+            plant.step(falls, plant.flows(falls, 3e-6, 0.0, flow))
         levels.append(plant.x2 / PAPER_SITE.a2)
     assert plan[:, 2] == pytest.approx(levels, abs=1e-6)
     assert plan[:, 1].max() > 0
@@ -303,7 +303,7 @@ def test_without_a_forecast_it_fills_to_the_target_and_holds_it() -> None:
     controller = lookahead()
     for _ in range(900):
         commands.append(controller.command(*plant.levels(), [], []))
-        flows = plant.flows(0.0, 5e-6, plant.pump_flow(commands[-1]))
+        flows = plant.flows(0.0, 5e-6, commands[-1])
         plant.step(0.0, flows)
     assert commands[0] == 1.0
     assert 0 < commands[-1] < 0.01
@@ -317,9 +317,10 @@ def test_without_a_forecast_it_counts_on_the_rain_of_the_gauge() -> None:
     for rain in (0.0, evaporates / 2, evaporates / 3):
         controller.gauge_rain = rain / PAPER_SITE.a2
         for _ in range(10):
-            flow = plant.pump_flow(controller.command(*plant.levels(), [], []))
-            plant.step(controller.gauge_rain, plant.flows(controller.gauge_rain, evaporates, flow))
-        assert flow == pytest.approx(evaporates - rain, rel=1e-6)
+            command = controller.command(*plant.levels(), [], [])
+            flows = plant.flows(controller.gauge_rain, evaporates, command)
+            plant.step(controller.gauge_rain, flows)
+        assert flows.pump == pytest.approx(evaporates - rain, rel=1e-6)
 
 
 @pytest.mark.parametrize("gap", [None, (0, 0), (0, -1), (1, 0), (1, -1)])
@@ -407,7 +408,7 @@ def test_filling_lasts_as_long_as_the_pumps_must_be_on() -> None:
     plant = Plant(PAPER_SITE, PAPER_SITE.cistern_volume(2.3), PAPER_SITE.roof_volume(0.04))
     for _ in range(400):
         commands.append(controller.command(*plant.levels(), [DRY], DRY))
-        plant.step(0.0, plant.flows(0.0, 0.0, plant.pump_flow(commands[-1])))
+        plant.step(0.0, plant.flows(0.0, 0.0, commands[-1]))
     on = [command for command in commands if command]
     assert 118 <= len(on) <= 122 and commands[: len(on)] == on
     assert on[:-3] == pytest.approx([on[0]] * (len(on) - 3), rel=0.02)

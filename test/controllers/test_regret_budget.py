@@ -133,7 +133,7 @@ def test_the_count_on_a_measured_soil_is_what_onoff_has() -> None:
         assert budget._more == pytest.approx(lacks[-1], abs=1e-9)
         assert budget._stored == pytest.approx(watered.x1 - dry.x1, abs=1e-9)
         x1, x2 = dry.x1, dry.x2
-        watered.step(rain, watered.flows(rain, potential, watered.pump_flow(0.1, rain, potential)))
+        watered.step(rain, watered.flows(rain, potential, 0.1))
         dry.step(rain, dry.flows(rain, potential, 0.0))
         budget.move(x1, x2, 0.1, 0.0, rain, potential)
     assert max(lacks) > 0.7

@@ -49,7 +49,7 @@ def stepped(site: Site, x1: float, x2: float, rain: Sequence[float]) -> Volumes:
         five = int(tick * site.tau // STEP_S)
         now = rain[five] / 3.6e6, POTENTIAL
         command = 1.0 if plant.x2 / site.a2 < site.z_veg else 0.0
-        flows = plant.flows(*now, plant.pump_flow(command, *now))
+        flows = plant.flows(*now, command)
         plant.step(now[0], flows)
         moved += site.tau * np.array((flows.outflow, flows.pump, flows.drainage, flows.mains))
         outflows[five] += site.tau * flows.outflow
@@ -124,10 +124,13 @@ def integrated(site: Site, x1: float, x2: float, rain: Sequence[float]) -> Volum
 
 
 CASES = [
-    *((volume, {}) for volume in (1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 75.0)),
+    *((volume, {}) for volume in (1.0, 2.0, 5.0, 12.0, 75.0)),
     *((volume, LOW) for volume in (2.0, 5.0, 20.0)),
     (5.0, {"drainage_storage": None, "drainage_time": None}),
     (5.0, {"mains_level": None, "mains_flow": None}),
+    (1.0, {"mains_flow": 2e-2}),
+    (2.0, {"r_o": 0.01}),
+    (1.0, {"z_pump": 0.0, "z_H": 0.0, "mains_level": 0.05}),
 ]
 
 
@@ -135,18 +138,16 @@ CASES = [
 def test_volumes_and_peaks(volume: float, changes: dict[str, Any]) -> None:
     """Volumes within 0.5 %, or what the pumps lift in two seconds; peaks of 5 minutes within 5 %.
 
-    The cistern begins 10 cm above the mains' level, and the roof below its target. It fills,
-    overflows and, if it has a low outlet, is drained. In 300 s the pumps could lift 2.5 m3: within
-    such a tick a smaller cistern is emptied and filled again, which costs up to 0.11 m3.
+    The cistern begins 20 cm above the suction level, and the roof below its target. It is emptied,
+    fills, overflows and, if it has a low outlet, is drained.
     """
     site = site_of(volume, **changes)
-    begin = site.a1 * 0.95, 0.85 * site.a2 * site.z_veg
+    begin = site.a1 * (site.suction_level + 0.2), 0.85 * site.a2 * site.z_veg
     expected = integrated(site, *begin, STORM)
     assert expected.pumped > 0.5
     for tau in (1.0, 10.0, 60.0, 300.0):
         found = stepped(replace(site, tau=tau), *begin, STORM)
-        off = 0.11 if tau == 300 and volume < 5 else 0.017
-        assert found[:-1] == pytest.approx(expected[:-1], rel=0.005, abs=off), tau
+        assert found[:-1] == pytest.approx(expected[:-1], rel=0.005, abs=0.017), tau
         assert found.peak == pytest.approx(expected.peak, rel=0.05), tau
 
 
@@ -177,12 +178,12 @@ def test_outlets_take_what_stands_above_them_by_hand() -> None:
 ])
 def test_a_float_valve_by_hand(x1: float, drawn: float, litres: float) -> None:
     site = replace(PAPER_SITE, tau=60.0, mains_level=1.0, mains_flow=2e-3)
-    assert 60_000 * mains_flow(site, x1, drawn) == pytest.approx(litres, abs=1e-6)
+    assert 60_000 * mains_flow(site, x1, drawn, 60.0) == pytest.approx(litres, abs=1e-6)
 
 
 def pumped(site: Site, x1: float, x2: float, rain: float = 0.0, evaporated: float = 0.0) -> float:
     """Return what the pumps lift in a tick at full flow (m3)."""
-    return site.tau * Plant(site, x1, x2).pump_flow(1.0, rain, evaporated)
+    return site.tau * Plant(site, x1, x2).flows(rain, evaporated, 1.0).pump
 
 
 def test_pumps_stop_at_their_levels_by_hand() -> None:
@@ -190,13 +191,14 @@ def test_pumps_stop_at_their_levels_by_hand() -> None:
     hour, minute = replace(PAPER_SITE, tau=3600.0), replace(PAPER_SITE, tau=60.0)
     target, full = PAPER_SITE.x2_star, 0.00842205211502804
     assert pumped(hour, 75.0, target - 0.73) == pytest.approx(0.73)
-    assert pumped(minute, 75.0, target - 0.73) == pytest.approx(60 * full)
+    # The cistern falls by 20 mm, so the flow by 0.02 %.
+    assert pumped(minute, 75.0, target - 0.73) == pytest.approx(60 * full, rel=2e-4)
     assert pumped(minute, 18.75 + 0.2, 1.0) == pytest.approx(0.2)
     # What evaporates in the rest of the hour is replaced; rain counts until the target is reached:
     # after 0.3 / (0.00842205 + 0.001) s.
     assert pumped(hour, 75.0, target - 0.73, evaporated=1e-5) == pytest.approx(0.73 + 0.036)
     assert pumped(hour, 75.0, target - 0.3, rain=1e-3 / 68.8) == pytest.approx(
-        0.3 / (full + 1e-3) * full
+        0.3 / (full + 1e-3) * full, rel=1e-5
     )
     # The mains are open, since their level is above the suction level.
     mains = replace(minute, mains_level=0.8, mains_flow=2e-3)
@@ -212,7 +214,7 @@ def test_a_measured_soil_is_filled_to_the_target() -> None:
     target = site.a2 * site.z_veg
     for rain in (0.0, 1e-8, 1e-6):
         plant = Plant(site, 60.0, 0.7 * target)
-        flows = plant.flows(rain, POTENTIAL, plant.pump_flow(1.0, rain, POTENTIAL))
+        flows = plant.flows(rain, POTENTIAL, 1.0)
         plant.step(rain, flows)
         if rain * site.a2 < POTENTIAL:
             assert plant.x2 == pytest.approx(target, rel=1e-12)

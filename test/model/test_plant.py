@@ -78,7 +78,7 @@ def test_pumps_run_between_the_thresholds_only(x1: float, x2: float, runs: bool)
     """Eq. (3a): none at x2/a2 >= z_veg, none at x1/a1 < z_pump + z_H."""
     expected = 0.5 * maximum_pump_flow(ROUND_SITE, x1) if runs else 0.0
     assert pump_flow(ROUND_SITE, x1, x2, 0.5) == expected
-    assert Plant(ROUND_SITE, x1, x2).pump_flow(0.5) == expected
+    assert Plant(ROUND_SITE, x1, x2).flows(0.0, 0.0, 0.5).pump == expected
 
 
 @pytest.mark.parametrize("site", [PAPER_SITE, MEASURED])
@@ -88,7 +88,7 @@ def test_the_command_to_a_volume_leads_there(site: Site) -> None:
     state = site, soil_of(site), plant.x1, plant.x2
     target = plant.x2 + 1e-3
     command = command_to(*state, target, *weather)
-    plant.step(weather[0], plant.flows(*weather, plant.pump_flow(command)))
+    plant.step(weather[0], plant.flows(*weather, command))
     assert plant.x2 == pytest.approx(target, rel=1e-12)
     assert command_to(*state, target - 1e-3, *weather) == 0
     weak = replace(site, c_hat=15.0)
@@ -125,7 +125,7 @@ def test_a_tank_that_holds_too_little_shares_it_out(
 ) -> None:
     """And nothing is left in it."""
     plant = Plant(PAPER_SITE, x1, x2)
-    flows = plant.flows(*inputs)
+    flows = plant.flows(*inputs[:2], 0.0, inputs[2])
     assert flows == pytest.approx((*expected, True, 0.0), rel=1e-12)
     plant.step(inputs[0], flows)
     assert 0.0 in (plant.x1, plant.x2)
@@ -134,7 +134,7 @@ def test_a_tank_that_holds_too_little_shares_it_out(
 def test_exactly_what_a_tank_holds_is_no_limit() -> None:
     """2 m3 pumped from 2 m3 in 2 s, and evaporated from what was pumped, leave nothing."""
     plant = Plant(replace(PAPER_SITE, tau=2.0), 2.0, 0.0)
-    flows = plant.flows(0.0, 1.0, 1.0)
+    flows = plant.flows(0.0, 1.0, 0.0, 1.0)
     assert flows == Flows(0.0, 1.0, 0.0, 1.0, False, 0.0)
     plant.step(0.0, flows)
     assert (plant.x1, plant.x2) == (0.0, 0.0)

@@ -71,11 +71,12 @@ def commands_let_through(
 ) -> list[float]:
     """Return the share of the maximum flow delivered in each tick, from 75 m3 in the cistern."""
     pump = Pump(pump_with, tau)
-    most = Plant(PAPER_SITE, 75.0, EMPTY).pump_flow(1.0)
+    most = Plant(PAPER_SITE, 75.0, EMPTY).flows(0.0, 0.0, 1.0).pump
     shares = []
     for command, cold, roof in itertools.zip_longest(commands, frost, roofs, fillvalue=0.0):
-        flow = pump.flow(Plant(PAPER_SITE, 75.0, roof), command, not cold, 0.0, 0.0)
-        shares.append(flow / most)
+        flows = Plant(PAPER_SITE, 75.0, roof).flows(0.0, 0.0, pump.switch(command, not cold))
+        pump.observe(flows.pump)
+        shares.append(flows.pump / most)
     return shares
 
 

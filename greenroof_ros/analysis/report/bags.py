@@ -194,7 +194,9 @@ def make_samples(site: Site, trajectory: Trajectory) -> Samples:
         },
     }
     drawn = values["pump"] + values["outflow"] - values["precipitation"] * site.effective_catchment
-    values["mains"] = np.fromiter(map(partial(mains_flow, site), trajectory.cistern, drawn), float)
+    values["mains"] = np.fromiter(
+        map(partial(mains_flow, site), trajectory.cistern, drawn, dt), float
+    )
     # The run ends at the last sample: nothing flows after it.
     flows: dict[str, Any] = {name: np.append(flow[:-1], 0.0) for name, flow in values.items()}
     evaporated, layer = soil_of(site).reconstruct_losses(

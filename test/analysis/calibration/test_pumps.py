@@ -48,7 +48,7 @@ def twin(
         precipitation = fell / 1000 / STEP_S
         for _ in range(round(STEP_S / TICK_S)):
             pumped = float(command[now]) * maximum_pump_flow(site, plant.x1)
-            plant.step(precipitation, plant.flows(precipitation, 0.0, pumped))
+            plant.step(precipitation, plant.flows(precipitation, 0.0, 0.0, pumped))
             plant.x1 += float(delivered[now]) * TICK_S / STEP_S
     cistern = np.array(level) + random.normal(0, NOISE_M, len(level))
     return a_record(rain, float(STEP_S), cistern=cistern, command=command)

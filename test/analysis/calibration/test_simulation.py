@@ -28,7 +28,7 @@ def by_the_plant(record: StepRecord, filled: float) -> tuple[np.ndarray, np.ndar
         precipitation, drained = float(fell / 1000 / record.step_s), 0.0
         for _ in range(round(record.step_s / TICK_S)):
             flows = plant.flows(
-                precipitation, float(wanted * TWIN.crop_coefficient * flow), float(came * flow)
+                precipitation, float(wanted * TWIN.crop_coefficient * flow), 0.0, float(came * flow)
             )
             drained += flows.drainage * TICK_S
             plant.step(precipitation, flows)
