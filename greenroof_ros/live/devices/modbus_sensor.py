@@ -18,20 +18,21 @@ from greenroof_ros.live.devices.sensor_file import ModbusSensor
 # Longest wait for a connection, and for each answer (s).
 _TIMEOUT_S = 0.5
 # The timeouts that a reading takes at most: one to connect, two for an answer that comes in pieces.
-# A failed one takes that long in any case: an answer that is still on its way is then dropped.
+# A failed one takes that long if another sensor follows: an answer on its way is then dropped.
 _TIMEOUTS = 3
 
 
 class SensorLine(DeviceThread[DeviceSnapshot]):
     """Reads the sensors on one line, each once per period; the one that has waited longest first.
 
-    It connects if needed, and again after every failure, but only three timeouts after the failed
-    reading began: a gateway may give a late answer the number of the next request, and it would be
-    the value of the register that is read then. A sensor that is absent, hangs or sends nonsense
-    delays each of the others by three timeouts per reading. The timeout is 0.5 s, but so short that
-    reading all n sensors of the line takes at most half of the maximum age A of a value: 3 n
-    timeouts <= A / 2. A period is at most A / 2. So the readings of a good sensor are never further
-    apart than A, regardless of what the others do: at 5 s, two sensors have 0.42 s to answer.
+    It connects if needed, and again after every failure; with several sensors only three timeouts
+    after the failed reading began: a gateway may give a late answer the number of the next request,
+    and it would be the value of the register that is read then. A sensor that is absent, hangs or
+    sends nonsense delays each of the others by three timeouts per reading. The timeout is 0.5 s,
+    but so short that reading all n sensors of the line takes at most half of the maximum age A of a
+    value: 3 n timeouts <= A / 2. A period is at most A / 2. So the readings of a good sensor are
+    never further apart than A, regardless of what the others do: at 5 s, two sensors have 0.42 s to
+    answer.
     """
 
     def __init__(self, name: str) -> None:
@@ -75,7 +76,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
         finally:
             # Missed readings are not made up for: a sensor that takes longer than its period is
             # read again after the others that wait.
-            if not self._line.connected:
+            if not self._line.connected and len(self.readers) > 1:
                 self._quiet_until = began + _TIMEOUTS * self._timeout_s
             now, period = max(time.monotonic(), self._quiet_until), reader.sensor.period
             reader.due = reader.due + period if reader.due + period > now else now + period

@@ -128,7 +128,11 @@ class Doses:
                 "or set the clocks"
             )
         if requested_at <= self._newest:
-            return "the request was made before the last one, or before the pump node was started"
+            self._newest = min(self._newest, now)  # made while the clock was ahead
+            return (
+                "the request was made before the last one, or before the pump node was started: "
+                "ask again"
+            )
         self._newest = requested_at  # even if it is refused below
         if refusal := self.refusal(inhibit_reason):
             return refusal

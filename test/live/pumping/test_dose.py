@@ -103,6 +103,16 @@ def test_a_request_counts_once(rig: Rig) -> None:
     assert "made before the last one" in rig.control.request_dose(now + 1, 0.1)
 
 
+def test_a_clock_that_was_ahead_refuses_one_request(rig: Rig) -> None:
+    """The first after it was set right; one made meanwhile does not count again."""
+    doses, now = rig.control.doses, time.time()
+    a_day = 86_400.0
+    assert doses.request(now + a_day, 0.1, now + a_day, 0.0, "the pump is held") != ""
+    assert "ask again" in doses.request(now, 0.1, now, 0.0, "")
+    assert "ask again" in doses.request(now, 0.1, now + 1, 0.0, "")
+    assert doses.request(now + 2, 0.1, now + 2, 0.0, "") == ""
+
+
 def test_what_cannot_begin_within_a_minute_expires() -> None:
     """The minimum time off is longer than a minute. A dose that waits for less begins."""
     for min_off, over in ((90.0, "expired"), (40.0, "")):
