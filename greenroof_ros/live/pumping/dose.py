@@ -128,7 +128,7 @@ class Doses:
                 "or set the clocks"
             )
         if requested_at <= self._newest:
-            self._newest = min(self._newest, now)  # made while the clock was ahead
+            self._newest = min(self._newest, now + _AHEAD_S)  # this machine's clock was ahead
             return (
                 "the request was made before the last one, or before the pump node was started: "
                 "ask again"
