@@ -16,7 +16,7 @@ from greenroof_ros.common.files import read_lines
 _TIME, _RAIN, _TEMPERATURE = "time", "rain [mm]", "temperature [degC]"
 _DEW_POINT, _WIND, _PRESSURE = "dew point [degC]", "wind speed [km/h]", "station pressure [kPa]"
 _HUMIDITY, _RADIATION = "relative humidity [%]", "solar radiation [W/m2]"
-_ENDED = "and add the comment '# stamped: end'"
+_ENDED = "add the comment '# stamped: end', since each hour ends at its time"
 
 
 class OtherService(NamedTuple):
@@ -24,93 +24,120 @@ class OtherService(NamedTuple):
 
     name: str
     pattern: str
-    """regular expression of what only its files have in their first lines"""
+    """regular expression of what only its files have in their first lines, in any case"""
     columns: Mapping[str, str]
-    """the column of this project's CSV for each of its columns, with what must be computed"""
+    """from what to make each column of this project's CSV"""
     further: str = ""
     """what else to do"""
 
 
+# Sources: the heads of the services' own files, for KNMI, NASA POWER and MeteoSwiss's legends;
+# MeteoSwiss: opendata-download, "for granularity t and h the time stamp defines the end of the
+# measurement interval"; NASA POWER: Hourly API, "precipitation values will be shown in mm/hour",
+# and that rows begin at their hour [assumed]; Météo-France: H_descriptif_champs.csv; NOAA: Local
+# Climatological Data (LCD) Dataset Documentation, Federal Climate Complex Data Documentation for
+# Integrated Surface Data. NOAA, LCD version 2 and GHCNh: units by their users [assumed].
 SERVICES = (
     OtherService(
         "KNMI, hourly values", r"STN,\s*YYYYMMDD,\s*HH?\b",
         {
-            "YYYYMMDD and HH": f"{_TIME} (UTC)", "RH / 10 (-1 is a trace: 0)": _RAIN,
-            "T / 10": _TEMPERATURE, "TD / 10": _DEW_POINT, "FH * 0.36": _WIND,
-            "Q / 0.36": _RADIATION, "U": _HUMIDITY,
+            _TIME: "YYYYMMDD and HH (UTC)", _RAIN: "RH / 10 (-1 is a trace: 0)",
+            _TEMPERATURE: "T / 10", _DEW_POINT: "TD / 10", _WIND: "FH * 0.36",
+            _RADIATION: "Q / 0.36", _HUMIDITY: "U",
         },
-        f"hour HH ends at its time: {_ENDED}",
+        _ENDED,
     ),
     OtherService(
         "KNMI, daily values", r"STN,\s*YYYYMMDD,|KONINKLIJK NEDERLANDS METEOROLOGISCH", {},
         "hourly values are needed (knmi.nl, uurgegevens)",
     ),
     OtherService(
-        "MeteoSwiss, hourly values",
-        r"(station_abbr|stn|Station/Location|ABBR)\W.*(rre150h0|tre200h0)",
+        "MeteoSwiss, hourly values", r"\b(rre150|tre200|tde200|fkl010|presta|ure200|gre000)h0\b",
         {
-            "reference_timestamp, time or date": f"{_TIME} (UTC)", "rre150h0": _RAIN,
-            "tre200h0": _TEMPERATURE, "tde200h0": _DEW_POINT, "fkl010h0 * 3.6": _WIND,
-            "prestah0 / 10": _PRESSURE, "ure200h0": _HUMIDITY, "gre000h0": _RADIATION,
+            _TIME: "reference_timestamp, time or date (UTC)", _RAIN: "rre150h0",
+            _TEMPERATURE: "tre200h0", _DEW_POINT: "tde200h0", _WIND: "fkl010h0 * 3.6",
+            _PRESSURE: "prestah0 / 10", _HUMIDITY: "ure200h0", _RADIATION: "gre000h0",
         },
-        f"each hour ends at its time: {_ENDED}",
+        _ENDED,
     ),
     OtherService(
-        "MeteoSwiss, of other than hours",
-        r"(station_abbr|stn|Station/Location|ABBR)\W.*\b(rre150|tre200|rka150|gre000)\w\d", {},
+        "MeteoSwiss, of other than hours", r"\b(rre150|tre200|rka150|gre000)\w\d\b", {},
         "hourly values are needed (names end in h0)",
     ),
     OtherService(
         "NASA POWER, hourly values", r"YEAR,MO,DY,HR\b",
         {
-            "YEAR, MO, DY and HR": f"{_TIME} (UTC, or local solar time, as chosen)",
-            "PRECTOTCORR": "rain [mm/h]", "T2M": _TEMPERATURE, "T2MDEW": _DEW_POINT,
-            "WS10M * 3.6": _WIND, "PS": _PRESSURE, "RH2M": _HUMIDITY,
-            "ALLSKY_SFC_SW_DWN": _RADIATION,
+            _TIME: "YEAR, MO, DY and HR (UTC if the file states so; LST is solar time)",
+            "rain [mm/h]": "PRECTOTCORR", _TEMPERATURE: "T2M", _DEW_POINT: "T2MDEW",
+            _WIND: "WS10M * 3.6", _PRESSURE: "PS", _HUMIDITY: "RH2M",
+            _RADIATION: "ALLSKY_SFC_SW_DWN (as it is if in Wh/m^2; / 0.0036 if in MJ/hr)",
         },
-        "each row begins at its time; -999 may stay",
+        "-999 may stay",
     ),
     OtherService(
         "NASA POWER, of other than hours", r"NASA/POWER|YEAR,(MO,DY|DOY|PARAMETER)\b", {},
-        "hourly values are needed (temporal/hourly)",
+        "hourly values are needed as CSV (temporal/hourly)",
     ),
     OtherService(
-        "NOAA, Local Climatological Data",
-        r"HourlyPrecipitation|HourlyDryBulbTemperature|HOURLYPrecip",
+        "NOAA, Local Climatological Data", r"HourlyPrecipitation|HourlyDryBulbTemp|HOURLYPrecip",
         {
-            "DATE": f"{_TIME} (local standard time)",
-            "HourlyPrecipitation": f"{_RAIN} (inches * 25.4; T may stay)",
-            "HourlyDryBulbTemperature": f"{_TEMPERATURE} ((degF - 32) / 1.8)",
-            "HourlyDewPointTemperature": f"{_DEW_POINT} ((degF - 32) / 1.8)",
-            "HourlyWindSpeed": f"{_WIND} (mph * 1.609)",
-            "HourlyStationPressure": f"{_PRESSURE} (inHg * 3.386)",
+            _TIME: "DATE (local standard time)",
+            _RAIN: "HourlyPrecipitation (T may stay)", _TEMPERATURE: "HourlyDryBulbTemperature",
+            _DEW_POINT: "HourlyDewPointTemperature", _WIND: "HourlyWindSpeed",
+            _PRESSURE: "HourlyStationPressure",
         },
-        "keep only the rows of REPORT_TYPE FM-15, one an hour, some minutes before the hour's end: "
+        "convert inches (* 25.4), degF ((F - 32) / 1.8), mph (* 1.609) and inHg (* 3.386), or in "
+        "version 2, with stations such as USW00094728, m/s (* 3.6) and hPa (/ 10); leave out the "
+        "letter s; keep one row of REPORT_TYPE FM-15 an hour; "
         f"{_ENDED}",
+    ),
+    OtherService(
+        "NOAA, Global Historical Climatology Network hourly", r"Station_name\|",
+        {
+            _TIME: "DATE, or Year to Minute (UTC)", _RAIN: "precipitation",
+            _TEMPERATURE: "temperature", _DEW_POINT: "dew_point_temperature",
+            _WIND: "wind_speed * 3.6", _PRESSURE: "station_level_pressure / 10",
+            _HUMIDITY: "relative_humidity",
+        },
+        f"write commas between cells; keep one row of report type FM-15 an hour; {_ENDED}",
     ),
     OtherService(
         "NOAA, Integrated Surface Database (global hourly)",
         r"STATION\W+DATE\W+SOURCE|REPORT_TYPE.*\bCALL_SIGN",
         {
-            "DATE": f"{_TIME} (UTC)",
-            "AA1": f"{_RAIN} (its second part / 10, of rows whose first part is 01)",
-            "TMP / 10": _TEMPERATURE, "DEW / 10": _DEW_POINT,
-            "WND": f"{_WIND} (its fourth part * 0.36)",
+            _TIME: "DATE (UTC)",
+            _RAIN: "AA1 (its second part / 10, of rows whose first part is 01)",
+            _TEMPERATURE: "TMP / 10", _DEW_POINT: "DEW / 10", _WIND: "WND (its fourth part * 0.36)",
         },
-        f"rain is of the hour before its time: {_ENDED}",
+        f"keep one row of REPORT_TYPE FM-15 an hour; {_ENDED}",
     ),
     OtherService(
         "NOAA, Climate Data Online, hourly precipitation", r"\bHPCP\b",
-        {"DATE": f"{_TIME} (local standard time)", "HPCP": f"{_RAIN} (25400 and more is missing)"},
-        f"rain is of the hour that ends at its time, and dry hours have no row: add them; {_ENDED}",
+        {
+            _TIME: "DATE (local standard time)",
+            _RAIN: "HPCP (* 25.4 if in inches; 999.99 or 25399.75 is missing)",
+        },
+        f"add the dry hours, which have no row; {_ENDED}",
     ),
     OtherService(
         "NOAA, daily summaries", r"\bSTATION\W.*\bDATE\W.*\b(PRCP|TMAX)\b", {},
         "hourly values are needed (Local Climatological Data)",
     ),
     OtherService(
+        "Météo-France, hourly values", r"\bAAAAMMJJHH\b|\bPOSTE;DATE;(.*;)?RR1\b",
+        {
+            _TIME: "AAAAMMJJHH or DATE (UTC)", _RAIN: "RR1", _TEMPERATURE: "T", _DEW_POINT: "TD",
+            _WIND: "FF * 3.6", _PRESSURE: "PSTAT / 10", _HUMIDITY: "U", _RADIATION: "GLO / 0.36",
+        },
+        f"keep one NUM_POSTE; {_ENDED}",
+    ),
+    OtherService(
+        "Météo-France, of other than hours", r"\bNUM_POSTE\b", {},
+        "hourly values are needed (BASE/HOR)",
+    ),
+    OtherService(
         "Deutscher Wetterdienst, of other than hourly rain, temperature, wind or pressure",
-        r"STATIONS_ID\s*;\s*MESS_DATUM", {},
+        r"STATIONS_ID\s*[;,]\s*MESS_DATUM", {},
         "the files that are read are produkt_rr_stunde, tu, td, ff and p0, of hours",
     ),
 )
@@ -134,11 +161,12 @@ def explain_file(file: Path) -> None:
             break
     head = "".join(lines)
     for service in SERVICES:
-        if re.search(service.pattern, head):
-            names = ", ".join(f"{theirs} to '{ours}'" for theirs, ours in service.columns.items())
+        if re.search(service.pattern, head, re.IGNORECASE):
+            names = ", ".join(f"'{ours}' = {theirs}" for ours, theirs in service.columns.items())
             raise ConfigurationError(
                 f"is a file of {service.name}, which is not read: "
-                + (f"rename {names}; leave out the lines before the header; " if names else "")
+                + (f"rename its columns: {names}; write times as in 2024-06-01T12:00Z; leave out "
+                   "the lines before the header; " if names else "")
                 + service.further, file=file,
             )
     first = next((line.strip() for line in lines if line.strip()), "")
