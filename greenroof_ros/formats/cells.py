@@ -50,21 +50,29 @@ _CODES = {
     "777", "7777", "888", "8888",
 }
 _HUGE = 1e15  # fill values of GRIB are larger
+# No unit makes a value so negative; MeteoSwiss writes -1000000.
+_HUGE_NEGATIVE = 1e5
+# Rain and evapotranspiration above this (mm) that have the digits of a code are one.
+_RARE_DEPTH = 99.0
 # Water that is less than a gauge can measure: T, as services write it, or less than a small amount.
 _TRACE = re.compile(
-    r"(0?\.?0*\s*)?(t|tr|trace)\.?|<\s*(?P<below>\d*\.?\d+)", re.IGNORECASE | re.ASCII
+    r"(0?[.,]?0*\s*)?(t|tr|traces?)\.?|<\s*(?P<below>\d*[.,]?\d+)", re.IGNORECASE | re.ASCII
 )
 # Share of a column's values other than 0 that may be neither plausible nor a code: a wrong unit of
 # rain shows in the few wettest hours.
 _MAX_WRONG = 0.01
 _MAX_NAMED = 3
 # A comment, or a spreadsheet's line that names the separator.
-_NO_RECORD = re.compile(r'\s*("?#|sep=.$)')
+_NO_RECORD = re.compile(r'\s*("?#|"?sep=."?\s*$)', re.IGNORECASE)
 _LINE_END, _BYTE_ORDER_MARK = "\r\n", "\ufeff"
 _NO_TEXT = f" ,;\t\x1a{_LINE_END}"
-_DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+)$", re.ASCII)
-_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+(?:e[-+]?\d+)?)$", re.ASCII | re.IGNORECASE)
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+", re.ASCII)
+_HUNDREDS = re.compile(r"[-+]?[1-9]\d{2}", re.ASCII)
+# Digits in groups, also by spaces that are narrow or do not break.
+_GROUPS = re.compile(r"[-+]?\d{1,3}([ '_.,\u2019\u00a0\u202f]\d{2,3})+([.,]\d+)?", re.ASCII)
+_PLAIN = "Write numbers with a decimal point, and nothing between thousands"
 
 
 class Row(NamedTuple):
@@ -194,9 +202,12 @@ class Table:
         try:
             time = parse(text)
         except ValueError:
+            what = "" if re.search(r"\d", text) else (
+                "; if the line is no record, but has units or a sum, leave it out"
+            )
             raise self.refuse(
                 f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}"
-                + time_hint(text), column, row,
+                + (time_hint(text) or what), column, row,
             ) from None
         if time.tzinfo is not None:
             return time
@@ -218,7 +229,7 @@ class Table:
 
     def read_hours(
         self, column: str, columns: Mapping[str, Column], parse: Callable[[str], datetime],
-        example: str, *, in_order: bool = True,
+        example: str, *, in_order: bool = True, station: str | None = None,
     ) -> tuple[datetime, dict[str, NDArray[np.float64]]]:
         """Read all rows, each of which is an hour.
 
@@ -230,19 +241,22 @@ class Table:
             parse: see :meth:`read_time`.
             example: see there.
             in_order: whether rows must be in order of time; otherwise each hour must occur once.
+            station: the column that names the station, if there is one.
 
         Returns:
             The first time, and each column's values from then on, shape (hours,); NaN if missing.
 
         Raises:
-            ConfigurationError: a time is not a whole number of hours after the row before; or see
-                :meth:`read_time`.
+            ConfigurationError: a time is not a whole number of hours after the row before, or a
+                row is of another station; or see :meth:`read_time`.
         """
         self.times = column
         first = self.read_time(self.first, column, parse, example).replace(second=0, microsecond=0)
         hours: list[int] = []
         present = set[int]()
         for row in self.rows:
+            if station and self.cell(row, station) != self.cell(self.first, station):
+                raise self.refuse("is another station: make a file of each", station, row)
             time = self.read_time(row, column, parse, example)
             hour = round((time - first) / HOUR)
             off = abs(time - first - hour * HOUR)
@@ -297,7 +311,7 @@ def take_missing(cell: Cell) -> Verdict | None:
 def take_trace(cell: Cell) -> Verdict | None:
     """Take a trace of water as 0."""
     match = _TRACE.fullmatch(cell.text) if cell.quantity.is_water else None
-    if match is None or float(match["below"] or 0.0) > cell.quantity.nearly:
+    if match is None or float((match["below"] or "0").replace(",", ".")) > cell.quantity.nearly:
         return None
     return 0.0, ""
 
@@ -311,18 +325,30 @@ def take_near(cell: Cell) -> Verdict | None:
 
 def take_code(cell: Cell) -> Verdict | None:
     """Take as missing: other words, codes such as -999, and less than 0 of what has none."""
-    digits = cell.text.lstrip("+-").replace(".", "").strip("0")
     if math.isnan(cell.number):
-        is_code = not re.search(r"\d", cell.text)
+        is_code = cell.text.startswith("#") or not re.search(r"\d", cell.text)
     elif cell.number <= 0 <= cell.quantity.low and cell.value < cell.quantity.low:
         is_code = True  # 0 of a pressure, too
     else:
-        is_code = digits in _CODES or re.fullmatch("9{2,}", digits) is not None
-        is_code = is_code or not abs(cell.number) < _HUGE
+        is_code = _has_digits_of_code(cell.text) or not -_HUGE_NEGATIVE < cell.number < _HUGE
     return (math.nan, CODE) if is_code else None
 
 
-CELL_RULES = (take_plausible, take_missing, take_trace, take_near, take_code)
+def take_code_of_rain(cell: Cell) -> Verdict | None:
+    """Take 99.9 and others as missing where they are plausible, but rarer than as codes."""
+    is_depth = cell.quantity.is_water and "l" not in cell.quantity.units
+    rare = is_depth and cell.number > _RARE_DEPTH and _has_digits_of_code(cell.text)
+    return (math.nan, CODE) if rare else None
+
+
+def _has_digits_of_code(text: str) -> bool:
+    digits = text.lstrip("+-").replace(".", "").strip("0")
+    return digits in _CODES or re.fullmatch("9{2,}", digits) is not None
+
+
+CELL_RULES = (
+    take_code_of_rain, take_plausible, take_missing, take_trace, take_near, take_code,
+)
 """How cells are read: the first rule that takes a cell decides; what none takes is wrong."""
 
 
@@ -358,6 +384,8 @@ class Given(NamedTuple):
 _MIN_RISES, _MANY_RISES, _SAME_OF_FEW, _SAME_OF_MANY = 3, 10, 5.0, 0.5
 # It falls rarely, when it is set to 0 in rain. A smaller share of its range is noise.
 _MAX_FALLS, _NOISE = 0.25, 0.02
+# Fractions of a saturated sensor are a little above 1.
+_MAX_FRACTION = 1.05
 
 
 def find_running_total(given: Given) -> str:
@@ -382,9 +410,9 @@ def find_running_total(given: Given) -> str:
 def find_fraction(given: Given) -> str:
     """Find fractions of 1 in a column of percent."""
     share = given.values * (1.0 if given.quantity.unit == "%" else 100.0)
-    if given.unit != "%" or not share.size or not 0 < share.max() <= 1:
+    if given.unit != "%" or not share.size or not 0 < share.max() <= _MAX_FRACTION:
         return ""
-    return "has no value above 1: are they fractions? Then its unit is [1]"
+    return f"has no value above {_MAX_FRACTION:g}: are they fractions? Then its unit is [1]"
 
 
 COLUMN_RULES = (find_running_total, find_fraction)
@@ -432,6 +460,8 @@ class Column:
         value, what = judge_cell(cell)
         self._values.append(value)
         self._given.append(math.nan if what == CODE else cell.value)
+        if math.isnan(cell.number) and _GROUPS.fullmatch(cell.text):
+            raise self._table.refuse(f"has marks between its digits. {_PLAIN}", self._name, row)
         if what:
             self._odd[what].append(row)
 
@@ -553,8 +583,10 @@ def read_table(
     first = next((index for index, name in enumerate(header) if observed(name)), 0)
 
     def rows() -> Iterator[tuple[int, list[str]]]:
-        begun = False
-        thousands, marks = 0, set[str]()  # line of one; decimal marks
+        begun = whole = False
+        marks = set[str]()  # decimal marks
+        # The first number of each mark that is a decimal mark or between thousands.
+        grouped: dict[str, ConfigurationError] = {}
         for line, text in numbered:
             cells = _split(file, line, text, separator)
             if [cell for cell in cells if cell] == [name for name in header if name]:
@@ -566,16 +598,24 @@ def read_table(
                     "of what follows it", file=file, line=line,
                 )
             for place, cell in enumerate(cells):
+                mark = ""
                 if "," in cell and _DECIMAL_COMMA.match(cell):
                     cells[place] = _DECIMAL_COMMA.sub(r"\1.\2", cell)
-                    if _THOUSANDS.fullmatch(cell):
-                        thousands = thousands or line
-                    else:
-                        marks.add(",")
+                    mark = ","
                 elif "." not in marks and place >= first and _DECIMAL_POINT.fullmatch(cell):
-                    marks.add(".")
-            if thousands and "." in marks:
-                raise refuse_thousands(thousands)
+                    mark = "."
+                elif not marks and place >= first:
+                    whole = whole or _HUNDREDS.fullmatch(cell) is not None
+                if mark and _THOUSANDS.fullmatch(cell):
+                    grouped.setdefault(mark, ConfigurationError(
+                        f"is the '{mark}' a decimal mark, or between thousands? {_PLAIN}",
+                        file=file, line=line, value=cell,
+                    ))
+                elif mark:
+                    marks.add(mark)
+            for mark, error in grouped.items():
+                if marks - {mark}:
+                    raise error
             if begun and len(cells) < len(header) and text == text.rstrip(_LINE_END):
                 table.notes.append(f"{file.name}: line {line} is cut off, and left out")
                 return
@@ -593,14 +633,10 @@ def read_table(
                     file=file, line=line,
                 )
             yield line, cells
-        if thousands and not marks and separator == ",":
-            raise refuse_thousands(thousands)
-
-    def refuse_thousands(line: int) -> ConfigurationError:
-        return ConfigurationError(
-            "is the comma a decimal mark, or between thousands? Write numbers with a decimal "
-            "point, and nothing between thousands", file=file, line=line,
-        )
+        # Decimals would be written for whole numbers, too.
+        for mark, error in grouped.items():
+            if not marks and (separator == "," if mark == "," else whole and separator == ";"):
+                raise error
 
     table = Table(file, header, rows(), line)
     return table

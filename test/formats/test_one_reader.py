@@ -127,11 +127,12 @@ def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:
         assert rain[1] == pytest.approx(7.1) and np.nansum(rain) == pytest.approx(0.1 * 46 + 7.1)
 
 
-def test_what_both_refuse(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cell", ['"0,1 mm"', "1'019", '"1,019.5"'])
+def test_what_both_refuse(tmp_path: Path, cell: str) -> None:
     """A hundred cells that are no numbers."""
     file, rows = tmp_path / "logger.csv", usual_rows()
     for row in rows[100:200]:
-        row[1] = '"0,1 mm"'
+        row[1] = cell
     file.write_text("\n".join([HEADER, *map(",".join, rows), ""]))
     run = refusal(read_weather, [file], TWIN)
     assert run == refusal(read_csv_record, file, TWIN)
