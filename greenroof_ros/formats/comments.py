@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +14,7 @@ LATITUDE, LONGITUDE = "latitude", "longitude"
 WIND_HEIGHT = "wind_height"
 """height of the wind (m)"""
 RAIN_LATE = "rain_late"
-"""delay of the rain's time (h), which is stated and not corrected"""
+"""delay of the rain's time, 0 or 1 h, which is stated and not corrected"""
 STAMPED = "stamped"
 """what the time of a row is, one of :data:`STAMPS`"""
 START, END = STAMPS = ("start", "end")
@@ -23,12 +22,14 @@ START, END = STAMPS = ("start", "end")
 
 _NUMBERS = {
     LATITUDE: Range(-90.0, 90.0, "degrees"), LONGITUDE: Range(-180.0, 180.0, "degrees"),
-    WIND_HEIGHT: Range(0.5, 100.0, "m"), RAIN_LATE: Range(0.0, 1.0, "h"),
+    WIND_HEIGHT: Range(0.5, 100.0, "m"), RAIN_LATE: Range(0, 1, "h", whole=True),
 }
 _COMMENT = re.compile(r"\s*(\"?#|$)")
 _KEY = rf"\b({'|'.join((*_NUMBERS, STAMPED))})\s*[:=]\s*"
-# A value ends at the end of a clause, or before the next key.
-_STATED = re.compile(rf"{_KEY}(.*?)(?=[;()|]|,(?!\d)|\.(?!\d)|\s+{_KEY}|\s*$)", re.IGNORECASE)
+# A value ends at the end of a clause, or before the next key, also an unknown one.
+_STATED = re.compile(
+    rf"{_KEY}(.*?)(?=[;()|]|,(?!\d)|\.(?!\d)|\s+[^\W\d]\w*\s*[:=]|\s*$)", re.IGNORECASE
+)
 _NUMBER = r"[-+]?\d+(?:[.,]\d*)?"
 _LENGTH = re.compile(
     rf"({_NUMBER})\s*(?:[mh]|met(?:er|re)s?|hours?)?(?: above (?:the )?ground)?", re.I
@@ -57,37 +58,44 @@ class Stated(NamedTuple):
 def read_comments(file: Path) -> Stated:
     """Return what the comments at the head of a file state.
 
-    What has not the form of its key's value is prose, and noted.
+    What has not the form of its key's value is prose, and noted. The value of a key must be one:
+    a file that was appended to another can state a second.
 
     Raises:
-        ConfigurationError: a value is out of its range, or has a sign and a cardinal point.
+        ConfigurationError: a value is out of its range, or has a sign and a cardinal point; or
+            another is stated later.
     """
-    stated = Stated({}, START, [])
+    stated: dict[str, float | str] = {}
+    notes = list[str]()
+    is_head = True
     with file.open(encoding="utf-8-sig") as stream:
-        for number, line in enumerate(itertools.takewhile(_COMMENT.match, stream), 1):
+        for number, line in enumerate(stream, 1):
+            if not _COMMENT.match(line.removeprefix("\ufeff")):
+                is_head = False
+                continue
             for match in _STATED.finditer(line.strip().strip('"')):
                 key, text = match[1].lower(), match[2].strip().rstrip(" -")
-                if key == STAMPED and text.lower() in STAMPS:
-                    stated = stated._replace(stamped=text.lower())
-                    continue
-                value = None if key == STAMPED else _read_value(key, text, file, number)
+                value: float | str | None = text.lower() if text.lower() in STAMPS else None
+                if key != STAMPED:
+                    value = _read_value(key, text, file, number)
                 if value is None:
-                    stated.notes.append(f"{file.name}: line {number} is not read: {match[0]}")
-                else:
-                    stated.numbers[key] = _NUMBERS[key].read(
-                        value, file=file, line=number, key=key
+                    notes.append(f"{file.name}: line {number} is not read: {match[0]}")
+                elif value != stated.setdefault(key, value if is_head else START):
+                    raise ConfigurationError(
+                        "is not what the head of the file states: make a file of each part",
+                        file=file, line=number, key=key, value=text,
                     )
-    return stated
+    numbers = {key: value for key, value in stated.items() if not isinstance(value, str)}
+    return Stated(numbers, str(stated.get(STAMPED, START)), notes)
 
 
 def _read_value(key: str, text: str, file: Path, line: int) -> float | None:
     """Return a number; None if the text is not of its form."""
-    if key not in _SIDES_OF:
-        match = _LENGTH.fullmatch(text)
-        return _read_number(match[1]) if match else None
-    match = _ANGLE.fullmatch(text)
+    match = (_ANGLE if key in _SIDES_OF else _LENGTH).fullmatch(text)
     if match is None:
         return None
+    if key not in _SIDES_OF:
+        return _NUMBERS[key].read(_read_number(match[1]), file=file, line=line, key=key)
     side = (match[1] or match[5] or "").lower()
     degrees, minutes, seconds = (_read_number(match[group] or "0") for group in (2, 3, 4))
     if side[:1] not in _SIDES_OF[key] or (match[1] and match[5]):
@@ -100,7 +108,8 @@ def _read_value(key: str, text: str, file: Path, line: int) -> float | None:
     if (match[3] and (degrees % 1 or not 0 <= minutes < 60)) or not 0 <= seconds < 60:
         return None
     sign = -1 if match[2].startswith("-") else 1
-    return _SIDES.get(side, 1) * (degrees + sign * (minutes / 60 + seconds / 3600))
+    value = _SIDES.get(side, 1) * (degrees + sign * (minutes / 60 + seconds / 3600))
+    return _NUMBERS[key].read(value, file=file, line=line, key=key)
 
 
 def _read_number(text: str) -> float:

@@ -7,8 +7,10 @@ Each quantity has files of its own, which are joined as several files of weather
 
 ``MESS_DATUM`` is the hour in UTC. Precipitation is the sum of the hour before, from ten minutes
 before its begin until ten minutes before its end, and is moved an hour back; other quantities are
-of the time itself. (DWD, Climate Data Center, observations_germany/climate/hourly,
-DESCRIPTION_obsgermany_climate_hourly_precipitation.) Missing values are -999.
+of ten minutes before the time. ("The value for UTC 11 contains the precipitation from UTC 9:51-UTC
+10:50", "hour x corresponds to the reading from 10min earlier": DWD, Climate Data Center,
+observations_germany/climate/hourly, descriptions of precipitation and air_temperature.) Missing
+values are -999. Units are mm, degC, %, m/s and hPa.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from greenroof_ros.formats.quantities import (
 )
 from greenroof_ros.model.site import Site
 
-_TIME = "MESS_DATUM"
+_TIME, _STATION = "MESS_DATUM", "STATIONS_ID"
 # The service's column of each of our quantities, with its unit.
 _COLUMNS = {
     "R1": (PRECIPITATION, Unit("mm")),
@@ -41,7 +43,9 @@ _COLUMNS = {
 }
 # Height of the wind at its stations, as WMO has it (m).
 _WIND_HEIGHT_M = 10.0
-_HEADER = re.compile(rb"\s*STATIONS_ID\s*;\s*MESS_DATUM\s*;([^\r\n]*)")
+_HEADER = re.compile(
+    rb"(?:\xef\xbb\xbf)?\s*STATIONS_ID\s*[;,]\s*MESS_DATUM\s*[;,]([^\r\n]*)"
+)
 _HOUR = re.compile(r"(\d{8})(\d\d)", re.ASCII)
 
 
@@ -49,7 +53,7 @@ def recognises(head: bytes, /) -> bool:
     """Return whether the first line has the service's columns, one of them of our quantities."""
     match = _HEADER.match(head)
     return match is not None and not _COLUMNS.keys().isdisjoint(
-        name.strip() for name in match[1].decode("utf-8", "replace").split(";")
+        name.strip() for name in re.split("[;,]", match[1].decode("utf-8", "replace"))
     )
 
 
@@ -66,7 +70,7 @@ def read_records(file: Path, _site: Site, /) -> Records:
         quantity: Column(table, name, quantity, unit)
         for name, (quantity, unit) in present.items()
     }
-    first, values = table.read_hours(_TIME, columns, _parse_hour, "2024060112")
+    first, values = table.read_hours(_TIME, columns, _parse_hour, "2024060112", station=_STATION)
     late = PRECIPITATION in values
     return Records(
         (file,), first - HOUR if late else first, add_dew_point(values),

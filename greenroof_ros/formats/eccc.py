@@ -1,7 +1,7 @@
 """Hourly files of Environment and Climate Change Canada (ECCC), as downloaded.
 
 Bulk files of its page, in English or French, and CSV of its collection ``climate-hourly``
-(api.weather.gc.ca, GeoMet-OGC-API), with the same observations under other names.
+(api.weather.gc.ca, GeoMet-OGC-API), with the same observations in the same units under other names.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from greenroof_ros.model.site import Site
 _GEOMET_TIME = "local_date"
 _TIME = ("date/time(lst)", "date/time", "date/heure(hnl)", "date/heure", _GEOMET_TIME)
 _LATITUDE, _LONGITUDE = ("latitude(y)", "y"), ("longitude(x)", "x")
+_STATION = ("climateid", "idclimatologique", "climate_identifier", "station_name")
 # Height of the wind at its stations, as WMO has it (m).
 _WIND_HEIGHT_M = 10.0
 # The service's columns of each of our quantities; the units are the same. Flags are in the next.
@@ -111,6 +112,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     first, values = table.read_hours(
         time, read, lambda text: parse_local_time(text, zone), "2021-07-01 0:00",
         in_order=_simplify(time) != _GEOMET_TIME,
+        station=next((names[name] for name in _STATION if name in names), None),
     )
     return Records(
         (file,), first, values, rain_late=1, left_out=tuple(table.notes),

@@ -90,10 +90,12 @@ _SECTION = re.compile(r'"?time"?[,;\t]')
 _SAVED_TIMES = ("time", "datetime", "date")
 # Names of variables that others would not give.
 _ONLY_ITS_OWN = re.compile(
-    r"[a-z_]+_\d+c?m(?![a-z])|precipitation_(previous_day|member)\d|surface_pressure"
+    r"(temperature|dew_?point|relative_?humidity|wind_?(speed|gusts|direction))_\d+m(?![a-z])"
+    r"|soil_[a-z]+_\d|precipitation_(previous_day|member)\d|surface_pressure"
     r"|shortwave_radiation|et0_fao_evapotranspiration"
 )
 _SOURCE = "Open-Meteo's hourly files"
+_OTHER_JSON = "is JSON, but no hourly answer of Open-Meteo; from other services download CSV"
 # Keys under which services say what went wrong.
 _MESSAGES = ("reason", "message", "detail", "description", "error", "title")
 VARIABLES = {
@@ -229,7 +231,7 @@ def _read_tables(file: Path) -> tuple[Table | None, Table]:
     about = list(itertools.islice(lines, 2))
     if about and _OFFSET not in about[0][1]:
         return None, read_table(file, itertools.chain(about, lines))
-    hours = _select_hours(lines)
+    hours = _select_hours(file, about, lines)
     header = next(hours, None)
     if header is None:
         raise ConfigurationError(
@@ -245,23 +247,34 @@ def _parse(parse: Callable[[str, tzinfo], datetime], text: str, zone: tzinfo) ->
     return parse(text, zone)
 
 
-def _select_hours(lines: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+def _select_hours(
+    file: Path, about: Sequence[tuple[int, str]], lines: Iterator[tuple[int, str]]
+) -> Iterator[tuple[int, str]]:
     """Return the lines of the hours, from their header on, without other sections.
 
     The service writes a section each for ``current``, ``minutely_15``, ``hourly`` and ``daily``,
-    as chosen on its page. If none is of hours, it is the first.
+    as chosen on its page. If none is of hours, it is the first. A download that was appended begins
+    with the lines ``about`` the place again.
     """
     sections: list[list[tuple[int, str]]] = []
     broken: ConfigurationError | None = None
     try:
         for line in lines:
+            if _OFFSET in line[1]:
+                place = next(lines, (0, ""))[1]
+                if [line[1].strip(), place.strip()] != [text.strip() for _, text in about]:
+                    raise ConfigurationError(
+                        "begins a download of another place or clock: make a file of it",
+                        file=file, line=line[0],
+                    )
+                continue
             if _SECTION.match(line[1]) or not sections:
                 sections.append([])
             sections[-1].append(line)
     except ConfigurationError as error:  # reported when its line is reached
         broken = error
-    of_hours = (section for section in sections if _may_be_hours(section[1:_JUDGED_ROWS]))
-    yield from next(of_hours, sections[0] if sections else [])
+    of_hours = [section for section in sections if _may_be_hours(section[1:_JUDGED_ROWS])]
+    yield from itertools.chain.from_iterable(of_hours or sections[:1])
     if broken is not None:
         raise broken
 
@@ -290,8 +303,10 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
         raise refuse(f"is not valid JSON: {error}", line=error.lineno) from error
     except RecursionError as error:
         raise refuse("is JSON nested too deeply to be an answer") from error
-    if not isinstance(content, dict):
+    if isinstance(content, list) and "hourly" in str(content)[:_JUDGED_ROWS]:
         raise refuse("must be for one place; download places separately")
+    if not isinstance(content, dict):
+        raise refuse(_OTHER_JSON)
     why = next((content[key] for key in _MESSAGES if isinstance(content.get(key), str)), "")
     if content.get("error") or (why and "hourly" not in content):
         raise refuse(f"is not a forecast but the service's refusal: {why}")
@@ -301,7 +316,10 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
             raise refuse("must be a mapping, as in hourly answers", key=key)
     if "hourly" not in content:
         present = ", ".join(key for key in ("current", "minutely_15", "daily") if key in content)
-        raise refuse(f"has no hourly values, only {present or 'others'}; download hourly variables")
+        raise refuse(
+            f"has no hourly values, only {present}; download hourly variables" if present
+            else _OTHER_JSON
+        )
     hourly = {"time": [], **hourly}
     for name, series in hourly.items():
         if not isinstance(series, list) or len(series) != len(hourly["time"]) or not series:

@@ -290,11 +290,11 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
     notes = rows.table.notes
     durations_h = np.unique(steps.durations) / 3600
     if steps.step_s >= 3600:
-        if steps.step_s % 3600 or (durations_h % 1).any():
+        if steps.step_s != 3600 or (durations_h % 1).any():
             raise rows.table.refuse(
                 f"the rows are {duration(steps.step_s)} apart; they must be an hour apart, or less"
             )
-        hours = steps.steps * round(steps.step_s / 3600)
+        hours = steps.steps
         first = _round_first(first, steps)
     else:
         first = first.replace(minute=0, second=0, microsecond=0)
@@ -334,12 +334,10 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
 
 
 def _round_first(first: datetime, steps: RowSteps) -> datetime:
-    """Return the start of the first hour, which some seconds of a clock's error do not change."""
+    """Return the start of the first hour to 5 min: clocks err, and rows can end at 00:59."""
     begin = first - timedelta(seconds=steps.late)
-    minutes = 5 if steps.late else 1
-    whole = begin.replace(minute=begin.minute // minutes * minutes, second=0, microsecond=0)
-    late = begin - whole
-    return whole + timedelta(minutes=minutes) * round(late / timedelta(minutes=minutes))
+    whole = begin.replace(minute=begin.minute // 5 * 5, second=0, microsecond=0)
+    return whole + timedelta(minutes=5) * round((begin - whole) / timedelta(minutes=5))
 
 
 def _average_hours(
