@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from datetime import timedelta
 from typing import NamedTuple
 
@@ -21,12 +22,19 @@ import numpy as np
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.hourly import Records, find_gaps, number_days
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, TEMPERATURE
+from greenroof_ros.formats.quantities import (
+    DEW_POINT,
+    EVAPOTRANSPIRATION,
+    PRECIPITATION,
+    RADIATION,
+    TEMPERATURE,
+)
 from greenroof_ros.formats.step_record import (
     DAY_S,
     HOUR_S,
     StepRecord,
     Steps,
+    Values,
     find_storms,
     name_time,
     prolong_steps,
@@ -64,7 +72,12 @@ def check_steps(record: StepRecord, site: Site) -> list[str]:
 
 
 def check_hours(records: Records, site: Site, hours: range) -> list[str]:
-    """Return what is implausible in some hours of weather; see :func:`check_steps`."""
+    """Return what is implausible in some hours of weather; see :func:`check_steps`.
+
+    A place that the records give counts more than the site's.
+    """
+    for latitude, longitude in [*records.places.values()][:1]:
+        site = replace(site, latitude=latitude, longitude=longitude)
     nothing = np.zeros(records.hours)
     given = records.values.get(EVAPOTRANSPIRATION, nothing) if records.method else nothing
     steps = np.zeros(records.hours, dtype=bool)
@@ -73,6 +86,7 @@ def check_hours(records: Records, site: Site, hours: range) -> list[str]:
         records.files[0], records.first, HOUR_S, records.values[PRECIPITATION],
         np.nan_to_num(given) / 24, nothing, None, None, records.values.get(TEMPERATURE),
         reference_column=f"{records.method} {EVAPOTRANSPIRATION}" * (given is not nothing),
+        dew_point=records.values.get(DEW_POINT), radiation=records.values.get(RADIATION),
     )
     return check_steps(record.select(steps), site)
 
@@ -88,6 +102,8 @@ _MAX_A_DAY, _MIN_DAYS = 60.0, 7.0
 _MAX_EVAPORATED = 20.0
 # Less movement of a level (m) than any roof has in 20 mm of water.
 _MIN_MOVEMENT = 0.002
+# Dew point less temperature (K) in the median, which errors of sensors explain.
+_MAX_ABOVE = 1.0
 
 
 def find_much_rain(record: StepRecord, _site: Site) -> Iterator[str]:
@@ -102,12 +118,15 @@ def find_much_rain(record: StepRecord, _site: Site) -> Iterator[str]:
 
 
 def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
-    """Find evapotranspiration and levels that no roof has."""
+    """Find evapotranspiration, levels and dew points that are nowhere."""
     amounts = []
     if record.reference_column:
         _, day = np.unique(record.seconds // DAY_S, return_inverse=True)
         highest = float(np.bincount(day, record.reference).max())
         amounts.append((record.reference_column, "mm in a day", highest, 0.0, _MAX_EVAPORATED))
+    if record.dew_point is not None and record.temperature is not None:
+        above = _find_median(record.dew_point - record.temperature)
+        amounts.append((DEW_POINT, "K above the temperature", above, -math.inf, _MAX_ABOVE))
     if record.level is not None and not np.isnan(record.level).all():
         highest, lowest = float(np.nanmax(record.level)), float(np.nanmin(record.level))
         amounts += [
@@ -115,7 +134,7 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
             ("level", "m from lowest to highest", highest - lowest, _MIN_MOVEMENT, math.inf),
         ]
     for column, what, value, low, high in amounts:
-        if not low <= value <= high:
+        if value < low or value > high:
             bound = f"at most {high:.4g}" if value > high else f"at least {low:.4g}"
             yield (
                 f"{column}: is {value:.3g} {what}; it must be {bound}: is the unit of the column "
@@ -124,18 +143,28 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
 
 
 # The mean of the hours with rain (mm), in so many of them: at most 5.9 in months of eleven years at
-# Toronto; tenths of a millimetre make ten times as much. In so many hours the wettest has less
-# than 1 mm only if the unit is wrong, or if amounts of rows are in a column of rates.
+# Toronto, so 8 elsewhere [assumed]; tenths of a millimetre make ten times as much. In so many hours
+# the wettest has less than 1 mm only if the unit is wrong, or if amounts of rows are in a column of
+# rates.
 _MAX_MEAN_WET, _FEW_WET = 8.0, 20
 _MIN_WETTEST, _MANY_WET = 1.0, 100
-# Reference evapotranspiration is at least this share of what the sun's energy outside of the
-# atmosphere could evaporate, in so many days [assumed]; in mm/h in a column of mm/day it would be a
-# twenty-fourth.
-_MIN_OF_ENERGY, _MIN_ENERGY_DAYS, _MIN_ENERGY = 0.03, 3, 1.0
+# So many wet rows are not each wetter than the one before by chance.
+_MANY_RISES = 10
+# Reference evapotranspiration is between these shares of what the sun's energy outside of the
+# atmosphere could evaporate, in so many days with so much of it (mm) [assumed]; in mm/h in a column
+# of mm/day it would be a twenty-fourth.
+_OF_ENERGY, _MIN_ENERGY_DAYS, _MIN_ENERGY = (0.03, 1.0), 3, 1.0
+# Radiation at the ground is 0.25 of that outside of the atmosphere under clouds, 0.75 without them
+# (FAO-56, Eq. 35), so the clearest of so many days has a share between these; J/cm2 in an hour make
+# 0.36 of W/m2.
+_CLEAREST, _CLEAREST_DAYS = (0.3, 1.0), 10
+# The warmest places have less than this median (degC) under so much sun (MJ/m2 a day) [assumed];
+# where it is 2 degC in winter, degF are above.
+_WARMEST, _WARMEST_PER_MJ = 18.0, 0.6
 
 
-def find_wrong_rain_unit(record: StepRecord, _site: Site) -> Iterator[str]:
-    """Find rain whose hours are all too wet, or too dry."""
+def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
+    """Find rain in another unit, or of other spans than its rows."""
     if record.step_s > HOUR_S:
         return
     rain = np.nan_to_num(record.rain if record.all_rain is None else record.all_rain)
@@ -152,24 +181,62 @@ def find_wrong_rain_unit(record: StepRecord, _site: Site) -> Iterator[str]:
             f"rain is at most {wet.max():.3g} mm in each of its {wet.size} wet hours: is the unit "
             "right? The amount of a row is in [mm], not [mm/h]"
         )
+    if wet.size >= _FEW_WET and (wet % 1 == 0).all() and wet.max() > 1:
+        yield (
+            f"rain is whole millimetres in each of its {wet.size} wet hours: is it a number of "
+            "tips, or in tenths of a millimetre?"
+        )
+    for what, at in (
+        ("falls", np.flatnonzero(hours)), ("changes", np.flatnonzero(np.diff(hours))),
+    ):
+        every = int(np.gcd.reduce(np.diff(at))) if len(at) >= _FEW_WET else 1
+        if every > 1:
+            yield f"rain {what} only every {every} h: is each value the total of {every} hours?"
+            break
+    changes = np.diff(rain)[(rain[:-1] > 0) & (rain[1:] > 0)]
+    rises = np.count_nonzero(changes > 0)
+    if rises >= _MANY_RISES and not (changes < 0).any():
+        yield (
+            f"rain rises {rises} times from one wet row to the next, and never falls: is it a "
+            "total since the event began?"
+        )
 
 
-def find_little_evaporation(record: StepRecord, site: Site) -> Iterator[str]:
-    """Find evapotranspiration that is far below the energy of the sun."""
-    if not record.reference_column or site.latitude is None:
+def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
+    """Find evapotranspiration, radiation and temperature that do not go with the sun's energy."""
+    if site.latitude is None:
         return
     days, day = np.unique(record.seconds // DAY_S, return_inverse=True)
-    sums = np.bincount(day, record.reference)
-    whole = np.bincount(day) * record.step_s >= DAY_S
-    energy = MM_PER_MJ * extraterrestrial_radiation(site.latitude, days.astype("datetime64[D]"))
-    sunny = whole & (energy > _MIN_ENERGY)
-    evaporated, possible = float(sums[sunny].sum()), float(energy[sunny].sum())
-    if np.count_nonzero(sunny) >= _MIN_ENERGY_DAYS and evaporated < _MIN_OF_ENERGY * possible:
-        yield (
-            f"{record.reference_column}: is {evaporated:.3g} mm in {np.count_nonzero(sunny)} days, "
-            f"{evaporated / possible:.2%} of what the sun could evaporate; less than "
-            f"{_MIN_OF_ENERGY:.0%} is rare: is the unit of the column right, [mm/h] or [mm/day]?"
-        )
+    energy = extraterrestrial_radiation(site.latitude, days.astype("datetime64[D]"))
+    sunny = (np.bincount(day) * record.step_s >= DAY_S) & (MM_PER_MJ * energy > _MIN_ENERGY)
+    energy, count = energy[sunny], np.count_nonzero(sunny)
+    amounts = []
+    if record.reference_column and count >= _MIN_ENERGY_DAYS:
+        evaporated = np.bincount(day, record.reference)[sunny].sum() / MM_PER_MJ
+        amounts.append((
+            record.reference_column, evaporated / energy.sum(), "of what the sun could evaporate",
+            *_OF_ENERGY,
+        ))
+    if record.radiation is not None and count >= _CLEAREST_DAYS:
+        radiation = np.bincount(day, record.radiation)[sunny] * record.step_s / 1e6
+        amounts.append((
+            RADIATION, np.fmax.reduce(radiation / energy),
+            "of the sun's outside of the atmosphere on the clearest day", *_CLEAREST,
+        ))
+    if record.temperature is not None and count >= _MIN_ENERGY_DAYS:
+        amounts.append((
+            TEMPERATURE, _find_median(record.temperature), "degC in the median under this sun",
+            -math.inf, _WARMEST + _WARMEST_PER_MJ * energy.mean(),
+        ))
+    for column, value, what, low, high in amounts:
+        if value < low or value > high:
+            bound = f"more than {high:.3g}" if value > high else f"less than {low:.3g}"
+            yield f"{column} is {value:.3g} {what}; {bound} is rare: is the unit right?"
+
+
+def _find_median(series: Values) -> float:
+    known = series[~np.isnan(series)]
+    return float(np.median(known)) if known.size else math.nan
 
 
 # The largest excess of runoff over water, summed over storms, as a share of their runoff: at most
@@ -394,8 +461,8 @@ def find_outlying_rain(record: StepRecord, _site: Site) -> Iterator[str]:
 RULES = (
     Rule(find_wrong_amounts, refuses=True),
     Rule(find_much_rain),
-    Rule(find_wrong_rain_unit),
-    Rule(find_little_evaporation),
+    Rule(find_wrong_rain),
+    Rule(find_unlike_sun),
     Rule(find_imbalance),
     Rule(find_shifted_clock),
     Rule(find_stuck_sensor),

@@ -40,6 +40,8 @@ class StepRecord:
         reference_column: column of the evapotranspiration in the file; empty if it was computed.
         notes: what could not be used as it is.
         all_rain: rain also in steps that :meth:`select` left out; None before.
+        dew_point: of the air (degC); None if not measured.
+        radiation: of the sun (W/m2); None if not measured.
     """
 
     source: Path
@@ -57,6 +59,8 @@ class StepRecord:
     reference_column: str = ""
     notes: tuple[str, ...] = ()
     all_rain: Values | None = None
+    dew_point: Values | None = None
+    radiation: Values | None = None
 
     @property
     def steps(self) -> int:

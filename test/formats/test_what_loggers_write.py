@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -101,6 +102,34 @@ def test_a_step_that_changes(tmp_path: Path, before_s: int, after_s: int) -> Non
         assert any("the time between rows changes" in note for note in records.notes)
 
 
+@pytest.mark.parametrize("late", [-60, -1, 60])
+def test_hours_that_begin_a_minute_off(tmp_path: Path, late: int) -> None:
+    """As of rows that end at 00:59: they are whole hours."""
+    text = write_rows(24, first=FIRST + timedelta(hours=1, seconds=late))
+    assert read(tmp_path, text, "end").first == FIRST
+
+
+@pytest.mark.parametrize("step_h", [1.5, 3, 24])
+def test_rows_more_than_an_hour_apart(tmp_path: Path, step_h: float) -> None:
+    """A day's rain is not an hour's."""
+    text = write_rows(30, round(step_h * HOUR))
+    assert "must be an hour apart, or less" in refusal(read, tmp_path, text)
+
+
+@pytest.mark.parametrize("head", ["sep=;\n", "sep=;\r\n", '"sep=;"\r\n', "\ufeffSEP=;\r\n"])
+def test_the_separator_in_a_line_of_its_own(tmp_path: Path, head: str) -> None:
+    """As spreadsheets write it."""
+    rows = "".join(f"2024-06-01T0{hour}:00Z;0,4\r\n" for hour in range(5))
+    assert rain_of(tmp_path, f"{head}time;rain [mm]\r\n{rows}") == [0.4] * 5
+
+
+@pytest.mark.parametrize("line", [",mm", '"TS","mm"', "Sum,12.4", "Summe,", "---,---", "End"])
+def test_lines_that_are_no_records(tmp_path: Path, line: str) -> None:
+    """Units below the header, and totals at the end."""
+    for text in (write_rows(3).replace("\n", f"\n{line}\n", 1), f"{write_rows(3)}{line}\n"):
+        assert "units or a sum, leave it out" in refusal(read, tmp_path, text)
+
+
 def test_files_that_were_appended(tmp_path: Path) -> None:
     """The same header again is left out, also after a byte order mark; another one is refused."""
     later = write_rows(24, first=FIRST + timedelta(days=1))
@@ -108,6 +137,10 @@ def test_files_that_were_appended(tmp_path: Path) -> None:
         records = read(tmp_path, write_rows(24) + mark + later)
         assert records.hours == 48
         assert "line 26 repeats the header" in records.notes[0]
+    for comment in ("stamped: end", "wind_height: 3", "latitude: 43"):
+        text = f"{write_rows(24)}# {comment}\n{later}"
+        assert "make a file of each part" in refusal(read, tmp_path, text)
+        read(tmp_path, f"# {comment}\n{text}")
     other = later.replace("rain [mm]", "temperature [degC]")
     assert "line 26: is a second header" in refusal(read, tmp_path, write_rows(24) + other)
 
@@ -140,9 +173,9 @@ def test_rain_that_rises_is_no_running_total(tmp_path: Path) -> None:
         assert rain_of(tmp_path, write_rows(96, rain=lambda row, r=rain: r[row % len(r)]))
 
 
-@pytest.mark.parametrize("text", ["T", "trace", "Tr.", "0.0T", "<0.1", "< 0.05"])
+@pytest.mark.parametrize("text", ["T", "traces", "Tr.", "0.0T", "<0.1", "< 0.05", '"<0,1"'])
 def test_a_trace_is_nothing(tmp_path: Path, text: str) -> None:
-    """WMO-No. 8 reports less than a gauge can measure as a trace."""
+    """Less than 0.1 mm is a trace (WMO-No. 8, Guide to Instruments, 6.1.2, Units and scales)."""
     assert rain_of(tmp_path, write_rows(5, rain=lambda row: text if row % 2 else 0.4)) == (
         [0.4, 0.0, 0.4, 0.0, 0.4]
     )
@@ -176,10 +209,17 @@ def test_evapotranspiration_in_another_unit(
     assert [sentence in each for each in found] == [True] * bool(sentence)
 
 
+def test_a_dew_point_in_another_unit(tmp_path: Path) -> None:
+    """36 degF under 5 degC."""
+    header = "time,rain [mm],temperature [degC],dew point [degC]\n"
+    records = read(tmp_path, write_rows(48, rain=lambda row: "0,5,36", header=header))
+    assert "is 31 K above the temperature" in refusal(check_hours, records, SITE, range(12))
+
+
 def test_fractions_of_humidity(tmp_path: Path) -> None:
     """Under percent they are refused; they have a unit of their own."""
     text = write_rows(
-        48, rain=lambda row: f"0,20,{0.6 + 0.3 * shine(row):.2f}",
+        48, rain=lambda row: f"0,20,{0.6 + 0.42 * shine(row):.2f}",
         header="time,rain [mm],temperature [degC],relative humidity [%]\n",
     )
     assert "are they fractions? Then its unit is [1]" in refusal(read, tmp_path, text)
@@ -216,6 +256,72 @@ def test_commas_between_thousands(tmp_path: Path, cells: tuple[str, str], is_ref
         read(tmp_path, text)
 
 
+@pytest.mark.parametrize("radiation", [
+    "1'019", "1\u2019019.5", "1\u202f019", "1\u00a0019", "1 019", "1_019", "1.019,5", "1,019.5",
+    "1,01,900", "1.019.000",
+])
+def test_marks_between_digits(tmp_path: Path, radiation: str) -> None:
+    """One such number is enough: it is not left out as an implausible one would be."""
+    text = write_rows(
+        200, rain=lambda row: f'0,"{radiation if row == 150 else 512}"',
+        header="time,rain [mm],solar radiation [W/m2]\n",
+    )
+    assert "line 152: solar radiation [W/m2]" in refusal(read, tmp_path, text)
+
+
+@pytest.mark.parametrize(("cells", "is_refused"), [
+    (("0,2;512", "0,4;1.019"), True), (("0;512", "1;1.019"), True), (("0;0.512", "1;1.019"), False),
+    (("0;512.000", "1;1.019"), False), (("0,2;51.5", "0,4;1.01"), False),
+])
+def test_points_between_thousands(
+    tmp_path: Path, cells: tuple[str, str], is_refused: bool
+) -> None:
+    """A point before three digits is a decimal mark, unless commas are, or some have no point."""
+    text = "time;rain [mm];solar radiation [W/m2]\n" + "".join(
+        f"2024-06-01T{hour:02}:00Z;{cells[hour % 2]}\n" for hour in range(24)
+    )
+    if is_refused:
+        assert "'1.019': is the '.' a decimal mark" in refusal(read, tmp_path, text)
+    else:
+        read(tmp_path, text)
+
+
+HOT, SUN = "temperature [degC]", "solar radiation [W/m2]"
+SUSPICIOUS: dict[str, tuple[str, Callable[[int], object], str]] = {
+    "right": ("", lambda row: RAIN[row], ""),
+    "tips": ("", lambda row: round(RAIN[row] / 0.2), "is it a number of tips"),
+    "a day's total": ("", lambda row: DAILY[row // 24] * (row % 24 == 0), "only every 24 h"),
+    "six hours'": ("", lambda row: round(sum(RAIN[row // 6 * 6:][:6]), 1), "only every 6 h"),
+    "an event's": ("", lambda row: EVENTS[row], "total since the event began"),
+    "W/m2": (SUN, lambda row: f"{RAIN[row]},{700 * shine(row):.0f}", ""),
+    "J/cm2": (SUN, lambda row: f"{RAIN[row]},{252 * shine(row):.0f}", "is the unit right?"),
+    "MJ/m2": (SUN, lambda row: f"{RAIN[row]},{2.52 * shine(row):.2f}", "is the unit right?"),
+    "all day": (SUN, lambda row: f"{RAIN[row]},700", "more than 1 is rare"),
+    "degC": (HOT, lambda row: f"{RAIN[row]},{25 + shine(row):.1f}", ""),
+    "degF": (HOT, lambda row: f"{RAIN[row]},{45 + shine(row):.1f}", "degC in the median"),
+    "a day's ET": (
+        "station evapotranspiration [mm]", lambda row: f"{RAIN[row]},0.8", "more than 1 is rare",
+    ),
+}
+_RANDOM = np.random.default_rng(5)
+RAIN = [
+    round(0.2 * int(amount), 1)
+    for amount in _RANDOM.poisson(6, 720) * (_RANDOM.random(720) < np.repeat([0.3, 0.02], 360))
+]
+DAILY = [round(sum(RAIN[24 * day:][:24]), 1) for day in range(30)]
+EVENTS = [*itertools.accumulate(RAIN, lambda so_far, rain: round(so_far + rain, 1) * (rain > 0))]
+
+
+@pytest.mark.parametrize("name", SUSPICIOUS)
+def test_columns_that_are_suspicious(tmp_path: Path, name: str) -> None:
+    """A month of June, with right values and with others."""
+    columns, values, sentence = SUSPICIOUS[name]
+    header = ",".join(filter(None, ("time,rain [mm]", columns)))
+    records = read(tmp_path, write_rows(720, rain=values, header=f"{header}\n"))
+    found = check_hours(records, SITE, range(12))
+    assert [sentence in each for each in found] == [True] * bool(sentence), found
+
+
 # --- places ---------------------------------------------------------------------------------------
 
 
@@ -225,6 +331,7 @@ def test_commas_between_thousands(tmp_path: Path, cells: tuple[str, str], is_ref
     "Latitude: N 43 37 48, Longitude: W 79 24 0", "latitude: 43,63; longitude: -79,40",
     "latitude: 43.63 degrees north, longitude: 79.40 degrees west",
     "Gauge 7 (latitude: 43.63, longitude: -79.40), on the roof. See latitude: of the plan",
+    "latitude: 43.63 N longitude: 79.40 W elevation: 77 m",
 ])
 def test_places_in_comments(tmp_path: Path, comment: str) -> None:
     """All are 43.63 degrees north, 79.40 degrees west."""
@@ -234,7 +341,7 @@ def test_places_in_comments(tmp_path: Path, comment: str) -> None:
 
 @pytest.mark.parametrize("comment", [
     "latitude: 95 steps from the door", "longitude: see map", "latitude: 43.63 W",
-    "wind_height: about 2 m", "stamped: by hand",
+    "wind_height: about 2 m", "stamped: by hand", "longitude: -79.40 elevation 77 m",
 ])
 def test_prose_in_comments(tmp_path: Path, comment: str) -> None:
     """It is ignored, with a note."""
@@ -243,13 +350,32 @@ def test_prose_in_comments(tmp_path: Path, comment: str) -> None:
     assert records.notes == (f"gauge.csv: line 1 is not read: {comment}",)
 
 
-@pytest.mark.parametrize("comment", ["latitude: 95", "longitude: -79.40 W", "longitude: 280.6"])
+@pytest.mark.parametrize("comment", [
+    "latitude: 95", "longitude: -79.40 W", "longitude: 280.6", "rain_late: 0.5 h",
+])
 def test_places_that_are_none(tmp_path: Path, comment: str) -> None:
-    """Out of range, or with two signs."""
+    """Out of range, or with two signs; and half an hour that only a fit would correct."""
     assert "line 1: " in refusal(read, tmp_path, f"# {comment}\n{write_rows(3)}")
 
 
 # --- files of other kinds and services ------------------------------------------------------------
+
+
+RAIN_OF_DWD = (
+    "STATIONS_ID;MESS_DATUM;QN_8;  R1;RS_IND;WRTR;eor\n"
+    "       1219;2024060100;    1;   0.0;   0;-999;eor\n"
+    "       1219;2024060101;    1;   1.5;   1;-999;eor\n"
+    "       1219;2024060102;    1;-999;-999;-999;eor\n"
+    "       1219;2024060103;    1;   0.2;   1;-999;eor\n"
+)
+
+
+GEOMET = (
+    "x,y,STATION_NAME,LOCAL_DATE,TEMP,TEMP_FLAG,PRECIP_AMOUNT_FLAG,PRECIP_AMOUNT,WIND_SPEED\n"
+    "-79.4,43.63,TORONTO,2021-07-07 01:00:00,23.5,,M,1.2,11\n"
+    "-79.4,43.63,TORONTO,2021-07-07T00:00:00,24.5,,,0.4,5\n"
+    "-79.4,43.63,TORONTO,2021/07/07 02:00,22.7,,,0.6,9\n"
+)
 
 
 @pytest.mark.parametrize(("content", "what"), [
@@ -274,19 +400,22 @@ def test_places_that_are_none(tmp_path: Path, comment: str) -> None:
     ("STATION,DATE,REPORT_TYPE,HourlyPrecipitation\n1,2,FM-15,T\n", "Local Climatological"),
     ("STATION,STATION_NAME,DATE,HPCP\n1,X,2,0.1\n", "hourly precipitation"),
     ("STATIONS_ID;MESS_DATUM;  QN;RWS_10;eor\n1;202406010000;3;0.0;eor\n", "other than hourly"),
+    ("BRON: KNMI\n\nSTN,YYYYMMDD,   HH,   DD\n 260,19910101,    1,  200\n", "[mm]' = RH / 10"),
+    ("abbr;time;tre200h0;rre150h0\nBAS;201701010000;-3.2;0.0\n", "MeteoSwiss, hourly"),
+    ("Station_ID|Station_name|Year|Month\nUSW1|X|2024|1\n", "Climatology Network hourly"),
+    ("NUM_POSTE;NOM_USUEL;AAAAMMJJHH;RR1\n1;X;2024060100;0\n", "'rain [mm]' = RR1"),
+    ("NUM_POSTE;NOM_USUEL;AAAAMMJJ;RR\n1;X;20240601;0\n", "France, of other than hours"),
+    ('[{"station_code": 260, "hour": 1}]', "no hourly answer of Open-Meteo"),
+    ('{"type": "FeatureCollection", "features": []}', "no hourly answer of Open-Meteo"),
+    ('[{"hourly": {}}]', "download places separately"),
+    (RAIN_OF_DWD.replace("1219;2024060102", "44;2024060102"), "line 4: STATIONS_ID = '44'"),
+    (GEOMET + "-79,43,HAMILTON,2021-07-07 03:00,20,,,0,5\n", "line 5: STATION_NAME = 'HAMILTON'"),
 ])
 def test_files_of_other_kinds(tmp_path: Path, content: str | bytes, what: str) -> None:
     """The message states what they are."""
     assert what in refusal(read, tmp_path, content)
 
 
-RAIN_OF_DWD = (
-    "STATIONS_ID;MESS_DATUM;QN_8;  R1;RS_IND;WRTR;eor\n"
-    "       1219;2024060100;    1;   0.0;   0;-999;eor\n"
-    "       1219;2024060101;    1;   1.5;   1;-999;eor\n"
-    "       1219;2024060102;    1;-999;-999;-999;eor\n"
-    "       1219;2024060103;    1;   0.2;   1;-999;eor\n"
-)
 AIR_OF_DWD = (
     "STATIONS_ID;MESS_DATUM;QN_9;TT_TU;RF_TU;eor\n"
     "       1219;2024060100;    3;  10.0; 100.0;eor\n"
@@ -313,12 +442,6 @@ def test_hours_of_dwd(tmp_path: Path) -> None:
     assert "has no precipitation" in refusal(read_measured, [air], SITE)
 
 
-GEOMET = (
-    "x,y,STATION_NAME,LOCAL_DATE,TEMP,TEMP_FLAG,PRECIP_AMOUNT_FLAG,PRECIP_AMOUNT,WIND_SPEED\n"
-    "-79.4,43.63,TORONTO,2021-07-07 01:00:00,23.5,,M,1.2,11\n"
-    "-79.4,43.63,TORONTO,2021-07-07T00:00:00,24.5,,,0.4,5\n"
-    "-79.4,43.63,TORONTO,2021/07/07 02:00,22.7,,,0.6,9\n"
-)
 
 
 def test_hours_of_geomet(tmp_path: Path) -> None:
@@ -361,3 +484,33 @@ def test_a_wall_clock_with_summer_time(tmp_path: Path) -> None:
     records = read_measured([file], site)
     assert records.first.isoformat() == "2024-11-02T23:00:00-04:00"
     assert records.values["precipitation"].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+OPEN_METEO = (
+    "latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation\n"
+    "43.63,-79.4,77.0,0,GMT,GMT\n\ntime,precipitation (mm)\n{}"
+)
+
+
+def test_open_meteo_downloads_that_were_appended(tmp_path: Path) -> None:
+    """Of one place they are one; what would be lost or is of another place is refused."""
+    days = [
+        "".join(f"2024-06-0{day}T{hour:02}:00,{day}\n" for hour in range(24)) for day in (1, 2, 3)
+    ]
+    first, second = (OPEN_METEO.format(day) for day in days[:2])
+    for text in (first + second, f"{first}\n{second}", OPEN_METEO.format(f"{days[0]}time,precipita"
+                 f"tion (mm)\n{days[1]}")):
+        assert rain_of(tmp_path, text) == [1.0] * 24 + [2.0] * 24
+    for text, what in (
+        (first + second.replace("43.63", "48.1"), "line 29: begins a download of another place"),
+        (first + second.replace(",0,GMT", ",-14400,GMT"), "line 29: begins a download"),
+        (first + second.replace("(mm)", "(inch)"), "line 32: is a second header"),
+        (second + first, "line 33: time = '2024-06-01T00:00'"),
+    ):
+        assert what in refusal(read, tmp_path, text)
+
+
+def test_names_like_open_meteos(tmp_path: Path) -> None:
+    """A logger's own temp_2m is not the service's temperature_2m, whose times would be in UTC."""
+    text = "time,precipitation,temp_2m\n2024-06-01 00:00,1,20\n2024-06-01 01:00,1,20\n"
+    assert "must be named like 'rain [mm]'" in refusal(read, tmp_path, text)
