@@ -6,11 +6,12 @@ import codecs
 import ctypes
 import functools
 import hashlib
+import io
 import os
 import re
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PosixPath
 from typing import Any, BinaryIO
 
 import yaml
@@ -121,6 +122,23 @@ def _refuse_other_kinds(path: Path, head: bytes) -> None:
             raise ConfigurationError(what, file=path)
 
 
+class TextInMemory(PosixPath):
+    """A text in memory, which is read as a file of this name would be; :attr:`text` is set."""
+
+    text = ""
+
+    def open(self, mode: str = "r", *_: object, **__: object) -> Any:
+        """Open the text for reading."""
+        stream = io.BufferedReader(io.BytesIO(self.text.encode()))
+        return stream if "b" in mode else io.TextIOWrapper(stream, "utf-8")
+
+    def exists(self, **_: object) -> bool:
+        """Return True."""
+        return True
+
+    is_file = exists
+
+
 def read_lines(path: Path) -> Iterator[str]:
     """Read a UTF-8 text file line by line; a byte order mark at its start is dropped.
 
@@ -140,7 +158,8 @@ def read_lines(path: Path) -> Iterator[str]:
     try:
         with source.open("rb") as stream:
             _refuse_other_kinds(path, stream.peek(1 << 10)[: 1 << 10])
-            size = os.fstat(stream.fileno()).st_size
+            size = stream.seek(0, os.SEEK_END)
+            stream.seek(0)
             if size > MAX_BYTES:
                 raise ConfigurationError(
                     f"has {size / 1e6:.0f} MB to read; a file may have at most "

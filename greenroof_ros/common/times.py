@@ -157,15 +157,24 @@ def from_epoch_ns(nanoseconds: int) -> datetime:
     return _EPOCH + timedelta(microseconds=nanoseconds // 1000)
 
 
+def is_skipped(local: datetime) -> bool:
+    """Return whether the clocks of a time's zone skip it, as the hour in spring."""
+    shown = local.astimezone(timezone.utc).astimezone(local.tzinfo)
+    return shown.replace(tzinfo=None) != local.replace(tzinfo=None)
+
+
 def read_start(text: str, zone: tzinfo | None = None) -> datetime:
     """Read a start time; without an offset from UTC it is in the given zone.
+
+    In the hour that clocks show twice it is the first.
 
     Args:
         text: the time.
         zone: of a time without an offset.
 
     Raises:
-        ConfigurationError: it is not an ISO 8601 time, or has no offset and no zone is given.
+        ConfigurationError: it is not an ISO 8601 time, has no offset and no zone is given, or is
+            in an hour that the zone's clocks skip.
     """
     try:
         start = parse_time(text, zone)
@@ -178,6 +187,10 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
     if start.utcoffset() is None:
         raise ConfigurationError(
             f"must give its offset from UTC, as in {DEFAULT_START}", key="start", value=text
+        )
+    if is_skipped(start):
+        raise ConfigurationError(
+            f"is a time that clocks in {start.tzinfo} skip", key="start", value=text
         )
     return start
 

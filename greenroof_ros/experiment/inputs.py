@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import date, timedelta, timezone
+from datetime import date, timedelta, timezone, tzinfo
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from greenroof_ros.model import sensor_and_pump
 from greenroof_ros.model.initial_state import INITIAL_STATES, find_state
 from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site, check_site, read_site
-from greenroof_ros.weather.data_frame import is_frame, read_frame
+from greenroof_ros.weather.data_frame import find_zone, is_frame, read_frame
 from greenroof_ros.weather.reading import (
     complete_records,
     default_weather,
@@ -62,7 +62,7 @@ class RunInputs:
     sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
     start: str = entry(
         "time of the first tick, ISO 8601; without an offset from UTC it is the wall clock of the "
-        "site's time_zone, or else in the weather's offset",
+        "site's time_zone, or else in the weather's zone or offset",
         default=DEFAULT_START,
     )
     hours: float | None = entry(
@@ -124,6 +124,12 @@ class RunInputs:
             return read(self.weather, *what), None
         return complete_records(records, *what), records
 
+    def _find_zone(self, site: Site) -> tzinfo | None:
+        """Return the zone of times without an offset, if site or data frame have one."""
+        if site.time_zone is not None:
+            return ZoneInfo(site.time_zone)
+        return find_zone(self.weather) if is_frame(self.weather) else None
+
     def build(
         self, read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather
     ) -> Run:
@@ -147,8 +153,7 @@ class RunInputs:
             raise ConfigurationError("is missing: both volumes must be given", key=lacking)
         initial, (x1, x2) = find_state(site, self.initial, given)
         weather, records = self.read_records(site, read)
-        zone = weather.first.tzinfo if site.time_zone is None else ZoneInfo(site.time_zone)
-        start = read_start(self.start, zone)
+        start = read_start(self.start, self._find_zone(site) or weather.first.tzinfo)
         # With a fixed offset: in a zone with daylight saving, sums of time are of the wall clock.
         start = start.replace(tzinfo=timezone(start.utcoffset() or timedelta()))
         steps = count_ticks(site, self.hours, "hours")

@@ -90,7 +90,8 @@ def write_configuration(
         site_file.write_text(format_site(run.site), encoding="utf-8")
         weather_files: list[str] = []
         for file in run.weather.files:
-            name = unique_name(file, [Path(copy).name for copy in weather_files])
+            named = file if file.suffix else Path("weather.csv")  # of a data frame
+            name = unique_name(named, [Path(copy).name for copy in weather_files])
             copy = configuration / "weather" / name
             copy.parent.mkdir(exist_ok=True)
             if run.records is None:

@@ -26,6 +26,7 @@ from greenroof_ros.common.times import (
     DEFAULT_START,
     FIRST_YEAR,
     LAST_YEAR,
+    is_skipped,
     parse_time,
     time_hint,
     to_minutes,
@@ -216,7 +217,7 @@ class Table:
                 f"must give its offset from UTC, as in {DEFAULT_START}{hint}", column, row
             )
         local = time.replace(tzinfo=zone)
-        if local.astimezone(timezone.utc).astimezone(zone).replace(tzinfo=None) != time:
+        if is_skipped(local):
             raise self.refuse(
                 f"is a time that clocks in {zone} skip; does the record stay on standard time? "
                 "Then write the offset from UTC into each time", column, row,

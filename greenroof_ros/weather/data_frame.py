@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from datetime import tzinfo
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
+from zoneinfo import ZoneInfo
 
 from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import TextInMemory
 from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import read_measured
 
-_NAME = "weather.csv"
+_NAME = "the data frame"
 
 
 def is_frame(value: Any) -> bool:
@@ -31,21 +34,33 @@ def read_frame(frame: Any, site: Site) -> Records:
         site: its clock is the one of times without an offset.
 
     Raises:
-        ConfigurationError: a column or a value is wrong.
+        ConfigurationError: a column or a value is wrong; the message gives its row, from 0.
     """
-    with TemporaryDirectory(prefix="greenroof-") as directory:
-        file = Path(directory, _NAME)
-        file.write_text(_write_csv(frame), encoding="utf-8")
-        try:
-            records = read_measured([file], site)
-        except ConfigurationError as error:
-            text = str(error).replace(str(file), "the data frame")
-            raise ConfigurationError(text) from error
-    return replace(records, files=(Path(_NAME),))
+    file = TextInMemory(_NAME)
+    file.text = _write_csv(frame)
+    try:
+        return replace(read_measured([file], site), files=(Path(_NAME),))
+    except ConfigurationError as error:
+        raise ConfigurationError(re.sub(
+            rf"(?<=^{_NAME}), line (\d+)",
+            lambda match: f", row {int(match[1]) - 2}" if int(match[1]) > 1 else "", str(error),
+        )) from error
+
+
+def find_zone(frame: Any) -> tzinfo | None:
+    """Return the zone of a data frame's times; None if they are without one, or are text."""
+    times = frame["time"] if "time" in frame.columns else getattr(frame, "index", ())
+    zone: Any = getattr(next(iter(times), None), "tzinfo", None)
+    return ZoneInfo(zone.zone) if hasattr(zone, "zone") else zone  # of pytz, as in older pandas
 
 
 def _write_csv(frame: Any) -> str:
     text: str
+    if hasattr(frame, "to_csv") and "time" not in frame.columns and (
+        "int" not in str(frame.index.dtype)  # numbers of rows
+    ):
+        frame = frame.rename_axis("time").reset_index()
+    frame = frame[sorted(frame.columns, key=lambda name: name != "time")]
     if hasattr(frame, "write_csv"):
         refuse_forked_polars()
         import polars
@@ -55,7 +70,5 @@ def _write_csv(frame: Any) -> str:
             getattr(kind, "time_zone", None) for kind in frame.dtypes
         ) else None)
         return text
-    if "time" not in frame.columns:
-        frame = frame.rename_axis("time").reset_index()
     text = frame.to_csv(index=False)
     return text

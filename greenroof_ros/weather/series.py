@@ -237,8 +237,8 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
     way_out = "choose another window, or fill in values from another station"
     if weather.gaps == REFUSE:
         way_out += (
-            "; or fill the gaps (--gaps fill; in a grid, gaps: fill): missing rain is treated as "
-            "none, others are the mean at that time of day over the three days before and after"
+            "; or fill the gaps (gaps: fill): missing rain is treated as none, others are the mean "
+            "at that time of day over the three days before and after"
         )
     own = () if weather.method in COMPUTED else (EVAPOTRANSPIRATION,)
     for quantity in (PRECIPITATION, TEMPERATURE, *own):

@@ -221,7 +221,7 @@ def test_months_far_from_each_other() -> None:
         f"{DATA / '2 files'}, {MARCH.name} to {JULY.name}: precipitation is missing at "
         "2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 (13 hours); choose another window"
     )
-    assert "fill the gaps (--gaps fill; in a grid, gaps: fill)" in reason
+    assert "fill the gaps (gaps: fill)" in reason
 
 
 def test_value_that_one_file_lacks(tmp_path: Path) -> None:
