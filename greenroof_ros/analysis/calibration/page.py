@@ -44,7 +44,7 @@ def render(
     known = {parameter.name: (parameter.unit, parameter.meaning) for parameter in site_parameters()}
     known[FILLED] = "1", "share of the available water on the roof when the record begins"
     figures = [
-        _draw(quantity, record, halves, getattr(fit.simulated, quantity))
+        draw_quantity(quantity, record, halves, getattr(fit.simulated, quantity))
         for quantity in record.measured
     ]
     return make_page(
@@ -68,9 +68,10 @@ _TIME = alt.X("t:T", title=None, scale=alt.Scale(type="utc"),
 _WHEN = alt.Tooltip("t:T", title="day", timeUnit="utcyearmonthdate", format="%Y-%m-%d")
 
 
-def _draw(
+def draw_quantity(
     quantity: str, record: StepRecord, halves: Mapping[str, Steps], simulated: Values
 ) -> Figure:
+    """Return a quantity as measured and as simulated, with the residuals."""
     title, _ = _QUANTITIES[quantity]
     days = _list_days(quantity, record, halves, simulated)
     name = f"calibration-{quantity}"

@@ -5,7 +5,7 @@ A run directory has a bag; of a simulation in one process it has the trajectory,
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta, timezone, tzinfo
+from datetime import datetime, timezone, tzinfo
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -153,8 +153,8 @@ def _zone(row: Row, site: Site | None) -> tzinfo | None:
     """Return the time zone of a run: of its start, or the site's."""
     if "start" in row:
         return datetime.fromisoformat(row["start"]).tzinfo
-    if site is not None and site.utc_offset is not None:
-        return timezone(timedelta(hours=site.utc_offset))
+    if site is not None and (site.time_zone, site.utc_offset) != (None, None):
+        return site.zone
     return None
 
 

@@ -21,7 +21,7 @@ _DASHES = ([1, 0], [8, 3], [2, 2], [10, 3, 2, 3], [5, 2, 1, 2, 1, 2])
 _PANEL_WIDTH = 400
 # Panels that share a file need parameters of different names.
 _NUMBERS = itertools.count()
-_VEGA_LITE = ".".join(alt.SCHEMA_VERSION.removeprefix("v").split(".")[:2])
+VEGA_LITE = ".".join(alt.SCHEMA_VERSION.removeprefix("v").split(".")[:2])
 CONFIG: dict[str, Any] = {
     "font": "Arial, Helvetica, sans-serif",
     "background": "white",
@@ -88,7 +88,7 @@ class Figure:
         specification = whole.configure(**CONFIG).to_dict()
         # Added here, as altair would check every row. The PNG is made from the SVG, laid out once.
         specification.setdefault("datasets", {}).update(self.data)
-        vectors = vl_convert.vegalite_to_svg(specification, _VEGA_LITE)
+        vectors = vl_convert.vegalite_to_svg(specification, VEGA_LITE)
         file = directory / f"{self.name}.svg"
         with add_path_to_errors(file):
             file.write_text(vectors, encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
@@ -9,10 +10,12 @@ from typing import Any, NamedTuple
 
 import altair as alt
 import numpy as np
+import vl_convert
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.report.drawing import (
     CONFIG,
+    VEGA_LITE,
     Figure,
     Panel,
     Rows,
@@ -147,6 +150,16 @@ def _lines(
     return lines, references, rows
 
 
+class Picture(alt.VConcatChart):
+    """A chart that a notebook shows as a picture, without scripts from the internet."""
+
+    def _repr_mimebundle_(self, *_: Any, **__: Any) -> Any:
+        picture = vl_convert.vegalite_to_png(self.to_dict(), VEGA_LITE, scale=2)
+        width = int.from_bytes(picture[16:20], "big") // 2  # on the screen
+        kind = "image/png"
+        return {kind: base64.b64encode(picture).decode()}, {kind: {"width": width}}
+
+
 def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatChart:
     """Return the chart of simulations: rain, roof level, cistern and pump, with a line for each.
 
@@ -179,7 +192,7 @@ def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> a
         charts.append(alt.layer(*references, lines.encode(**series)).properties(
             width=_WIDTH, height=_HEIGHT
         ))
-    chart: alt.VConcatChart = alt.vconcat(*charts, spacing=10).resolve_scale(
+    chart: alt.VConcatChart = Picture(vconcat=charts, spacing=10).resolve_scale(
         x="shared", color="shared", strokeDash="shared"
     ).configure(**CONFIG).configure_axisY(minExtent=_EXTENT)
     return chart
@@ -250,7 +263,7 @@ def _time(start: datetime, hours: float) -> alt.X:
         "t:T",
         title=f"from {start:%-d %B %Y}, local time (UTC{start.isoformat()[-6:]})",
         scale=alt.Scale(type="utc", nice=False, domain=[
-            _origin(start), _origin(start) + 3.6e6 * hours,
+            _origin(start), _origin(start) + max(3.6e6 * hours, 1000.0),
         ]),
         axis=alt.Axis(
             tickCount=6, labelOverlap=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import struct
 from datetime import datetime, timezone
@@ -55,6 +56,14 @@ def test_the_axis_has_the_sites_time(compared: Comparison) -> None:
     bottom = compared.plot().to_dict()["vconcat"][-1]["layer"][-1]["encoding"]["x"]
     assert bottom["scale"]["type"] == "utc"
     assert bottom["title"] == "from 7 July 2021, local time (UTC-05:00)"
+
+
+def test_a_notebook_shows_a_picture_without_internet(compared: Comparison) -> None:
+    """As wide on the screen as the chart is; of twice as many pixels."""
+    content, about = compared.plot()._repr_mimebundle_()
+    picture = base64.b64decode(content["image/png"])
+    assert list(content) == ["image/png"] and picture.startswith(b"\x89PNG")
+    assert 640 < about["image/png"]["width"] == struct.unpack(">I", picture[16:20])[0] / 2 < 900
 
 
 def test_a_picture(compared: Comparison) -> None:

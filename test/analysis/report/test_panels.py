@@ -11,6 +11,7 @@ import pytest
 from inputs import NAMES, START, figures_of, simulate, study_of
 from paper import PAPER_SITE
 
+from greenroof_ros.analysis.calibration.page import draw_quantity
 from greenroof_ros.analysis.report.drawing import Figure, value_scale
 from greenroof_ros.analysis.report.groups import TOTAL
 from greenroof_ros.analysis.report.trajectories import (
@@ -20,6 +21,7 @@ from greenroof_ros.analysis.report.trajectories import (
     select_curves,
     select_samples,
 )
+from greenroof_ros.formats.step_record import StepRecord
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.recording.trajectory import Trajectory
 
@@ -41,7 +43,7 @@ VALUES: dict[str, list[float]] = {
 
 @pytest.mark.parametrize("values", VALUES.values(), ids=VALUES.keys())
 def test_figures_of_any_values(tmp_path: Path, values: list[float]) -> None:
-    """Every figure over time is drawn: a run in which it neither rained nor pumped, for one."""
+    """Every figure is drawn: of a run in which it neither rained nor pumped, for one."""
     length = len(values)
     trajectory = Trajectory(start=START, **{
         **{name: np.array(values) for name in NAMES}, "time": np.arange(length, dtype=float),
@@ -49,6 +51,13 @@ def test_figures_of_any_values(tmp_path: Path, values: list[float]) -> None:
     run = select_curves(PAPER_SITE, trajectory)
     figures = figures_over_time({"mpc": run}, "1", "")
     assert [figure.name for figure in figures] == ["water-1", "flows-1"]
+    unknown, known = np.array(values), np.zeros(length)
+    record = StepRecord(Path("twin.csv"), START, 3600.0, *[known] * 3, unknown, unknown)
+    half = np.arange(length) < length // 2
+    figures += [
+        draw_quantity(quantity, record, halves, known) for quantity in record.measured
+        for later in (~half, half & ~half) for halves in [{"fit": half, "validation": later}]
+    ]
     for figure in figures:
         width, height = size(tmp_path, figure)
         assert width > 400 and height > 200
