@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
@@ -59,26 +60,40 @@ def main() -> None:
     """Simulate the run that the command line asks for."""
     arguments = make_parser().parse_args()
     run = build_run(arguments)
-    every = max(1, round(arguments.trajectory_every / run.site.tau))
+    every = run.count_ticks_between(arguments.trajectory_every)
     simulation = Simulation(run)  # a controller that cannot be made leaves no directory
     directory = make_run_directory(arguments.output, run.controller.name)
-    write_configuration(directory, run, {})
-    with RunProgress(run.steps, run.site.tau) as progress:
-        ticks = _paced(run, simulation.ticks(), arguments.speed, progress)
-        if arguments.trajectory or arguments.trajectory_every:
-            ticks = _written(run, ticks, every, directory / CSV)
-        last = None
-        try:
-            for tick in ticks:
-                last = tick.k
-        except KeyboardInterrupt:
-            summary.write(summary.make_unfinished_summary(
-                run, summary.INTERRUPTED, reason="interrupted by SIGINT", last_tick=last
-            ), directory)
-            raise
+    with _described(run, simulation, directory):
+        write_configuration(directory, run, {})
+        with RunProgress(run.steps, run.site.tau) as progress:
+            ticks = _paced(run, simulation.ticks(), arguments.speed, progress)
+            if arguments.trajectory or arguments.trajectory_every:
+                ticks = _written(run, ticks, every, directory / CSV)
+            for _ in ticks:
+                pass
     result = simulation.summary()
     summary.write(result, directory)
     summary_table.show(result, directory, as_json=arguments.json)
+
+
+@contextmanager
+def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[None]:
+    """Keep a summary of a run until it is done: that it runs, then how it ended without results."""
+    def write(status: str, reason: str | None = None) -> None:
+        last = simulation.site.tick - 1
+        summary.write(summary.make_unfinished_summary(
+            run, status, reason=reason, last_tick=last if last >= 0 else None
+        ), directory)
+
+    try:
+        write(summary.RUNNING)
+        yield
+    except KeyboardInterrupt:
+        write(summary.INTERRUPTED, "interrupted by SIGINT")
+        raise
+    except Exception as error:
+        write(summary.FAILED, str(error))
+        raise
 
 
 def _paced(

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import csv
+import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
+import pytest
 from commands import run_command
 from graphs import environment
 from paper import paper_run
 from studies import edit_grid
 
+import greenroof_ros as gr
 from greenroof_ros.analysis.study.case import collect_contents
 from greenroof_ros.analysis.study.case_run import run_case, write_inputs
 from greenroof_ros.analysis.study.grid import read_grid
@@ -29,6 +36,59 @@ def test_csv(tmp_path: Path) -> None:
     run = paper_run("--controller", "onoff", "--hours", "0.055")
     roof = record(run, Simulation(run).ticks()).roof
     assert [float(row["roof_m3"]) for row in rows] == roof[[0, 60, 120, 180, 198]].tolist()
+
+
+STARTED = ("simulate", "--controller", "onoff", "--hours", "2", "--speed", "20", "--trajectory",
+           "--output", "out")
+
+
+def test_an_existing_trajectory_is_refused_before_the_run(tmp_path: Path) -> None:
+    """It stays as it is."""
+    file = tmp_path / "out" / "trajectory.csv"
+    file.parent.mkdir()
+    file.write_text("of a week")
+    done = run_command(*STARTED, cwd=tmp_path, env=environment(0))
+    assert (done.returncode, file.read_text()) == (2, "of a week")
+    assert "exists and is not empty" in done.stderr and [*file.parent.iterdir()] == [file]
+
+
+@pytest.mark.parametrize(("number", "status", "code"), [
+    (signal.SIGINT, "interrupted", 130), (signal.SIGKILL, "running", -signal.SIGKILL),
+])
+def test_an_interrupted_run_says_so(
+    tmp_path: Path, number: signal.Signals, status: str, code: int
+) -> None:
+    """Its summary has no results; its trajectory is read as far as it goes."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros", *STARTED], cwd=tmp_path, env=environment(0),
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )
+    file = tmp_path / "out" / "trajectory.csv"
+    while not (file.exists() and file.stat().st_size):  # the first rows have left the buffer
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(number)
+    assert process.wait(300) == code
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["status"] == status and "total_deviation_m3" not in summary
+    if number == signal.SIGINT:
+        rows = gr.read_bag(tmp_path / "out")
+        assert summary["last_tick"] == rows["time_s"][-1] == len(rows) - 1
+        assert summary["reason"] == "interrupted by SIGINT"
+
+
+def test_a_run_whose_controller_fails_says_so(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "from greenroof_ros.controllers.onoff import OnOff\n\n\n"
+        "class Tired(OnOff):\n"
+        "    def command(self, *given):\n"
+        "        return -1.0\n"
+    )
+    done = run_command(*STARTED[:1], "--controller", "mine:Tired", *STARTED[3:], cwd=tmp_path,
+                       env=environment(0))
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert done.returncode == 2
+    assert summary["status"] == "failed" and "Tired" in summary["reason"]
 
 
 def test_results_do_not_depend_on_it(tmp_path: Path) -> None:
