@@ -71,6 +71,10 @@ class Run:
         """Return the time of a tick (ns since 1970), as on the graph's clock."""
         return epoch_ns(self.start) + tick * round(self.site.tau * 1e9)
 
+    def count_ticks_between(self, every_s: float) -> int:
+        """Return how many ticks there are from one kept tick to the next: a time (s), rounded."""
+        return max(1, round(every_s / self.site.tau))
+
     @property
     def look_ahead_s(self) -> float:
         """How far the controller looks ahead (s)."""
@@ -109,8 +113,7 @@ def _note_far(weather: Weather, site: Site) -> Iterator[str]:
         if away > _FAR_KM:
             yield (
                 f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
-                f"{format_place(site.latitude, site.longitude)}: is it the right weather "
-                "(--weather)?"
+                f"{format_place(site.latitude, site.longitude)}: is it the right weather?"
             )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,6 +19,8 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather
 
 PathText: TypeAlias = "str | os.PathLike[str]"
+
+_NOT_THE_USERS = {__name__.partition(".")[0], "gymnasium"}
 
 
 def read_site(path: PathText | None = None, **changes: Any) -> Site:
@@ -52,21 +55,38 @@ def read_weather(inputs: Mapping[str, Any]) -> Weather:
     return known.read_records(known.read_site())[0]
 
 
-def build_run(controller: ControllerChoice, inputs: Mapping[str, Any]) -> Run:
+def build_run(
+    controller: ControllerChoice, inputs: Mapping[str, Any], warned: set[str]
+) -> Run:
     """Build and check a run from keywords, and warn of what a reader must know before its results.
+
+    Args:
+        controller: of the run.
+        inputs: the keywords.
+        warned: the warnings that were shown before, which are not repeated; new ones are added.
 
     Raises:
         ConfigurationError: an input is wrong.
     """
     run = make_inputs(controller, inputs).build()
-    for note in (
-        *run.notes(), *run.weather.notes, *run.series.notes, *run.forecast.notes,
-    ):
-        warnings.warn(note, stacklevel=3)
+    notes = [*run.notes(), *run.weather.notes, *run.series.notes, *run.forecast.notes]
     if run.series.filled_hours:
         quantities = ", ".join(run.series.filled)
-        warnings.warn(
-            f"{run.series.filled_hours} missing hours of the weather were filled in ({quantities})",
-            stacklevel=3,
+        notes.append(
+            f"{run.series.filled_hours} missing hours of the weather were filled in ({quantities})"
         )
+    for note in notes:
+        if note not in warned:
+            warned.add(note)
+            warnings.warn(note, stacklevel=_count_own_calls())
     return run
+
+
+def _count_own_calls() -> int:
+    """Return how many calls, from the caller's on, are of this package or of Gymnasium."""
+    frame, count = sys._getframe(1), 1
+    while frame.f_back is not None and (
+        frame.f_globals.get("__name__", "").partition(".")[0] in _NOT_THE_USERS
+    ):
+        frame, count = frame.f_back, count + 1
+    return count

@@ -59,6 +59,13 @@ Function = Callable[[SiteState, ForecastSteps], float]
 """A controller: returns the command, the share of the pumps' maximum flow (1)."""
 
 
+def read_number(value: Any) -> float | None:
+    """Return a real number, also the only one in an array of any shape; None if it is none."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.item()
+    return float(value) if isinstance(value, Real) else None
+
+
 class FunctionController:
     """A controller that calls a function; a subclass has the function."""
 
@@ -91,10 +98,8 @@ class FunctionController:
                 np.asarray(precipitation), np.asarray(evapotranspiration), self.forecast_ends
             ),
         )
-        is_number = isinstance(value, Real) or (isinstance(value, np.ndarray) and value.size == 1)
-        if not is_number:
-            return value  # it is refused, and named
-        return float(value.item() if isinstance(value, np.ndarray) else value)
+        number = read_number(value)
+        return value if number is None else number  # what is none is refused, and named
 
     def skip(self) -> None:
         """Count the tick, in which the pump may not run."""

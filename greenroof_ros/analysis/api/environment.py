@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import replace
 from datetime import timedelta
@@ -11,7 +12,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from greenroof_ros.analysis.api.arguments import build_run
-from greenroof_ros.analysis.api.control import ForecastSteps, FunctionController, SiteState
+from greenroof_ros.analysis.api.control import (
+    ForecastSteps,
+    FunctionController,
+    SiteState,
+    read_number,
+)
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.registry import choose_class
@@ -40,7 +46,7 @@ class _Commanded:
 class Environment:
     """A site and its weather; a program gives the command of each tick.
 
-    In frost and in quiet hours the command acts as 0. ``copy.deepcopy`` and ``pickle`` make
+    In frost and in quiet hours the command acts as 0. ``copy`` and ``pickle`` make
     environments that go on from the same tick, bit for bit.
 
     Example:
@@ -60,18 +66,19 @@ class Environment:
 
     state: SiteState
     done: bool
+    __copy__ = copy.deepcopy  # or both would go on with one state
 
     def __init__(self, **inputs: Any) -> None:
         """Begin a run.
 
         Args:
-            inputs: of :func:`.simulate`, without the controller; and ``horizon``, how far the
-                forecasts reach (h).
+            inputs: of :func:`.simulate`, without the controller and ``trajectory_every``; and
+                ``horizon``, how far the forecasts reach (h).
 
         Raises:
             ConfigurationError: an input is wrong.
         """
-        self._run = build_run(choose_class(FunctionController), inputs)
+        self._run = build_run(choose_class(FunctionController), inputs, set())
         self.site = self._run.site
         self._ends = look_ahead_ends(self.site, self._run.parameters["horizon"])
         self.reset()
@@ -134,11 +141,8 @@ class Environment:
         """
         if self.done:
             raise ConfigurationError("has ended; reset() begins it again", key="the run")
-        try:
-            share = float(command)
-        except (TypeError, ValueError):
-            share = math.nan
-        if not 0 <= share < math.inf:
+        share = read_number(command)
+        if share is None or not 0 <= share < math.inf:
             raise ConfigurationError(
                 "must be a finite number, not negative", key="command", value=command
             )

@@ -9,6 +9,7 @@ Its name with the package's, ``greenroof_ros:GreenRoof-v1``, is known in every p
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from datetime import datetime, timedelta
 from typing import Any
@@ -20,6 +21,7 @@ from greenroof_ros.analysis.api.arguments import read_weather
 from greenroof_ros.analysis.api.control import SiteState
 from greenroof_ros.analysis.api.environment import Environment
 from greenroof_ros.common.errors import ConfigurationError, require_extra, suggest_names
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.experiment.closed_loop import Tick
 
 with require_extra("gym"):
@@ -33,6 +35,7 @@ _TO_MM_PER_H = 3.6e6
 # higher values are 1, too.
 _MAX_RAIN, _MAX_EVAPOTRANSPIRATION = 50.0, 12.0
 _MAX_DRAWS = 100
+_TICKS = Range(1, 1e9, whole=True)
 RANDOM = "random"
 """A start or an initial state that each episode draws"""
 
@@ -60,8 +63,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
       of the last step has the ``metrics`` of the run, by their names in ``summary.json``.
     - Random numbers, which ``reset(seed=...)`` seeds, decide the errors of forecasts with
       ``forecast="errors"`` or ``"ensemble"``, the start with ``start="random"``, in whole hours of
-      the weather, and the volumes with ``initial="random"``, uniform up to the outlet and to the
-      soil's capacity.
+      the weather, and the volumes with ``initial="random"``, uniform up to the outlet and to twice
+      the target, or to the soil's capacity if that is less.
 
     Example:
         >>> import gymnasium
@@ -76,6 +79,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         ends: ends of the forecast's steps (s from now), the first 0, shape (steps + 1,).
     """
 
+    __copy__ = copy.deepcopy  # or both would go on with one state
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as the base class has it)
 
     def __init__(
@@ -96,12 +100,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         Raises:
             ConfigurationError: an input is wrong.
         """
-        if not (isinstance(decision_ticks, int) and decision_ticks >= 1):
-            raise ConfigurationError(
-                "must be a whole number, at least 1", key="decision_ticks", value=decision_ticks
-            )
-        self.render_mode = render_mode
-        self._reward, self._decision_ticks = reward, decision_ticks
+        self.render_mode, self._reward = render_mode, reward
+        self._decision_ticks = int(_TICKS.read(decision_ticks, key="decision_ticks"))
         self._places = {key: inputs.get(key) for key in ("start", "initial")}
         self._inputs = {
             key: value for key, value in inputs.items() if self._places.get(key) != RANDOM
@@ -150,7 +150,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             begin["start"] = self._draw_start()
         if places["initial"] == RANDOM:
             site = self.site
-            high = site.cistern_volume(site.z_o), site.z_cap
+            high = site.cistern_volume(site.z_o), min(site.z_cap, 2.0 * site.x2_star)
             begin["initial"] = tuple(float(self.np_random.uniform(0.0, top)) for top in high)
         if begin != self._begun:
             self._roof, self._begun = self._make_roof(begin), begin

@@ -16,8 +16,9 @@ from greenroof_ros.analysis.api.control import (
     choose_controller,
     read_parameters,
 )
-from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.errors import ConfigurationError, rename_keys, require_extra
 from greenroof_ros.common.processes import refuse_forked_polars
+from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import duration, to_minutes
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.experiment import summary
@@ -32,6 +33,9 @@ from greenroof_ros.recording.trajectory import COLUMNS, LAYER, TRAJECTORY, Traje
 if TYPE_CHECKING:
     import altair
     import polars
+
+
+_EVERY = Range(0.0, 1e9, "s")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,8 +88,8 @@ class Result:
         ``.to_pandas()`` makes one of pandas, if pandas and pyarrow are installed. The columns are
         the same as in ``greenroof simulate --trajectory``; their units are in their names:
 
-        - ``time``, with its time zone (UTC if its offset from UTC is not of whole hours), and
-          ``time_s``, since the start
+        - ``time``, in the site's ``time_zone``, or else at the offset from UTC of the run's start
+          (in UTC if that is not of whole hours), and ``time_s``, since the start
         - ``cistern_m3``, ``roof_m3``: water volumes x1 and x2
         - ``cistern_level_m``, ``roof_level_m``: water depths; the command's file and bags have the
           readings of the sensors instead, which differ if the roof's sensor has errors
@@ -114,8 +118,9 @@ class Result:
     def plot(self) -> altair.VConcatChart:
         """Return a chart: rain, levels of roof and cistern, and the pump, over time.
 
-        A notebook shows it; ``.save("run.png")`` writes it, also as .svg or .html. Long runs are
-        drawn with the smallest and the largest value of each of some 500 intervals.
+        A notebook shows it as a picture; ``.save("run.png")`` writes it, also as .svg, or as .html
+        (``inline=True`` for a page that needs no internet). Long runs are drawn with the smallest
+        and the largest value of each of some 500 intervals.
 
         Raises:
             ConfigurationError: altair is not installed.
@@ -147,7 +152,8 @@ class Result:
             ['configuration', 'summary.json', 'trajectory.parquet']
         """
         content = self.ticks.to_parquet()
-        made = make_run_directory(Path(directory), self.run.controller.name)
+        with rename_keys({"--output": "directory"}):
+            made = make_run_directory(Path(directory), self.run.controller.name)
         write_configuration(made, self.run, {})
         (made / TRAJECTORY).write_bytes(content)
         summary.write(self.summary, made)
@@ -175,7 +181,7 @@ def simulate(
               ``precipitation [mm/h]`` and others. By default the paper's.
             - ``start``: time of the first tick, ISO 8601, a datetime or a date; without an offset
               from UTC it is the wall clock of the site's ``time_zone``, or else in the weather's
-              offset. By default the paper's window, 2021-07-07T02:00-05:00.
+              zone or offset. By default the paper's window, 2021-07-07T02:00-05:00.
             - ``hours``: length of the run (h); by default N of the site file, 12 h.
             - ``forecast``: ``"perfect"``, ``"persistence"``, ``"errors"``, ``"ensemble"``, or the
               path of archived forecasts; with ``forecast_skill``, ``forecast_seed``,
@@ -189,6 +195,8 @@ def simulate(
             - ``gaps``: ``"refuse"``, or ``"fill"`` to fill long gaps of the weather.
             - ``roof_noise`` and ``roof_offset`` of the roof's level sensor (m), ``noise_seed``, and
               ``pump_min_on`` and ``pump_min_off`` (s); by default 0, as in the paper.
+            - ``trajectory_every``: time between the ticks that the trajectory keeps (s), and it
+              keeps the last; by default all: ten million take a gigabyte.
             - parameters of the controller, such as ``weight=0.01``.
 
     Returns:
@@ -210,9 +218,18 @@ def simulate(
         >>> gr.simulate(dry, hours=2).metrics["pump_starts"]
         2
     """
+    return _simulate(controller, inputs, warned=set())
+
+
+def _simulate(
+    controller: str | type | Controller | Function, keywords: Mapping[str, Any], warned: set[str]
+) -> Result:
+    """Simulate a run; the warnings are as for :func:`.build_run`."""
+    inputs = {**keywords}
+    every_s = _EVERY.read(inputs.pop("trajectory_every", None) or 0.0, key="trajectory_every")
     choice, instance = choose_controller(controller)
     if instance is None:
-        run = build_run(choice, inputs)
+        run = build_run(choice, inputs, warned)
         instance = run.make_controller()
     else:
         given = inputs.keys() & choice.parameters.keys()
@@ -222,7 +239,7 @@ def simulate(
                 key=", ".join(sorted(given)),
             )
         own = read_parameters(instance, choice)
-        run = build_run(choice, {**inputs, **own})
+        run = build_run(choice, {**inputs, **own}, warned)
         # Not the defaults: of its other parameters nothing is known.
         run = replace(run, parameters={name: run.parameters[name] for name in own})
         ends = look_ahead_ends(run.site, run.parameters.get("horizon", 0.0))
@@ -230,7 +247,7 @@ def simulate(
     if isinstance(instance, FunctionController):
         instance.start = run.start
     simulation = Simulation(run, instance)
-    ticks = record(run, simulation.ticks())
+    ticks = record(run, simulation.ticks(), run.count_ticks_between(every_s))
     return Result(run, simulation.summary(), ticks)
 
 
@@ -299,7 +316,7 @@ def compare(
         One table and one chart.
 
     Raises:
-        ConfigurationError: an input is wrong.
+        ConfigurationError: an input is wrong, or polars is not installed.
 
     Example:
         >>> import greenroof_ros as gr
@@ -313,8 +330,12 @@ def compare(
             'must be controllers by their names, such as {"on/off": "onoff"}', key="controllers",
             value=controllers,
         )
+    with require_extra("study"):  # before the work, since the table needs it
+        import polars  # noqa: F401
+    warned: set[str] = set()
     return Comparison({
-        name: controller if isinstance(controller, Result) else simulate(controller, **inputs)
+        name: controller if isinstance(controller, Result)
+        else _simulate(controller, inputs, warned)
         for name, controller in controllers.items()
     })
 
@@ -330,6 +351,8 @@ def make_table(site: Site, ticks: Trajectory) -> polars.DataFrame:
     computed = {"cistern_level_m": ticks.cistern / site.a1, "roof_level_m": ticks.roof / site.a2}
     if site.drainage_storage is not None:
         computed[LAYER.name] = make_samples(site, ticks).layer
+    if site.time_zone is not None:
+        frame = frame.with_columns(polars.col("time").dt.convert_time_zone(site.time_zone))
     frame = frame.with_columns(polars.Series(name, computed[name]) for name in computed)
     order = (column.name for column in COLUMNS if column.name in frame.columns)
     return frame.select("time", "time_s", *order)
@@ -363,6 +386,6 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
     trajectory = run.trajectory()
     if trajectory is None:
         raise ConfigurationError(
-            "has no trajectory; repeat the run with --trajectory", file=Path(path)
+            "has results alone: the run wrote no trajectory", file=Path(path)
         )
     return make_table(run.site, trajectory)

@@ -53,7 +53,7 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
         for _ in simulation.ticks():
             pass
     else:
-        every = max(1, round(trajectory_every / run.site.tau))
+        every = run.count_ticks_between(trajectory_every)
         files[TRAJECTORY] = record(run, simulation.ticks(), every).to_parquet()
     return Outcome(summary_columns(simulation.summary()), files)
 

@@ -72,6 +72,12 @@ def test_another_reward() -> None:
     assert -total == pytest.approx(metrics["pumped_m3"])
 
 
+@pytest.mark.parametrize("ticks", [True, 0, 1.5, "60", None])
+def test_refused_decisions(ticks: Any) -> None:
+    with pytest.raises(ConfigurationError, match=r"decision_ticks.*: must be a"):
+        gymnasium.make(ID, decision_ticks=ticks)
+
+
 @pytest.mark.parametrize("mode", ["sync", "async"])
 def test_vectorised(mode: str) -> None:
     """By Gymnasium's own means; the copies are alike, and begin again automatically."""
@@ -113,14 +119,17 @@ def made() -> Any:
                           weather=str(RECORD))
 
 
-def test_random_starts_in_workers_that_know_nothing() -> None:
-    roofs = gymnasium.vector.AsyncVectorEnv([made, made], context="spawn")
+@pytest.mark.parametrize("context", ["spawn", "fork"])
+def test_random_starts_in_workers_that_know_nothing(context: str) -> None:
+    """Also the volumes, which the observations show."""
+    roofs = gymnasium.vector.AsyncVectorEnv([made, made], context=context)
     _, drawn = roofs.reset(seed=3)
     roofs.close()
     alone = [made().reset(seed=seed)[1] for seed in (3, 4)]
     assert [each["start"] for each in alone] == list(drawn["start"])
     assert [each["roof_m3"] for each in alone] == list(drawn["roof_m3"])
     assert alone[0]["start"] != alone[1]["start"]
+    assert max(made().reset(seed=seed)[0][1] for seed in range(9)) < 1
 
 
 def test_options_of_an_episode() -> None:
@@ -146,7 +155,10 @@ def test_a_decision_of_several_ticks_keeps_the_pumps_limits() -> None:
     assert info["metrics"]["pump_starts"] == 1
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda roof: pickle.loads(pickle.dumps(roof))])
+@pytest.mark.parametrize("copied", [
+    lambda roof: copy.copy(roof.unwrapped), copy.deepcopy,
+    lambda roof: pickle.loads(pickle.dumps(roof)),
+])
 def test_a_copy_goes_on(copied: Callable[[Any], Any]) -> None:
     """Also into the next episode, whose errors are drawn from the copied random numbers."""
     roof = gymnasium.make(ID, hours=0.1, decision_ticks=7, forecast="errors")

@@ -5,13 +5,15 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import date, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -170,11 +172,52 @@ def test_what_is_assumed_about_the_weather_is_a_warning(tmp_path: Path) -> None:
         gr.simulate("onoff", hours=0.1)
 
 
-@pytest.mark.parametrize("way", [gr.simulate, gr.Environment])
+@pytest.mark.parametrize("way", [
+    gr.simulate, gr.Environment, partial(gr.compare, dict.fromkeys("abc", "onoff")),
+    lambda **inputs: pytest.importorskip("gymnasium").make("greenroof_ros:GreenRoof-v1", **inputs),
+])
 def test_what_the_command_notes_is_a_warning(way: Callable[..., Any]) -> None:
+    """Once, at the line here, in words that Python has."""
     sydney = gr.read_site(latitude=-33.87, longitude=151.21)
-    with pytest.warns(UserWarning, match="from 43.63 N, 79.40 W, 15\\d{3} km"):
+    with pytest.warns(UserWarning, match="km from") as shown:
         way(site=sydney, hours=0.01)
+    (far,) = (each for each in shown if re.search("W, 15\\d{3} km from", str(each.message)))
+    assert far.filename == __file__ and "--" not in str(far.message)
+
+
+@pytest.mark.parametrize(("every", "kept"), [
+    (None, range(37)), (0, range(37)), (7, [0, 7, 14, 21, 28, 35, 36]), (9.4, [0, 9, 18, 27, 36]),
+    (1e6, [0, 36]),
+])
+def test_a_trajectory_of_some_ticks(every: float | None, kept: Sequence[int]) -> None:
+    """The first and the last are among them; the results are of all ticks."""
+    whole = gr.simulate("onoff", hours=0.01)
+    result = gr.simulate("onoff", hours=0.01, trajectory_every=every)
+    assert result.trajectory.equals(whole.trajectory[list(kept)])
+    assert result.metrics == whole.metrics
+
+
+@pytest.mark.parametrize("command", [
+    np.array([[0.5]]), np.array(0.5), np.float32(0.5), np.array([[[0.5]]], np.float16),
+])
+def test_a_command_as_solvers_return_it(command: Any) -> None:
+    """The only number in an array, as of do-mpc."""
+    expected = gr.simulate(lambda state, forecast: 0.5, hours=0.01)
+    assert gr.simulate(lambda state, forecast: command, hours=0.01).metrics == expected.metrics
+    roof = gr.Environment(hours=0.01)
+    assert roof.step(command).command == 0.5
+
+
+@pytest.mark.parametrize("command", [
+    np.array([0.5, 0.5]), np.array(["a"]), np.array([None]), np.array([0.5j]), [0.5], "0.5", None,
+    np.array([np.nan]), np.array([]),
+])
+def test_a_command_that_is_none(command: Any) -> None:
+    def decide(state: SiteState, forecast: ForecastSteps) -> Any:
+        return command
+
+    refusal(lambda: gr.simulate(decide, hours=0.01), match="the command of decide = .*: must be")
+    refusal(gr.Environment(hours=0.01).step, command, match="command.*: must be a finite number")
 
 
 @pytest.mark.parametrize(("kind", "further"), [
@@ -244,6 +287,45 @@ def test_threads_share_no_files() -> None:
     expected = [run(level) for level in levels]
     with ThreadPoolExecutor(4) as threads:
         assert [*threads.map(run, levels)] == expected
+
+
+ROWS: dict[str, list[Any]] = {
+    "precipitation [mm/h]": [0.0] * 24, "my evapotranspiration [mm/day]": [2.5] * 24,
+    "time": [f"2024-06-01T{hour:02}:00Z" for hour in range(24)],
+}
+
+
+@pytest.mark.parametrize(("column", "values", "message"), [
+    ("precipitation [mm/h]", [0.0] * 7 + [5e3] * 2 + [0.0] * 15,
+     r"^the data frame, row 7: precipitation \[mm/h\] = '5000.0': must be a number from 0 to 500"),
+    ("time", [*ROWS["time"][:23], "noon"], "^the data frame, row 23: time = 'noon': must be a "),
+    ("rain", [0.0] * 24, "^the data frame: 'rain': a column must be named like 'rain "),
+    ("temperature [degC]", [20.0] * 2 + [None] * 22,
+     "^the data frame: temperature is missing at 2024-06-01T02:00.*or fill the gaps .gaps: fill.:"),
+])
+@pytest.mark.parametrize("library", ["polars", "pandas"])
+def test_what_is_wrong_in_a_data_frame(
+    library: str, column: str, values: list[Any], message: str
+) -> None:
+    """Row and column, no file, and no option of a command."""
+    frame = pytest.importorskip(library).DataFrame({**ROWS, column: values})
+    error = refusal(lambda: gr.simulate(
+        "onoff", weather=frame, start="2024-06-01T00:00", hours=4), match=message)
+    assert "--" not in error and "/tmp" not in error
+
+
+def test_a_data_frame_of_open_meteos_package() -> None:
+    """Its column of times is named date, and its rain is of the hour before."""
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    frame = pandas.DataFrame({
+        "date": pandas.date_range("2024-06-01", periods=48, freq="h", tz="UTC"),
+        "temperature_2m": [20.0] * 48, "precipitation": [float(hour) for hour in range(48)],
+        "dew_point_2m": [10.0] * 48, "wind_speed_10m": [9.0] * 48, "surface_pressure": [1e3] * 48,
+        "shortwave_radiation": [200.0] * 48,
+    })
+    with pytest.warns(UserWarning, match="moved back an hour"):
+        result = gr.simulate("onoff", weather=frame, start="2024-06-01T05:00", hours=0.1)
+    assert 3.6e6 * result.ticks.precipitation[0] == pytest.approx(6)
 
 
 def test_weather_and_trajectory_in_pandas() -> None:
