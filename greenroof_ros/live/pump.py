@@ -41,7 +41,7 @@ from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.devices.exchange import RESET_S, UNREAD_S, DriveExchange, DriveSnapshot
 from greenroof_ros.live.engine import LIMITS, PAUSE_S, Levels, live_parameters
 from greenroof_ros.live.node import LiveNode, live_command
-from greenroof_ros.live.pump_reports import PumpReports, second_publisher
+from greenroof_ros.live.pump_reports import PumpReports
 from greenroof_ros.live.pumping.ledger import MAX_NUMBER, Ledger
 from greenroof_ros.live.pumping.limits import PumpSettings, pump_parameters
 from greenroof_ros.live.pumping.pump_control import Decision, PumpControl
@@ -324,7 +324,15 @@ class PumpNode(LiveNode):
             yield second
 
     def _second_pump(self) -> Diagnosis | None:
-        return second_publisher(self._flows, "two_pumps")
+        """Return that the flow has a second publisher; None if it has none.
+
+        If one of them is incompatible, it is named: it may be trying to stop the pump.
+        """
+        flows = self._flows
+        if not (second := flows.describe_second()):
+            return None
+        problem = flows.describe_incompatible() or second
+        return Diagnosis.of("two_pumps", topic=flows.full_name, problem=problem)
 
     def _value(self, name: str) -> float | None:
         """Return the value of an input; None if it is unknown."""

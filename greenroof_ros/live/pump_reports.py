@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from greenroof_ros.common.conditions import Diagnosis, join_diagnoses, read_interlocks
 from greenroof_ros.common.states import PumpState
-from greenroof_ros.graph.publishers import Publishers
 from greenroof_ros.live.devices.exchange import DriveExchange, DriveSnapshot
 from greenroof_ros.live.live_diagnostics import ERROR, OK, WARN, LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, bad_inputs
@@ -154,16 +153,3 @@ class PumpReports:
         if diagnosis is None:
             diagnosis, level = snapshot.unguarded, WARN
         self._reports.diagnose("drive timeout", diagnosis, well, level)
-
-
-def second_publisher(publishers: Publishers, code: str) -> Diagnosis | None:
-    """Return that a topic has a second publisher, under this code; None if it has none.
-
-    If one of them is incompatible, it is named: it may be trying to stop the pump.
-    """
-    second = publishers.describe_second()
-    if not second:
-        return None
-    return Diagnosis.of(
-        code, topic=publishers.full_name, problem=publishers.describe_incompatible() or second
-    )

@@ -100,7 +100,7 @@ def draw_quantity(
                 f"{field}:N", _WHEN, alt.Tooltip(f"{value}:Q", title=label, format=".4~g")
             ),
         )
-        panels.append(series_panel(lines, field, names, heading, below=[rule], zoom=True))
+        panels.append(series_panel(lines, field, names, heading, [rule]))
     return Figure(name, title, caption, tuple(panels), 2, {f"{name}-days": days})
 
 

@@ -148,10 +148,12 @@ def round_value(value: float | None) -> float | None:
 
 
 def series_panel(
-    lines: alt.Chart, field: str, names: list[str], title: str, *,
-    below: Sequence[alt.Chart] = (), zoom: bool = False,
+    lines: alt.Chart, field: str, names: list[str], title: str,
+    below: Sequence[alt.Chart],
 ) -> Panel:
     """Return a panel of lines; on the page a click on its legend shows one line alone.
+
+    Shift and the wheel zoom along x; the wheel alone still scrolls the page.
 
     Args:
         lines: chart with axes and tooltips.
@@ -159,15 +161,13 @@ def series_panel(
         names: of the lines, the values of ``field``.
         title: of the panel.
         below: charts to draw underneath the lines.
-        zoom: whether Shift and the wheel zoom along x; the wheel alone still scrolls the page.
     """
     number = next(_NUMBERS)
     chosen = alt.selection_point(name=f"chosen_{number}", fields=[field], bind="legend")
     opacity = alt.when(chosen).then(alt.value(1.0)).otherwise(alt.value(0.1))
     series = distinguish_series(field, names)
-    lines = lines.encode(**series, strokeOpacity=opacity).add_params(chosen)
-    if zoom:
-        lines = lines.add_params(alt.selection_interval(
-            name=f"zoom_{number}", encodings=["x"], bind="scales", zoom="wheel![event.shiftKey]"
-        ))
+    zoom = alt.selection_interval(
+        name=f"zoom_{number}", encodings=["x"], bind="scales", zoom="wheel![event.shiftKey]"
+    )
+    lines = lines.encode(**series, strokeOpacity=opacity).add_params(chosen, zoom)
     return Panel(alt.layer(*below, lines) if below else lines, title)

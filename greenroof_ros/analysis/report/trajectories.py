@@ -219,8 +219,7 @@ def figures_over_time(
             dataset = f"{quantity}-{name}"
             lines, references, data[dataset] = _lines(quantity, runs, x, dataset)
             panels.append(series_panel(
-                lines, "controller", list(runs), _QUANTITIES[quantity].title, below=references,
-                zoom=True,
+                lines, "controller", list(runs), _QUANTITIES[quantity].title, references,
             ))
         figures.append(Figure(f"{kind}-{name}", f"{what}{title}", "", tuple(panels), 3, data))
     return figures
