@@ -8,6 +8,7 @@ should publish while it is not connected are dropped.
 from __future__ import annotations
 
 import re
+import secrets
 import ssl
 import sys
 from collections.abc import Callable
@@ -149,7 +150,8 @@ def make_client(
 
     Args:
         broker: where to connect.
-        name: client id; the broker disconnects another client with the same id.
+        name: begin of the client id; the rest is random, since a broker disconnects a client if
+            another one connects with its id.
         on_connect: called in the client's thread after each connection, to subscribe.
         on_message: called in its thread with topic, payload, and whether the message was retained.
         on_disconnect: called in its thread with the reason why a connection ended or failed.
@@ -162,7 +164,8 @@ def make_client(
         from paho.mqtt.client import Client, MQTTv311
         from paho.mqtt.enums import CallbackAPIVersion
     client = Client(
-        CallbackAPIVersion.VERSION2, client_id=name, clean_session=True, protocol=MQTTv311
+        CallbackAPIVersion.VERSION2, client_id=f"{name}_{secrets.token_hex(4)}",
+        clean_session=True, protocol=MQTTv311,
     )
     if broker.login is not None:
         client.username_pw_set(*_read_login(broker.login))

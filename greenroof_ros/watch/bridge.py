@@ -13,7 +13,7 @@ from typing import Any
 
 from greenroof_ros.common.mqtt import Broker, make_client
 from greenroof_ros.common.processes import Signals
-from greenroof_ros.common.standard_error import print_line
+from greenroof_ros.common.standard_error import print_seldom
 from greenroof_ros.watch.document import join_summary, list_present, make_document
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.graph_client import PumpRequestError
@@ -39,6 +39,8 @@ _POLL_S, _RENEW_S = 1.0, 10.0
 _MAX_TEXT, _MAX_ALARMS = 255, 10
 # How long the last message may take (s).
 _LAST_S = 1.0
+# How many of the newest messages are known as its own when the broker sends them back.
+_MAX_RECENT = 20
 # How long a stop is tried again (s): a pump node that died is back by then.
 _STOP_S = 60.0
 
@@ -52,6 +54,9 @@ class Bridge:
     that the broker has kept (retained) is ignored, since it would stop the pump at each connection.
     While connected, the bridge obeys every stop: MQTT 3.1.1 does not tell a subscriber whether the
     sender asked to retain it, and a person's stop must count. No stop is queued for this client.
+
+    It receives what it publishes: if someone else has published there, it says so, publishes its
+    own message again, and clears what the broker would keep of state and alarms.
     """
 
     def __init__(self, store: GraphStore, feed: Feed, broker: Broker) -> None:
@@ -69,12 +74,17 @@ class Bridge:
         site = store.namespace.strip("/").replace("/", "_") or "roof"
         self._store, self._feed, self._broker = store, feed, broker
         self._base, self._status = make_prefix(site), f"{PREFIX}/status"
-        self._discovery = make_discovery(site)
+        self._stops_on = f"{self._base}/stop"
+        self._kept = make_discovery(site)  # what the broker keeps, by topic
+        self._kept[f"{self._base}/availability"] = ONLINE
         self._stop, self._again = threading.Event(), threading.Event()
         self._why, self._ending = "", False  # why there is no connection
         self._availability = threading.Lock()  # in the order in which it is published
         self._sent: dict[str, str] = {}
-        self._sent_at = 0.0
+        self._sent_at = self._restored_at = 0.0
+        self._recent: tuple[bytes, ...] = ()
+        # Topics on which someone else has published, and whether the broker keeps it.
+        self._foreign: dict[str, bool] = {}
         self._stop_until = -math.inf  # until when a stop is tried (steady clock, s)
         self._client = make_client(
             broker, f"greenroof_{site}", self._on_connect, self._on_message, self._on_disconnect,
@@ -100,6 +110,7 @@ class Bridge:
                 if time.monotonic() < self._stop_until:
                     self._stop_pump()
                 self._publish_state()
+                self._restore_topics()
         finally:
             self._ending = True
             last = self._publish_availability()
@@ -110,14 +121,16 @@ class Bridge:
 
     def _stop_pump(self) -> None:
         try:
-            print_line(f"stop, over MQTT: {self._feed.request_action('stop', owner='MQTT')}")
+            answer = self._feed.request_action("stop", owner="MQTT")
+            print_seldom("stop", f"stop, over MQTT: {answer}")
             self._stop_until = -math.inf
         except PumpRequestError as failure:
-            print_line(f"stop, over MQTT: {failure}")
+            print_seldom("no stop", f"stop, over MQTT: {failure}")
             if failure.answered:
                 self._stop_until = -math.inf
         except Exception as error:  # it is tried again: a stop ends with no error of another kind
-            print_line(f"stop, over MQTT: {type(error).__name__}: {error}; trying again")
+            what = type(error).__name__
+            print_seldom(what, f"stop, over MQTT: {what}: {error}; trying again")
 
     def _publish_state(self) -> None:
         parts = Parts()
@@ -137,20 +150,36 @@ class Bridge:
             text = json.dumps(content, allow_nan=False)
             if self._sent.get(name) != text:
                 self._sent[name] = text
+                self._recent = (*self._recent[1 - _MAX_RECENT:], text.encode())
                 self._client.publish(f"{self._base}/{name}", text)
+
+    def _restore_topics(self) -> None:
+        """Publish again where someone else has published; two programs that do it take turns."""
+        now = time.monotonic()
+        if not self._foreign or now - self._restored_at < _RENEW_S:
+            return
+        self._restored_at, foreign, self._foreign = now, self._foreign, {}
+        for topic, is_kept in foreign.items():
+            if topic in self._kept:
+                self._client.publish(topic, self._kept[topic], retain=True)
+            elif is_kept:
+                self._client.publish(topic, "", retain=True)  # the broker forgets it
+            else:
+                self._client.subscribe(topic)  # the broker sends what it keeps of it, if anything
+        self._again.set()
 
     # --- in the client's thread -----------------------------------------------------------------
 
     def _on_connect(self) -> None:
         self._why = ""
-        print_line(f"connected to {self._broker}; topics: {self._base}/")
-        for topic in (f"{self._base}/stop", self._status):
-            self._client.subscribe(topic)
+        print_seldom("connected", f"connected to {self._broker}; topics: {self._base}/")
+        own = (*self._kept, f"{self._base}/state", f"{self._base}/alarms")
+        self._client.subscribe([(topic, 0) for topic in (self._stops_on, self._status, *own)])
         self._publish_all()
 
     def _publish_all(self) -> None:
         """Publish everything: the broker is there again, or Home Assistant has started."""
-        for topic, text in self._discovery.items():
+        for topic, text in self._kept.items():
             self._client.publish(topic, text, retain=True)
         self._publish_availability()
         self._again.set()
@@ -167,21 +196,35 @@ class Bridge:
 
     def _on_disconnect(self, why: str) -> None:
         if why != self._why and not self._ending:
-            print_line(f"not connected to {self._broker}: {why}; trying again")
+            print_seldom(why, f"not connected to {self._broker}: {why}; trying again")
         self._why = why
 
     def _on_message(self, topic: str, payload: bytes, retained: bool) -> None:
         if topic == self._status:
             if payload == ONLINE.encode():
                 self._publish_all()
+        elif topic != self._stops_on:
+            self._check_own(topic, payload, retained)
         elif payload != STOP.encode():
-            print_line(f"{topic}: ignored, since it is not {STOP}")
+            print_seldom("other", f"{topic}: ignored, since it is not {STOP}")
         elif retained:
-            print_line(
-                f"{topic}: ignored, since it is retained; a stop must not be: clear the topic"
+            print_seldom(
+                "kept",
+                f"{topic}: ignored, since it is retained; a stop must not be: clear the topic",
             )
         else:
             self._stop.set()
+
+    def _check_own(self, topic: str, payload: bytes, retained: bool) -> None:
+        """Note a message on a topic of this bridge that is not its own."""
+        kept = self._kept.get(topic, "").encode()
+        if self._ending or payload == kept or payload in self._recent or (kept and retained):
+            return  # what the broker kept was replaced when this bridge connected
+        self._foreign[topic] = retained
+        print_seldom("foreign", (
+            f"{topic}: someone else has published here, perhaps another bridge with the same "
+            "namespace; it is published again: let the broker allow it to this bridge alone"
+        ))
 
 
 def make_state(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,6 @@ import logging
 import math
 import re
 import time
-import uuid
 
 from greenroof_ros.common.mqtt import make_client, value_at
 from greenroof_ros.live.devices.readings import Reading, SensorReader
@@ -82,8 +81,7 @@ class MqttReader(SensorReader):
         # When the last message arrived, and until when messages are refused (s).
         self._heard_at, self._ignoring_until = -math.inf, -math.inf
         self._client = make_client(
-            broker, f"greenroof_{name}_{uuid.uuid4().hex[:8]}",
-            self._on_connect, self._on_message, self._on_disconnect,
+            broker, f"greenroof_{name}", self._on_connect, self._on_message, self._on_disconnect,
         )
 
     @property

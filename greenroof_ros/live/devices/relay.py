@@ -115,8 +115,7 @@ class RelayLine:
         self._changed = threading.Condition()
         self._connected, self._closed_by = False, ""
         self._client = make_client(
-            relay.broker, f"greenroof_ros-{secrets.token_hex(6)}", self._on_connect,
-            self._on_message, self._on_disconnect,
+            relay.broker, "greenroof_ros", self._on_connect, self._on_message, self._on_disconnect,
         )
 
     @property

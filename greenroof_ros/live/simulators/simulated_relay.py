@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import secrets
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
@@ -200,8 +199,7 @@ class RelayOnBroker:
         self.relay, self._broker, self._device = relay, broker, device
         self._topics = [topic.format(device) for topic in relay.TOPICS]
         self.client = make_client(
-            broker, f"greenroof_ros-simulated-{secrets.token_hex(6)}", self._subscribe,
-            self._on_message,
+            broker, "greenroof_ros-simulated", self._subscribe, self._on_message,
         )
 
     def __str__(self) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import secrets
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -220,8 +219,7 @@ class SimulatedMqttSensor:
         self._sensor, self._read = sensor, read
         broker, self._topic = sensor.broker_and_topic()
         self._client = make_client(
-            broker, f"simulated_{name}_{secrets.token_hex(6)}", lambda: None,
-            lambda topic, payload, retained: None,
+            broker, f"simulated_{name}", lambda: None, lambda topic, payload, retained: None,
         )
 
     async def run(self, ended: asyncio.Event) -> None:
