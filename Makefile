@@ -20,18 +20,18 @@ ROS := wheels
 endif
 ifeq ($(ROS),sourced)
 VENV_OPTIONS := --system-site-packages
-RUN_EXTRAS := [pump,mqtt,watch]
+RUN_EXTRAS := [pump,mqtt,watch,foxglove]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [pump,mqtt,watch,study,dask,test]
+TEST_EXTRAS := [pump,mqtt,watch,foxglove,study,dask,test]
 BENCH_EXTRAS := [study,bench]
-DOCS_EXTRAS := [pump,mqtt,watch,study,docs]
+DOCS_EXTRAS := [pump,mqtt,watch,foxglove,study,docs]
 else
 VENV_OPTIONS :=
-RUN_EXTRAS := [ros,pump,mqtt,watch]
+RUN_EXTRAS := [ros,pump,mqtt,watch,foxglove]
 STUDY_EXTRAS := [study]
-TEST_EXTRAS := [ros,pump,mqtt,watch,study,dask,test]
+TEST_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,dask,test]
 BENCH_EXTRAS := [ros,study,bench]
-DOCS_EXTRAS := [ros,pump,mqtt,watch,study,docs]
+DOCS_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,docs]
 endif
 
 # Stamp files: the environment was made; what a target needs was installed into it.
@@ -96,7 +96,7 @@ test-kilted: $(KILTED)/.made
 $(KILTED)/.made: setup.py
 	$(PYTHON) -m venv $(KILTED)
 	$(KILTED)/bin/python -m pip --disable-pip-version-check install $(KILTED_WHEELS) \
-	    --editable ".[pump,mqtt,watch,study,dask,test]"
+	    --editable ".[pump,mqtt,watch,foxglove,study,dask,test]"
 	@touch $@
 
 lint: $(FOR_TEST)

@@ -117,6 +117,8 @@ setup(
             # Jazzy's Ubuntu has 3.9
             "aiohttp>=3.9.1,<4",
         ],
+        # The graph for Foxglove and Lichtblick: their protocol, from its makers.
+        "foxglove": ["foxglove-sdk>=0.30,<0.31"],  # its minor releases change the interface
         "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
         "gym": ["gymnasium>=1,<2"],  # the environment GreenRoof-v1, for reinforcement learning
         "test": [

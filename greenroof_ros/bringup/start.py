@@ -1,6 +1,6 @@
-"""Start a graph of any kind, with a watcher if an option asks for it.
+"""Start a graph of any kind, with its watchers if options ask for them.
 
-The watcher is a process of its own; a run neither waits for it nor fails with it.
+A watcher is a process of its own; a run neither waits for it nor fails with it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 
 from greenroof_ros.common.command_line import EXIT_DONE, EXIT_INTERRUPTED
 from greenroof_ros.common.processes import InterruptedRun, Signals, child_environment
@@ -24,16 +24,27 @@ _ENDING_S = 3.0
 def bring_up(
     arguments: argparse.Namespace, start: Callable[[Signals], int], stopped: int = EXIT_INTERRUPTED
 ) -> int:
-    """Start a graph, with ``--watch`` its watcher; return the exit code.
+    """Start a graph, with ``--watch`` and ``--foxglove`` its watchers; return the exit code.
 
     Args:
         arguments: the command line.
         start: runs the graph and returns the exit code.
         stopped: the exit code if a signal comes before any node was started, or after the run.
+
+    Raises:
+        ConfigurationError: Foxglove cannot be served at the port.
     """
+    watchers: dict[str, tuple[str, ...]] = {"watch": ()} if arguments.watch else {}
+    if arguments.foxglove is not None:
+        from greenroof_ros.watch.foxglove_server import refuse_unusable
+
+        refuse_unusable(arguments.foxglove)
+        watchers["foxglove"] = "--foxglove", str(arguments.foxglove)
     signals = Signals()
     try:
-        with _watcher(arguments.namespace) if arguments.watch else nullcontext():
+        with ExitStack() as stack:
+            for name, options in watchers.items():
+                stack.enter_context(_watcher(name, arguments.namespace, *options))
             code = start(signals)
     except InterruptedRun as error:  # before any node was started
         print(error, file=sys.stderr)
@@ -44,18 +55,20 @@ def bring_up(
 
 
 @contextmanager
-def _watcher(namespace: str) -> Iterator[None]:
+def _watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
     """Run ``greenroof watch`` during a run; print its output, which begins with its address.
 
     The watcher ends with the run, however that ends. If it cannot start or ends early, a line
     states this, and the run goes on.
 
     Args:
+        name: of the watcher, for its lines.
         namespace: of the graph.
+        options: of the command.
     """
     process = subprocess.Popen(
         [
-            sys.executable, "-m", "greenroof_ros", "watch",
+            sys.executable, "-m", "greenroof_ros", "watch", *options,
             *(["--namespace", namespace] if namespace else []),
         ],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
@@ -64,7 +77,7 @@ def _watcher(namespace: str) -> Iterator[None]:
         env=child_environment(),
     )
     ending = threading.Event()
-    printer = threading.Thread(target=_print_output, args=(process, ending), daemon=True)
+    printer = threading.Thread(target=_print_output, args=(name, process, ending), daemon=True)
     printer.start()
     try:
         yield
@@ -78,13 +91,15 @@ def _watcher(namespace: str) -> Iterator[None]:
         printer.join(_ENDING_S)
 
 
-def _print_output(process: subprocess.Popen[str], ending: threading.Event) -> None:
-    """Print the watcher's output, and a line if it ended without being asked to."""
+def _print_output(
+    name: str, process: subprocess.Popen[str], ending: threading.Event
+) -> None:
+    """Print a watcher's output, and a line if it ended without being asked to."""
     assert process.stdout is not None
     for line in process.stdout:
         if not ending.is_set():
-            print_line(f"watch: {line.rstrip()}")
+            print_line(f"{name}: {line.rstrip()}")
     code = process.wait()
     if not ending.is_set():
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        print_line(f"watch: the watcher has ended ({how}); the run goes on")
+        print_line(f"{name}: the watcher has ended ({how}); the run goes on")

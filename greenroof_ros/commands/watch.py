@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from contextlib import suppress
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, add_namespace, command, make_number_type
+from greenroof_ros.common.command_line import (
+    Parser,
+    add_foxglove,
+    add_namespace,
+    command,
+    make_number_type,
+)
 from greenroof_ros.common.errors import ConfigurationError, describe_extra
 from greenroof_ros.common.files import state_directory
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.watch.feed import Feed
+from greenroof_ros.watch.foxglove_server import FoxgloveServer
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback, new_token, read_token
 from greenroof_ros.watch.store import GraphStore
 
@@ -22,7 +30,8 @@ _DESCRIPTION = """\
 Show what the roof does, on a page in a browser: levels, pump, rain, what the controller intends,
 alarms and what to do. It shows any graph that runs in this ROS domain, simulated at up to 60 times
 real time, or live. Any number of watchers may start and stop at any time:
-no run waits for them. The pump can be stopped on the page, and released if that was allowed.
+no run waits for them. The pump can be stopped on the page, and released if that was allowed. With
+--foxglove there is no page: Foxglove or Lichtblick shows the graph.
 
 It shows what it has received itself, for a week. The past of a live site is saved every 10 minutes
 and at the end, in $XDG_STATE_HOME/greenroof_ros or ~/.local/state/greenroof_ros, for the next
@@ -40,6 +49,7 @@ examples:
   greenroof watch --allow-release --port 8080 --token-file token
                                         with an address that can be a bookmark
   greenroof run --speed 60 --watch      a run, and its page alongside it
+  greenroof watch --foxglove            for Foxglove, at ws://127.0.0.1:8765
 
 When a run ends, it waits for the next one and shows it. Ctrl-C ends it.
 
@@ -56,6 +66,10 @@ def make_parser() -> Parser:
         epilog=_EPILOG,
     )
     add_namespace(parser)
+    add_foxglove(
+        parser, "instead of the page, serve the graph to Foxglove or Lichtblick on this machine, "
+        "at the address that is printed.",
+    )
     parser.add_argument(
         "--allow-release", action="store_true",
         help="allow the page to release the pump, whoever holds it, and to clear the "
@@ -81,6 +95,19 @@ def make_parser() -> Parser:
         "(default: a new token at each start, if the page needs one)",
     )
     return parser
+
+
+def _refuse_wrong(arguments: argparse.Namespace) -> None:
+    """Refuse wrong options.
+
+    Raises:
+        ConfigurationError: an option is wrong.
+    """
+    for option in ("allow_release", "host", "port", "token_file"):
+        if arguments.foxglove is not None and getattr(arguments, option):
+            raise ConfigurationError(
+                "is for the page; omit it, or --foxglove", key=f"--{option.replace('_', '-')}"
+            )
 
 
 def _find_past_file(namespace: str) -> Path:
@@ -110,7 +137,14 @@ def _print_address(url: str, host: str, port: int | None, *, release: bool) -> N
 def main() -> None:
     """Watch until asked to end."""
     arguments = make_parser().parse_args()
+    _refuse_wrong(arguments)
     os.nice(_NICENESS)
+    if arguments.foxglove is not None:
+        signals, server = Signals(), FoxgloveServer(arguments.namespace, arguments.foxglove)
+        print(server.url, flush=True)
+        with suppress(InterruptedRun):
+            server.run(signals)
+        return
     store = GraphStore(arguments.namespace)
     store.allow_release = arguments.allow_release
     try:

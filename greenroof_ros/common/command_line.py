@@ -267,6 +267,15 @@ def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> No
     )
 
 
+def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
+    """Add the option that serves a graph to Foxglove; its port is the one that viewers suggest."""
+    parser.add_argument(
+        "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
+        help=f"{about} PORT is 8765 unless given, and 0 means any that is free. Needs the extra "
+        "[foxglove]",
+    )
+
+
 @dataclass(frozen=True)
 class CheckResult:
     """The result of one check.

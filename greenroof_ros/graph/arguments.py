@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from greenroof_ros.common.command_line import make_number_type, parse_namespace
+from greenroof_ros.common.command_line import add_foxglove, make_number_type, parse_namespace
 from greenroof_ros.controllers.registry import EXTERNAL
 
 
@@ -37,6 +37,10 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
         help="show the graph on a page in a browser, whose address is printed; a run, at a --speed "
         "of at most 60. The page ends with the graph; the graph does not need it. The page of "
         "greenroof watch stays. Needs the extra [watch]",
+    )
+    add_foxglove(
+        group, "serve the graph to Foxglove or Lichtblick on this machine, at the address that is "
+        "printed, until the graph ends; the graph does not need it.",
     )
     group.add_argument(
         "--node-parameters", type=Path, metavar="FILE",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from greenroof_ros.common.interface import Topic
+from greenroof_ros.common.states import PLANT
 from greenroof_ros.watch.registry import Registry
 
 # A message further than this from the clock (ticks) is of a publisher that was restarted: the plant
@@ -68,6 +69,7 @@ class MessageTimes:
         if not self._period:
             return None  # fewer than two clocks were received
         # A pump driver from another package may have begun at any tick: it has the newest time.
-        own = any(self._registry.node(role) for role in topic.publishers)
+        # There is no other plant, and its status may arrive after its first messages.
+        own = topic.publishers == (PLANT,) or any(map(self._registry.node, topic.publishers))
         ahead = number - self._clock if own and number is not None else 0
         return None if abs(ahead) > _FAR else self._newest_ns + ahead * self._period

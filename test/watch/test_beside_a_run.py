@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from browsers import started_browser
 from graphs import Process, bag_file, bring_up
+from test_foxglove import deaf_client, port_of
 from test_watch_command import child_of, end, watcher
 
 pytest.importorskip("rclpy", reason="nodes need ROS 2")
@@ -21,13 +22,15 @@ pytest.importorskip("pymodbus", reason="drives are on Modbus")
 def test_a_run_under_the_eyes_of_four_is_the_same_run(domain: int, tmp_path: Path) -> None:
     """A page that waits for it, one that never reads, and a slow one; the watcher is stopped.
 
-    The run's own page is killed.
+    And Foxglove, with a client that subscribes to everything and never reads. The run's own page is
+    killed.
     """
     options = ("--controller", "onoff", "--hours", "0.15")
     process, port = watcher(domain, tmp_path)
+    viewer = Process(domain, "watch", "--foxglove", "0", cwd=tmp_path)
     request = b"GET /events?hours=12 HTTP/1.1\r\nHost: localhost\r\n\r\n"
     with (
-        started_browser() as browser,
+        started_browser() as browser, deaf_client(port_of(viewer.stdout)),
         socket.create_connection(("127.0.0.1", port)) as deaf,
         socket.create_connection(("127.0.0.1", port)) as slow,
     ):
@@ -38,8 +41,8 @@ def test_a_run_under_the_eyes_of_four_is_the_same_run(domain: int, tmp_path: Pat
         page.set_default_timeout(60_000)
         page.goto(f"http://127.0.0.1:{port}/")
         run = Process(
-            domain, "bringup", *options, "--speed", "60", "--watch", "--output", "run",
-            cwd=tmp_path,
+            domain, "bringup", *options, "--speed", "60", "--watch", "--foxglove", "0",
+            "--output", "run", cwd=tmp_path,
         )
         page.wait_for_selector("#heading:has-text('Simulated run')")
         assert slow.recv(512)
@@ -52,6 +55,7 @@ def test_a_run_under_the_eyes_of_four_is_the_same_run(domain: int, tmp_path: Pat
         page.wait_for_selector("#heading:has-text('Ended run')")
         assert "ended" in page.locator("#events").inner_text()
     end(process, signal.SIGTERM)
+    end(viewer)
     bring_up(domain, tmp_path, *options, output="alone")
     bags = [bag_file(tmp_path / name) for name in ("run", "alone")]
     assert filecmp.cmp(*bags, shallow=False)

@@ -149,13 +149,16 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
 ) -> None:
     """A retained stop, one in other words, and any other request are ignored.
 
-    An old state is not retained; after a kill it is offline.
+    An old state is not retained; after a kill it is offline. For a Foxglove viewer next to it, a
+    value has its time of arrival.
     """
+    from test_foxglove import port_of, receive
+
     stop, availability = "greenroof/site1/stop", "greenroof/site1/availability"
     with (
         mosquitto(tmp_path) as broker, Talker(broker) as heard,
         # At less than full flow, so that it still runs after the broker was lost.
-        running_pump(domain, tmp_path, "--fraction", "0.4") as (run, drive),
+        running_pump(domain, tmp_path, "--fraction", "0.4", "--foxglove", "0") as (run, drive),
     ):
         heard.publish(stop, "STOP", retain=True)
         bridge = Process(
@@ -171,6 +174,10 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
             and (state()["flow"] or 0.0) > 0, 60, "a running pump, and its flow",
         )
         assert (state()["mode"], state()["hold"]) == ("live", "")
+        began = time.time_ns()
+        _, values = receive(port_of(run.stderr), "/site1/roof/level", 10)
+        times = [time_ns for time_ns, _ in values]
+        assert times == sorted(times) and began < times[0] and times[-1] < time.time_ns()
         with Talker(broker) as late:
             wait_for(lambda: late.of("greenroof/site1/state"), 60, "a state")
             retained = {topic for _, topic, _, retained in late.received if retained}

@@ -1,0 +1,129 @@
+"""Serves a running graph to Foxglove and Lichtblick by the Foxglove WebSocket protocol.
+
+It subscribes to a topic only while a viewer shows it, and as the page does, so that no viewer,
+however slow, delays a node: see :mod:`greenroof_ros.watch.graph_client`. A message has the time
+that it has in a bag: in a simulation the simulated time of its tick, otherwise its time of arrival.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+
+from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.interface import read_topics
+from greenroof_ros.common.processes import Signals
+from greenroof_ros.recording.bag_writer import read_definition
+from greenroof_ros.watch import wire
+from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient
+from greenroof_ros.watch.listening import LOOPBACK
+from greenroof_ros.watch.message_times import MessageTimes
+from greenroof_ros.watch.registry import Registry
+
+# How often new messages are passed on (s).
+_POLL_S = 0.05
+_CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
+
+
+def refuse_unusable(port: int) -> None:
+    """Refuse a port that is in use, and a missing SDK, before anything is started.
+
+    Raises:
+        ConfigurationError: it cannot be served at this port.
+    """
+    with require_extra("foxglove"):
+        import foxglove  # noqa: F401
+    try:
+        socket.create_server((LOOPBACK, port)).close()
+    except OSError as error:
+        raise ConfigurationError(
+            f"this port cannot be used: {os.strerror(error.errno or 0)}; choose another",
+            key="--foxglove", value=str(port),
+        ) from error
+
+
+class FoxgloveServer:
+    """Serves all topics of the interface on loopback.
+
+    Attributes:
+        url: its address, for a viewer.
+    """
+
+    def __init__(self, namespace: str, port: int) -> None:
+        """Join the graph, and listen.
+
+        Args:
+            namespace: the graph's namespace, such as ``/site1``; empty for none.
+            port: TCP port; 0 for any that is free.
+
+        Raises:
+            ConfigurationError: the port cannot be used, or foxglove-sdk or ROS 2 is missing.
+        """
+        refuse_unusable(port)
+        import foxglove
+        from foxglove.websocket import Capability
+
+        self._topics = read_topics()
+        self._client = GraphClient(namespace, self._on_message)
+        self._registry = Registry(namespace)
+        self._times, self._time_ns = MessageTimes(self._registry), 0
+        self._waiting: list[tuple[int, str, bytes]] = []
+        self._channels = {
+            name: foxglove.Channel(
+                name if topic.absolute else namespace + name, message_encoding="cdr",
+                schema=foxglove.Schema(
+                    name=topic.type, encoding="ros2msg",
+                    data=read_definition(topic.type).encode(),
+                ),
+            )
+            for name, topic in self._topics.items()
+        }
+        self._server = foxglove.start_server(
+            name=f"greenroof {namespace}".rstrip(), host=LOOPBACK, port=port,
+            capabilities=[Capability.Time],
+        )
+        self.url = f"ws://{LOOPBACK}:{self._server.port}"
+
+    def run(self, signals: Signals) -> None:
+        """Pass messages on until a signal comes.
+
+        Raises:
+            InterruptedRun: a signal came.
+        """
+        try:
+            while True:
+                signals.check()
+                shown = [name for name, channel in self._channels.items() if channel.has_sinks()]
+                self._client.subscribe([_CLOCK, *shown] if shown else ())
+                self._client.receive(_POLL_S)
+                self._pass_on()
+        finally:
+            self._client.close()
+            self._server.stop()
+
+    def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
+        """Receive a message, and find its time; viewers forget the run before."""
+        if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
+            now = time.monotonic()
+            self._registry.receive(now, received[1], stamp_ns=received[0])
+            if self._times.update(now):
+                self._time_ns = 0
+                self._server.clear_session()
+        if name == _CLOCK and (time_ns := wire.read_value(_CLOCK_TYPE, message)) is not None:
+            self._times.receive_clock(number, time_ns)
+        if time_ns := self._times.time_of(self._topics[name], number, arrived_ns):
+            self._waiting.append((time_ns, name, message))
+
+    def _pass_on(self) -> None:
+        """Pass on what has arrived, in order of time.
+
+        The time goes ahead of the messages: Lichtblick gives each message the time sent last.
+        """
+        self._waiting.sort(key=lambda each: each[0])
+        for time_ns, name, message in self._waiting:
+            if time_ns > self._time_ns:
+                self._time_ns = time_ns
+                self._server.broadcast_time(time_ns)
+            self._channels[name].log(message, log_time=time_ns)
+        self._waiting.clear()
