@@ -47,10 +47,10 @@ _GREENROOF = {
     "report": "report finished --output out",
     "calibrate": "calibrate roof_2025.csv --output out.yaml",
     "bound": "bound --hours 1",
-    "verify": "verify errors --weather weather.csv --output out.csv",
+    "verify": "verify forecasts.csv --weather weather.csv --output out.csv",
     "recover": "recover killed --output out",
     "weather": "weather rain.csv --output out.csv",
-    "fetch": "fetch-forecast --every 60 --output out.csv --url",
+    "fetch": "fetch-forecast --output out.csv --url",
     "watch": "watch",
     "live": "live --state out --sensors sensors.yaml --thermometer external "
     f"--drive danfoss_fc202 --drive-at {_DRIVE}",
@@ -60,9 +60,9 @@ COMMANDS = {
     "user": "-m user.run",
 }
 """The words after the interpreter's name."""
-# Those that go on until they are asked to end: how long at most they are left to run (s). Except
-# fetch, they end with exit code 0, as asked.
-_ENDLESS_S = {"fetch": 2.0, "watch": 3.0, "live": 12.0}
+# Those that go on until they are asked to end, with exit code 0: how long at most they are left to
+# run (s).
+_ENDLESS_S = {"watch": 3.0, "live": 12.0}
 _ASKED_TO_END = {"watch", "live"}
 GRID = """
 site: site.yaml
@@ -80,6 +80,8 @@ def prepare(directory: Path) -> None:
     (directory / "grid.yaml").write_text(GRID)
     rain = Path(__file__).parent / "data" / "toronto_rain.csv"
     (directory / "rain.csv").write_bytes(rain.read_bytes())
+    forecasts = CONFIG / "forecasts/rain_that_never_comes.csv"
+    (directory / "forecasts.csv").write_bytes(forecasts.read_bytes())
     weather = CONFIG / "weather/toronto_2021-07.csv"
     (directory / "weather.csv").write_bytes(weather.read_bytes())
     (directory / "roof_2025.csv").write_bytes((CHECKOUT / "examples/roof_2025.csv").read_bytes())

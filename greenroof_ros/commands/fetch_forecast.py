@@ -1,4 +1,4 @@
-"""Keep a file with the newest forecast from the internet: ``greenroof fetch-forecast``."""
+"""Fetch a forecast from the internet into a file: ``greenroof fetch-forecast``."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def make_parser() -> Parser:
         "non-commercial use.",
         epilog="examples:\n"
         "  greenroof fetch-forecast --site site.yaml --ensemble\n"
-        "  greenroof fetch-forecast --site site.yaml --every 60 --keep forecasts/\n"
+        "  greenroof fetch-forecast --site site.yaml --keep forecasts/    # each hour, by cron\n"
         "  greenroof verify forecasts/ --site site.yaml --weather gauge.csv\n\n"
-        "'greenroof live --forecast open-meteo' does the same automatically.\n\n"
+        "'greenroof live --forecast open-meteo' does the same every half hour.\n\n"
         "exit codes: 0 done, 1 the service gave no forecast, 2 wrong usage or configuration, "
         "130 ended by Ctrl-C",
     )
@@ -66,17 +66,12 @@ def make_parser() -> Parser:
         help="directory that keeps each new forecast, 2 GB at most; verify, and "
         "--forecast of simulate, read it",
     )
-    parser.add_argument(
-        "--every", type=make_number_type(10, 1440), metavar="MINUTES",
-        help="minutes after which it fetches again, until Ctrl-C; after a failure it tries "
-        "again after 1, 2, 4, ... min, or when the service permits",
-    )
     return parser
 
 
 @command
 def main() -> int:
-    """Fetch a forecast, once or at intervals."""
+    """Fetch a forecast."""
     arguments = make_parser().parse_args()
     if arguments.output.suffix != ".csv":
         raise ConfigurationError(
@@ -88,20 +83,16 @@ def main() -> int:
         url=arguments.url,
     )
     files = ForecastFiles(arguments.output, arguments.keep)
-    fetcher = Fetcher(service, files.write, 60 * (arguments.every or 60))
-    while True:
-        wait = fetcher.fetch()
-        if fetcher.problem:
-            print(f"no forecast: {fetcher.problem}", flush=True)
-        else:
-            assert fetcher.newest is not None
-            print(
-                f"{arguments.output}: issued {to_people(fetcher.newest.issued)}, "
-                f"{fetcher.newest.hours} h, {len(fetcher.newest.rain)} members; {ATTRIBUTION}",
-                flush=True,
-            )
-            for note in fetcher.newest.notes:
-                print(f"  {note}", flush=True)
-        if arguments.every is None:
-            return EXIT_FAILED if fetcher.problem else EXIT_DONE
-        fetcher.wait(wait)
+    fetcher = Fetcher(service, files.write, 3600)
+    fetcher.fetch()
+    if fetcher.problem:
+        print(f"no forecast: {fetcher.problem}", flush=True)
+        return EXIT_FAILED
+    assert fetcher.newest is not None
+    print(
+        f"{arguments.output}: issued {to_people(fetcher.newest.issued)}, "
+        f"{fetcher.newest.hours} h, {len(fetcher.newest.rain)} members; {ATTRIBUTION}"
+    )
+    for note in fetcher.newest.notes:
+        print(f"  {note}")
+    return EXIT_DONE

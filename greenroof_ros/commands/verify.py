@@ -28,19 +28,15 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.common.times import to_people
-from greenroof_ros.experiment.options import add_forecast_options, read_forecast
-from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import find_files, read_weather
 
 _DESCRIPTION = """\
 Score rain forecasts against records: by lead time, and by sums over hours, with the events among
 them. FORECASTS are an archive, a file or a directory of files as --forecast of simulate takes
-them, or a model of this package, whose forecasts of the records are made and scored.
+them.
 """
-_EPILOG = f"""\
-A model is one of {', '.join(MODELS)}.
-
+_EPILOG = """\
   bias   forecast rain over observed rain
   r      correlation
   POD    probability of detection: events that were forecast over events
@@ -56,7 +52,6 @@ For an ensemble the first five use member 0, the last two all members.
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
   greenroof verify gem_runs/ --weather 'hourly_*.csv' --lead 6 --sums 1 6 --events 1 2
-  greenroof verify errors --weather 'hourly_*.csv' -o errors.csv
 
 exit codes: 0 done, 2 bad usage, configuration or file
 """
@@ -70,7 +65,7 @@ _MAX_NOTES = 20
 def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(prog="greenroof verify", description=_DESCRIPTION, epilog=_EPILOG)
-    parser.add_argument("forecasts", metavar="FORECASTS", help="archive or model")
+    parser.add_argument("forecasts", type=Path, metavar="FORECASTS", help="archive")
     parser.add_argument(
         "--weather", nargs="+", required=True, metavar="FILE",
         help="records, as for simulate: files, or a pattern in quotes; missing hours are left "
@@ -99,7 +94,6 @@ def make_parser() -> Parser:
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.csv", help="write all scores as CSV",
     )
-    add_forecast_options(parser.add_argument_group("options of forecasts"))
     return parser
 
 
@@ -110,10 +104,9 @@ def main() -> None:
     sums = _read_sums(arguments)
     if arguments.output is not None:
         refuse_unwritable(arguments.output, (".csv",), "--output")
-    choice = read_forecast(arguments, arguments.forecasts, "FORECASTS")
     site = read_site(arguments.site)
     weather = read_weather(find_files(arguments.weather, "--weather"), site, rain_only=True)
-    forecasts = read_issued_forecasts(choice, weather, site, arguments.horizon)
+    forecasts = read_issued_forecasts(arguments.forecasts, weather, site, arguments.horizon)
     if arguments.lead % forecasts.finest_lead:
         raise ConfigurationError(
             f"must be a multiple of {forecasts.finest_lead} h, the finest lead time of "
@@ -131,7 +124,7 @@ def main() -> None:
         raise ConfigurationError(
             f"have no whole sum in common with the records: these cover {forecasts.span}, the "
             f"records {span}",
-            file=choice.file, key="FORECASTS", value=arguments.forecasts,
+            file=arguments.forecasts, key="FORECASTS", value=str(arguments.forecasts),
         )
     # Only archives put together from previous runs have leads in whole days.
     warnings = check_forecasts(tallies, previous_runs=forecasts.finest_lead > 1)

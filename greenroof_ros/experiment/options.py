@@ -20,7 +20,7 @@ from greenroof_ros.controllers.registry import (
 from greenroof_ros.experiment.inputs import INPUTS, make_inputs
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast import choice
-from greenroof_ros.forecast.choice import MODELS, ForecastChoice
+from greenroof_ros.forecast.choice import MODELS
 from greenroof_ros.forecast.skill import SKILLS
 from greenroof_ros.model import sensor_and_pump
 from greenroof_ros.model.initial_state import INITIAL_STATES
@@ -43,7 +43,7 @@ def add_run_arguments(
     add_site_arguments(group)
     group = parser.add_argument_group("forecasts")
     _add_option(group, INPUTS["forecast"], metavar=f"{{{','.join(MODELS)},FILE}}")
-    add_forecast_options(group)
+    _add_forecast_options(group)
     group = parser.add_argument_group("sensor and pumps (default: as in the paper)")
     for parameter in sensor_and_pump.PARAMETERS.values():
         _add_option(group, parameter)
@@ -100,7 +100,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     _add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
 
 
-def add_forecast_options(group: argparse._ArgumentGroup) -> None:
+def _add_forecast_options(group: argparse._ArgumentGroup) -> None:
     """Add the options that only some forecasts have."""
     skill = {"metavar": f"{{{','.join(SKILLS)},FILE.yaml}}"}
     for name, parameter in choice.INPUTS.items():
@@ -189,21 +189,3 @@ def build_run(arguments: argparse.Namespace) -> Run:
             return make_inputs(find_controller("onoff"), given).build()
         controller, parameters = read_controller(arguments)
         return make_inputs(controller, given | parameters).build()
-
-
-def read_forecast(arguments: argparse.Namespace, text: str, key: str) -> ForecastChoice:
-    """Return the forecasts that a command line asks for.
-
-    Args:
-        arguments: parsed with the options of :func:`add_forecast_options`.
-        text: which forecasts: a model or a path.
-        key: the argument that gives it, for messages.
-
-    Raises:
-        ConfigurationError: there are no such forecasts, or an option does not apply to them.
-    """
-    given = _read_options(arguments, choice.INPUTS)
-    with rename_keys({**_OPTIONS, "forecast": key}):
-        return choice.choose(
-            text, {name.removeprefix("forecast_"): value for name, value in given.items()}
-        )

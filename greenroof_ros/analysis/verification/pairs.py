@@ -1,23 +1,20 @@
-"""Pairs of sums of rain, forecast (by an archive or a model) and recorded, by lead."""
+"""Pairs of sums of rain, forecast (by an archive) and recorded, by lead."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.verification.scores import Tally
-from greenroof_ros.common.times import hours_since_1970, to_people
-from greenroof_ros.forecast.choice import ForecastChoice
-from greenroof_ros.forecast.models import make_model
+from greenroof_ros.common.times import to_people
 from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.forecasts import ISSUE_HOURS
-from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, align_to_hours
@@ -33,7 +30,7 @@ _DIGITS = 6
 
 @dataclass(frozen=True)
 class IssuedForecasts:
-    """Forecasts of an archive or a model.
+    """Forecasts of an archive.
 
     Attributes:
         name: what they are, in words.
@@ -58,26 +55,24 @@ class IssuedForecasts:
 
 
 def read_issued_forecasts(
-    choice: ForecastChoice, weather: Weather, site: Site, horizon: int
+    file: Path, weather: Weather, site: Site, horizon: int
 ) -> IssuedForecasts:
-    """Return the chosen forecasts, for comparison with records.
+    """Return the forecasts of an archive, for comparison with records.
 
-    Forecasts of an archive are compared with rain by the time it fell, even if the records count it
+    They are compared with rain by the time it fell, even if the records count it
     later (``rain_late``). Those that end before the records begin or begin after they end are left
     out.
 
     Args:
-        choice: an archive or a model.
+        file: the archive, a file or a directory of files.
         weather: the records.
         site: its place on earth.
-        horizon: hours of each forecast that are compared; a model's forecasts are this long.
+        horizon: hours of each forecast that are compared.
 
     Raises:
-        ConfigurationError: an archive is wrong.
+        ConfigurationError: the archive is wrong.
     """
-    if choice.file is None:
-        return _model_forecasts(choice, weather, site, horizon)
-    archive = read_archive(choice.file, site, choice.delay)
+    archive = read_archive(file, site)
     verified = align_to_hours(archive.verified, weather)
     first = weather.rain_from
     end = first + len(weather.precipitation) * HOUR
@@ -92,28 +87,6 @@ def read_issued_forecasts(
         min(horizon, max((issue.hours for issue in within), default=horizon)), archive.finest_lead,
         f"{to_people(begins)} to {to_people(ends)}", len(within),
         (((issue.issued - first) // HOUR, issue.rain) for issue in within), archive.notes,
-    )
-
-
-def _model_forecasts(
-    choice: ForecastChoice, weather: Weather, site: Site, horizon: int
-) -> IssuedForecasts:
-    """Return the forecasts that a model makes of the records, one for each time of issue.
-
-    They are known at once, because leads count from the time of issue. Hours that the records lack
-    are dry for the model. The model also needs evapotranspiration, which is 0 and not used.
-    """
-    rain = np.nan_to_num(weather.precipitation)
-    starts = range(-hours_since_1970(weather.first) % ISSUE_HOURS, len(rain), ISSUE_HOURS)
-    known = replace(
-        weather, values={PRECIPITATION: rain, EVAPOTRANSPIRATION: np.zeros_like(rain)}
-    )
-    model = make_model(replace(choice, delay=0.0), known, site, all_members=True)
-    options = [f"{name} {value}" for name, value in choice.options().items()]
-    return IssuedForecasts(
-        ", ".join([choice.model, *options]), choice.members if choice.model == "ensemble" else 1,
-        horizon, 1, f"{to_people(weather.first)} to {to_people(weather.end)}", len(starts),
-        ((hour, model.forecast(hour, min(horizon, len(rain) - hour))[0]) for hour in starts),
     )
 
 
