@@ -385,6 +385,8 @@ class Given(NamedTuple):
 _MIN_RISES, _MANY_RISES, _SAME_OF_FEW, _SAME_OF_MANY = 3, 10, 5.0, 0.5
 # It falls rarely, when it is set to 0 in rain. A smaller share of its range is noise.
 _MAX_FALLS, _NOISE = 0.25, 0.02
+# A sum is rounded.
+_NEARLY_SUM = 1e-3
 # Fractions of a saturated sensor are a little above 1.
 _MAX_FRACTION = 1.05
 
@@ -416,7 +418,16 @@ def find_fraction(given: Given) -> str:
     return f"has no value above {_MAX_FRACTION:g}: are they fractions? Then its unit is [1]"
 
 
-COLUMN_RULES = (find_running_total, find_fraction)
+def find_sum(given: Given) -> str:
+    """Find a sum of all amounts in the last row."""
+    if not given.quantity.is_water or np.count_nonzero(given.values) < _MANY_RISES:
+        return ""
+    if not math.isclose(given.values[-1], given.values[:-1].sum(), rel_tol=_NEARLY_SUM):
+        return ""
+    return "has the sum of the other values in its last row: leave that row out"
+
+
+COLUMN_RULES = (find_running_total, find_fraction, find_sum)
 """What a whole column cannot be: each rule returns why it is refused, or nothing."""
 
 

@@ -153,7 +153,7 @@ _MANY_RISES = 10
 # Reference evapotranspiration is between these shares of what the sun's energy outside of the
 # atmosphere could evaporate, in so many days with so much of it (mm) [assumed]; in mm/h in a column
 # of mm/day it would be a twenty-fourth.
-_OF_ENERGY, _MIN_ENERGY_DAYS, _MIN_ENERGY = (0.03, 1.0), 3, 1.0
+_OF_ENERGY, _MIN_ENERGY_DAYS, _MIN_ENERGY = (0.03, 1.0), 1, 1.0
 # Radiation at the ground is 0.25 of that outside of the atmosphere under clouds, 0.75 without them
 # (FAO-56, Eq. 35), so the clearest of so many days has a share between these; J/cm2 in an hour make
 # 0.36 of W/m2.

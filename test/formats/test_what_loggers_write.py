@@ -167,6 +167,13 @@ def test_running_totals_are_refused(
     assert "'rain [mm]': is a running total" in refusal(read, tmp_path, text)
 
 
+@pytest.mark.parametrize("step_s", [300, HOUR])
+def test_a_sum_in_the_last_row(tmp_path: Path, step_s: int) -> None:
+    """With a time, as of a month's report."""
+    text = write_rows(96, step_s) + "2024-07-01 00:00,4\n"
+    assert "the sum of the other values in its last row" in refusal(read, tmp_path, text)
+
+
 def test_rain_that_rises_is_no_running_total(tmp_path: Path) -> None:
     """Nor is a drizzle that stays the same, nor a broken gauge."""
     for rain in ((0.2, 0.4, 1.0, 3.0, 5.0, 8.0, 0.0), (0.1,) * 24, (0.2, 0.2, 0.2, 0.4, 0.2, 0.0)):
@@ -202,11 +209,13 @@ def test_evapotranspiration_in_another_unit(
     tmp_path: Path, column: str, peak: float, sentence: str
 ) -> None:
     """0.55 mm/h at noon is 4.2 mm a day in June; taken for mm/day it is a twenty-fourth."""
-    records = read(tmp_path, write_rows(
-        240, rain=lambda row: f"0,{peak * shine(row):.3f}", header=f"time,rain [mm],{column}\n"
-    ))
-    found = check_hours(records, SITE, range(12))
-    assert [sentence in each for each in found] == [True] * bool(sentence)
+    for hours in (24, 240):
+        records = read(tmp_path, write_rows(
+            hours, rain=lambda row: f"0,{peak * shine(row):.3f}",
+            header=f"time,rain [mm],{column}\n",
+        ))
+        found = check_hours(records, SITE, range(12))
+        assert [sentence in each for each in found] == [True] * bool(sentence)
 
 
 def test_a_dew_point_in_another_unit(tmp_path: Path) -> None:
