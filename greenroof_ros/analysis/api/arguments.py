@@ -69,13 +69,7 @@ def build_run(
         ConfigurationError: an input is wrong.
     """
     run = make_inputs(controller, inputs).build()
-    notes = [*run.notes(), *run.weather.notes, *run.series.notes, *run.forecast.notes]
-    if run.series.filled_hours:
-        quantities = ", ".join(run.series.filled)
-        notes.append(
-            f"{run.series.filled_hours} missing hours of the weather were filled in ({quantities})"
-        )
-    for note in notes:
+    for note in (*run.notes(), *run.weather.notes, *run.series.notes, *run.forecast.notes):
         if note not in warned:
             warned.add(note)
             warnings.warn(note, stacklevel=_count_own_calls())

@@ -151,9 +151,14 @@ def _lines(
 
 
 class Picture(alt.VConcatChart):
-    """A chart that a notebook shows as a picture, without scripts from the internet."""
+    """A chart that a notebook shows as a picture, without scripts from the internet.
 
-    def _repr_mimebundle_(self, *_: Any, **__: Any) -> Any:
+    That is unless another of Altair's renderers was enabled.
+    """
+
+    def _repr_mimebundle_(self, *given: Any, **further: Any) -> Any:
+        if alt.renderers.active != "default":
+            return super()._repr_mimebundle_(*given, **further)
         picture = vl_convert.vegalite_to_png(self.to_dict(), VEGA_LITE, scale=2)
         width = int.from_bytes(picture[16:20], "big") // 2  # on the screen
         kind = "image/png"

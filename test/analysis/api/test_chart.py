@@ -7,6 +7,7 @@ import io
 import struct
 from datetime import datetime, timezone
 
+import altair
 import pytest
 from refusals import refusal
 
@@ -64,6 +65,8 @@ def test_a_notebook_shows_a_picture_without_internet(compared: Comparison) -> No
     picture = base64.b64decode(content["image/png"])
     assert list(content) == ["image/png"] and picture.startswith(b"\x89PNG")
     assert 640 < about["image/png"]["width"] == struct.unpack(">I", picture[16:20])[0] / 2 < 900
+    with altair.renderers.enable("json"):  # the user's choice
+        assert "image/png" not in compared.plot()._repr_mimebundle_()
 
 
 def test_a_picture(compared: Comparison) -> None:
