@@ -2,10 +2,45 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import SequenceMatcher
 from pathlib import Path
+from typing import Any
+
+# Maximum length of a value in a message, and of a message (characters).
+_MAX_VALUE, _MAX_MESSAGE = 300, 4000
+
+
+class _Repr(reprlib.Repr):
+    """Writes a few items of a collection, since a file may hold any number, one in another."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxstring, self.maxother = 3, _MAX_VALUE, _MAX_VALUE
+        self.maxlist = self.maxtuple = self.maxdict = 20
+
+    def repr1(self, x: Any, level: int) -> str:
+        """Return an item; a subclass of dict is one, too."""
+        return self.repr_dict(x, level) if isinstance(x, dict) else super().repr1(x, level)
+
+
+_REPR = _Repr()
+
+
+def describe_value(value: object) -> str:
+    """Return a value for a message, as Python writes it, but at most 300 characters of it."""
+    try:
+        return _shorten(_REPR.repr(value), _MAX_VALUE)
+    except ValueError:  # from Python
+        return "a number of thousands of digits"
+
+
+def _shorten(text: str, max_length: int) -> str:
+    """Return a text, without its middle if it is too long."""
+    half = max_length // 2
+    return text if len(text) <= max_length else f"{text[:half]} ... {text[-half:]}"
 
 
 class ConfigurationError(Exception):
@@ -35,9 +70,9 @@ class ConfigurationError(Exception):
             place += f", line {line}"
         subject = key or ""
         if value is not None:
-            subject += f" = {value!r}" if key else repr(value)
+            subject += f" = {describe_value(value)}" if key else describe_value(value)
         self.expected, self.file, self.key, self.value = expected, file, key, value
-        self.wrong = ": ".join(part for part in (subject, expected) if part)
+        self.wrong = _shorten(": ".join(part for part in (subject, expected) if part), _MAX_MESSAGE)
         super().__init__(f"{place}: {self.wrong}" if place else self.wrong)
 
 

@@ -87,6 +87,14 @@ def as_started(file: Path) -> Path:
     return copy if copy.exists() else file
 
 
+def is_there(path: Path) -> bool:
+    """Return whether a file of this name can be found; a text may be too long for a name."""
+    try:
+        return path.exists()
+    except OSError:
+        return False
+
+
 def file_digest(path: Path) -> str:
     """Return a hash of a file's content; empty if there is no such file."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
@@ -193,6 +201,13 @@ def read_text(path: Path) -> str:
 
 # Maximum depth of nesting: far more than our files have, far less than a thread's stack allows.
 _DEEPEST = 200
+# Most that is read of a YAML file (characters): the metadata of a bag of 3,000 files. And how many
+# values its aliases may add: a few lines of nested ones would make billions.
+_MAX_YAML, _MAX_ALIASED = 1_000_000, 10_000
+# PyYAML, unlike libyaml, takes seconds for a text above this length (characters).
+_EXPLAINED = 20_000
+# Longer integers are read as floating-point numbers (digits): no quantity has so many.
+_MAX_DIGITS = 20
 _TRUE = {"yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
 _FALSE = {"no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
 _NOTHING = {"", "~", "null", "Null", "NULL"}
@@ -219,7 +234,7 @@ def _parse_plain(text: str) -> Any:
     if text in _TRUE | _FALSE:
         return text in _TRUE
     if _INTEGER.fullmatch(text):
-        return int(text)
+        return int(text) if len(text) <= _MAX_DIGITS else float(text)
     if _FLOAT.fullmatch(text):
         return float(text)
     if _NOT_FINITE.fullmatch(text):
@@ -260,7 +275,8 @@ def _compose(text: str) -> yaml.Node | None:
     try:
         return yaml.compose(text, Loader=_Loader)
     except (yaml.YAMLError, ValueError):
-        yaml.compose(text, Loader=yaml.BaseLoader)
+        if len(text) <= _EXPLAINED:
+            yaml.compose(text, Loader=yaml.BaseLoader)
         raise
 
 
@@ -308,16 +324,41 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMap
         plain: returns the value of an unquoted text; a block such as ``|-`` is not quoted.
 
     Raises:
-        ConfigurationError: it cannot be read, is not YAML or nested too deeply, has a tag or gives
-            a key twice, or holds no mapping.
+        ConfigurationError: it cannot be read or holds no mapping, or as :func:`parse_yaml`.
     """
-    text = read_text(path)
+    content = parse_yaml(read_text(path), path, plain)
+    if not isinstance(content, YamlMapping):
+        raise ConfigurationError("must hold 'key: value' lines", file=path)
+    return content
+
+
+def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain) -> Any:
+    """Return the value of a YAML text; each mapping is a :class:`YamlMapping`.
+
+    Args:
+        text: the text.
+        path: its file, for errors.
+        plain: returns the value of an unquoted text; a block such as ``|-`` is not quoted.
+
+    Raises:
+        ConfigurationError: it is not YAML, too long or nested too deeply, has a tag, gives a key
+            twice, or repeats too much by aliases.
+    """
+    if len(text) > _MAX_YAML:
+        raise ConfigurationError(f"is longer than {_MAX_YAML / 1e6:g} MB", file=path)
     if _measure_nesting(text) > _DEEPEST:  # libyaml would crash the process
         raise ConfigurationError(f"is nested more than {_DEEPEST} levels deep", file=path)
 
     def refuse(node: yaml.Node, problem: str) -> ConfigurationError:
         line = node.start_mark.line + 1
         return ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line)
+
+    @functools.cache
+    def size_of(node: yaml.Node) -> int:
+        """Return the number of values in a node, each as often as it is repeated."""
+        if isinstance(node, yaml.MappingNode):
+            return 1 + sum(size_of(value) for _, value in node.value)
+        return 1 + (sum(map(size_of, node.value)) if isinstance(node, yaml.SequenceNode) else 0)
 
     @functools.cache  # a node with several aliases is built once
     def value_of(node: yaml.Node) -> Any:
@@ -329,6 +370,8 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMap
             return [value_of(item) for item in node.value]
         mapping = YamlMapping()
         for key_node, value_node in node.value:
+            if not isinstance(key_node, yaml.ScalarNode) or key_node.tag:
+                raise refuse(key_node, "a key must be a text, without a tag")
             key = str(key_node.value)
             if key in mapping:
                 before = mapping.lines[key]
@@ -339,7 +382,9 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMap
 
     try:
         node = _compose(text)
-        content = value_of(node) if node else None
+        if node and size_of(node) > len(text) + _MAX_ALIASED:
+            raise refuse(node, f"its aliases (*NAME) add more than {_MAX_ALIASED} values")
+        return value_of(node) if node else None
     except yaml.MarkedYAMLError as error:
         mark, problem = error.problem_mark, error.problem
         if mark and mark.buffer and mark.buffer[mark.pointer] == "\t":
@@ -347,12 +392,11 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMap
         line = mark.line + 1 if mark else None
         raise ConfigurationError(f"is not valid YAML: {problem}", file=path, line=line) from error
     except RecursionError as error:
-        raise ConfigurationError("is not valid YAML: a value contains itself", file=path) from error
+        raise ConfigurationError(
+            "is not valid YAML: a value contains itself, or is nested too deeply", file=path
+        ) from error
     except (yaml.YAMLError, ValueError) as error:
         raise ConfigurationError(f"is not valid YAML: {error}", file=path) from error
-    if not isinstance(content, YamlMapping):
-        raise ConfigurationError("must hold 'key: value' lines", file=path)
-    return content
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from zoneinfo import ZoneInfo
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import read_yaml, shared_directory
+from greenroof_ros.common.files import is_there, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
 from greenroof_ros.common.times import LAST_YEAR
@@ -410,7 +410,7 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, _Entry
         "must be the name of another site file, such as site.yaml, next to this one or of this "
         "package"
     )
-    if isinstance(base, str) and (following := _base(path, base)).exists():
+    if isinstance(base, str) and is_there(following := _base(path, base)):
         if following.resolve() not in chain:
             return {**_entries(following, chain), **entries}
         ring = [*chain[chain.index(following.resolve()):], following.resolve()]
@@ -420,10 +420,8 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, _Entry
 
 def _base(path: Path, name: str) -> Path:
     """Return the file that a site file extends: in its own directory, or of this package."""
-    shipped = shared_directory() / "config" / name
-    return (
-        shipped if shipped.is_file() and not (path.parent / name).is_file() else path.parent / name
-    )
+    own, shipped = path.parent / name, shared_directory() / "config" / name
+    return shipped if is_there(shipped) and not is_there(own) else own
 
 
 def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:

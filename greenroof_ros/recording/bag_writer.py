@@ -7,6 +7,7 @@ wall clock or on its location: two equal runs give equal bytes.
 from __future__ import annotations
 
 import functools
+import json
 import math
 import os
 import struct
@@ -22,7 +23,8 @@ from mcap.reader import FOOTER_SIZE
 from mcap.records import Channel, Footer, Schema, Statistics
 from mcap.stream_reader import MAGIC_SIZE, StreamReader
 
-from greenroof_ros.common.files import read_yaml, replace_text, shared_directory
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import parse_yaml, read_yaml, replace_text, shared_directory
 from greenroof_ros.common.interface import Qos, Topic
 from greenroof_ros.recording.mcap_writer import McapWriter
 
@@ -509,6 +511,7 @@ def _write_yaml(content: object) -> str:
 
 def _read_profiles(profiles: str) -> list[Any]:
     """Return the QoS profiles in a channel's metadata; empty if they are not valid YAML."""
-    with suppress(yaml.YAMLError):
-        return yaml.safe_load(profiles) or []
-    return []
+    read = None
+    with suppress(ConfigurationError):
+        read = json.loads(json.dumps(parse_yaml(profiles, Path(METADATA))))  # plain mappings
+    return read or []

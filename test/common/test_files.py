@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import pytest
+from places import CONFIG
 from refusals import refusal
 
+from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.common.command_line import refuse_unwritable
+from greenroof_ros.common.errors import ConfigurationError, describe_value
 from greenroof_ros.common.files import read_ros_parameters, read_yaml
 from greenroof_ros.common.parameter_sections import read_sections
+from greenroof_ros.live.devices.drive_file import read_drive_file
+from greenroof_ros.live.devices.relay_file import read_relay_file
+from greenroof_ros.live.devices.sensor_file import read_sensors
+from greenroof_ros.model.site import read_site
 
 VALUES = (
     "on", "off", "yes", "Y", "n", "True", "tRUE", "010", "-010", "08", "0x1F", "0x1p3", "0o17",
@@ -117,8 +126,8 @@ def test_sections_apply_to_nodes_as_rcl_applies_them(
 def test_numbers_of_yaml_1_2(tmp_path: Path) -> None:
     """In all files that rcl does not read."""
     file = tmp_path / "a.yaml"
-    file.write_text("a: [016, 3:0, .5, 1e-5, -.inf]\n")
-    assert read_yaml(file)["a"] == [16, "3:0", 0.5, 1e-5, -math.inf]
+    file.write_text(f"a: [016, 3:0, .5, 1e-5, -.inf, {2**63}, -1{'0' * 400}]\n")
+    assert read_yaml(file)["a"] == [16, "3:0", 0.5, 1e-5, -math.inf, 2**63, -math.inf]
 
 
 def test_lines_and_anchors(tmp_path: Path) -> None:
@@ -128,6 +137,17 @@ def test_lines_and_anchors(tmp_path: Path) -> None:
     content = read_yaml(file)
     assert content == {"a": [1, {"b": 2}], "c": {"d": [1, {"b": 2}]}}
     assert (content.lines, content["c"].lines) == ({"a": 2, "c": 3}, {"d": 4})
+
+
+def nested(levels: int, brackets: str = "[{}]", item: str = "{1}") -> str:
+    """Return a value with lists of ten in lists of ten, by anchors and aliases."""
+    value = "x"
+    rows = []
+    for level in range(levels):
+        ten = ", ".join(item.format(number, value) for number in range(10))
+        rows.append(f"&m{level} {brackets.format(ten)}")
+        value = f"*m{level}"
+    return brackets.format(", ".join(item.format(*pair) for pair in enumerate(rows)))
 
 
 @pytest.mark.parametrize(
@@ -140,7 +160,15 @@ def test_lines_and_anchors(tmp_path: Path) -> None:
         ("a:\n\tb: 1\n", ", line 2: is not valid YAML: indent with spaces, not tabs"),
         ("a: !!int 5\n", ", line 1: is not valid YAML: its values must have no tags such as"),
         ("a: &x {b: *x}\n", ": is not valid YAML: a value contains itself"),
+        ("a: &x [*x]\n", ": is not valid YAML: a value contains itself"),
+        (f"a: {nested(8)}\n", ": is not valid YAML: its aliases (*NAME) add more than 10000"),
+        ("a: " + nested(8, "{{{}}}", "k{0}: {1}"), ": is not valid YAML: its aliases (*NAME) add"),
+        (f"a: {{? {nested(8)} : 1}}\n", ", line 1: is not valid YAML: a key must be a text"),
+        ("a: {!!str b: 1}\n", ", line 1: is not valid YAML: a key must be a text, without a tag"),
+        (f"a: {'x' * 1_000_000}\n", ": is longer than 1 MB"),
+        (f"a: [{'x, ' * 200_000}\n", ": is not valid YAML: "),
     ],
+    ids=itertools.count(),
 )
 def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
     """The error has the file, and the line if there is one."""
@@ -149,6 +177,42 @@ def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
     for read in (read_yaml, read_ros_parameters):
         reason = refusal(read, file)
         assert reason.startswith(str(file)) and words in reason
+
+
+@pytest.mark.parametrize("value", [
+    nested(4), "x" * 900_000, "7" * 5000, "-" + "9" * 400, f"[{'12345, ' * 100_000}]",
+    f"{{{', '.join(f'k{number}: 1' for number in range(5000))}}}", "2021-07-07", "[[[1]]]", "~",
+], ids=itertools.count())
+@pytest.mark.parametrize(("read", "file", "key"), [
+    (read_site, "site.yaml", "tau"), (read_site, "site.yaml", "extends"),
+    (read_sensors, "sensors.yaml", "scale"), (read_drive_file, "drives/abb_acs880.yaml", "unit"),
+    (read_relay_file, "drives/tasmota.yaml", "switch"),
+    (read_grid, "studies/horizons.yaml", "site"),
+])
+def test_no_value_fills_a_message(
+    tmp_path: Path, read: Callable[[Path], object], file: str, key: str, value: str
+) -> None:
+    """Each file is refused in a few lines, or read, whatever stands in the place of a value."""
+    text, count = re.subn(
+        rf"^( *{key}: *)\S.*", lambda match: match[1] + value, (CONFIG / file).read_text(),
+        count=1, flags=re.MULTILINE,
+    )
+    changed = tmp_path / Path(file).name
+    changed.write_text(text if count else f"{text}\n{key}: {value}\n")
+    message = ""
+    try:
+        read(changed)
+    except ConfigurationError as error:
+        message = str(error)
+    assert len(message) < 5000
+
+
+@pytest.mark.parametrize(("value", "shown"), [
+    ("a'b", '"a\'b"'), ([1, "x", None], "[1, 'x', None]"), ({"a": {"b": 1.5}}, "{'a': {'b': 1.5}}"),
+    (10**5000, "a number of thousands of digits"), (Path("/a"), "PosixPath('/a')"),
+], ids=itertools.count())
+def test_how_a_value_is_shown(value: object, shown: str) -> None:
+    assert describe_value(value) == shown
 
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:

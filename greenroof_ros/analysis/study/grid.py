@@ -15,6 +15,7 @@ from greenroof_ros.analysis.study.case import Case, InputFile, place_files
 from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import (
     YamlMapping,
+    is_there,
     read_yaml,
     shared_directory,
     unique_name,
@@ -288,7 +289,7 @@ class _Grid:
         """
         name = str(mapping[key]) if name is None else name
         for place in self._places:
-            if (place / name).exists():
+            if is_there(place / name):
                 return [place / name]
             if found := sorted(glob.glob(str(place / name))):  # noqa: PTH207
                 return [Path(file) for file in found]
