@@ -246,7 +246,7 @@ class Feed:
         if name == DIAGNOSTICS:
             if (received := wire.read_statuses(message)) is not None:
                 stamp_ns, statuses = received
-                self._store.add_statuses(time.monotonic(), statuses, stamp_ns)
+                self._store.add_statuses(time.monotonic(), statuses, stamp_ns, number)
         elif name == _CLOCK:
             if (time_ns := wire.read_value(_CLOCK_TYPE, message)) is not None:
                 self._times.receive_clock(number, time_ns)

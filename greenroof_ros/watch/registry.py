@@ -52,7 +52,21 @@ _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 class Node(NodeReport):
-    """A process of this package, with what the page reads in its values."""
+    """A process of this package, with what the page reads in its values.
+
+    Attributes:
+        number: of its last message; a publisher counts its messages.
+        copied_at: when another publisher last reported as this process (steady clock, s).
+    """
+
+    number = 0
+    copied_at = -math.inf
+
+    def count_message(self, wall: float, number: int) -> None:
+        """Compare the number of a message with the last: those of one publisher only rise."""
+        if number <= self.number:
+            self.copied_at = wall
+        self.number = number
 
     @property
     def hold(self) -> str:
@@ -122,7 +136,8 @@ class Registry:
         )
 
     def receive(
-        self, wall: float, statuses: Sequence[WireStatus], *, now: float = 0.0, stamp_ns: int = 0
+        self, wall: float, statuses: Sequence[WireStatus], *, now: float = 0.0, stamp_ns: int = 0,
+        number: int | None = None,
     ) -> None:
         """Receive the statuses of one or more messages; no content raises an exception.
 
@@ -131,6 +146,7 @@ class Registry:
             statuses: the statuses.
             now: the graph's time, by which alarms are dated (s since 1970).
             stamp_ns: time stamp of the message, in a simulation the tick's time (ns since 1970).
+            number: of the message, by its publisher; None if it is unknown.
         """
         if len(self._foreign) >= _FOREIGN:
             self._foreign = {
@@ -145,10 +161,11 @@ class Registry:
                 self._receive_other(wall, name, status)
             elif (
                 node := self._receive_node(wall, now, name, status.message, values)
-            ) is not None and (
-                self._by_role.get(PLANT) is node
-            ):
-                self._receive_plant(wall, node, stamp_ns)
+            ) is not None:
+                if number is not None:
+                    node.count_message(wall, number)
+                if self._by_role.get(PLANT) is node:
+                    self._receive_plant(wall, node, stamp_ns)
 
     def _receive_other(self, wall: float, name: str, status: WireStatus) -> None:
         """Receive a status of a part of a node, or of another device."""
@@ -345,8 +362,9 @@ class Registry:
     def _find_twins(self, name: str, wall: float) -> tuple[Node, Node] | None:
         """Return two processes that report alternately under a name, the older one first.
 
-        None if there are none. A process that replaced another one is no twin: the earlier process
-        did not report after the later one began.
+        They are the same if another publisher copies the process. None if there are none. A
+        process that replaced another one is no twin: the earlier process did not report after the
+        later one began.
         """
         online = [
             node for node in self._nodes.values() if node.name == name and node.is_online(wall)
@@ -354,7 +372,7 @@ class Registry:
         for older, newer in combinations(sorted(online, key=lambda node: node.began), 2):
             if older.received_at > newer.began:
                 return older, newer
-        return None
+        return next(((node, node) for node in online if wall - node.copied_at <= SILENT_S), None)
 
     def site(self) -> Path | None:
         """Return the site file of the graph, if it is on this machine."""

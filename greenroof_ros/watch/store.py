@@ -338,6 +338,7 @@ class GraphStore:
 
     def add_statuses(
         self, wall: float, statuses: Sequence[WireStatus], stamp_ns: int = 0,
+        number: int | None = None,
     ) -> None:
         """Add the statuses of a message on /diagnostics.
 
@@ -345,9 +346,12 @@ class GraphStore:
             wall: now.
             statuses: of one message.
             stamp_ns: time stamp of the message (ns since 1970), in a simulation by its clock.
+            number: of the message, by its publisher; None if it is unknown.
         """
         with self.lock:
-            self.graph.receive(wall, statuses, now=self._event_time, stamp_ns=stamp_ns)
+            self.graph.receive(
+                wall, statuses, now=self._event_time, stamp_ns=stamp_ns, number=number
+            )
             self._judge(wall)
             node = self.graph.node("controller")
             if node is None:

@@ -72,6 +72,15 @@ def test_processes_that_report_once_hide_no_other() -> None:
         assert bool(graph.two_pumps(at)) == (step >= 10)
 
 
+def test_a_copied_process_is_known_by_the_numbers_of_its_messages() -> None:
+    """Of one publisher they rise, also if some were lost."""
+    graph = Registry()
+    for at, number, two in ((0.0, 7, False), (1.0, 9, False), (1.2, 1, True), (2.0, 10, True),
+                            (4.0, 12, True), (5.0, 13, False)):
+        graph.receive(at, node("/pump", "pump"), number=number)
+        assert bool(graph.two_pumps(at)) == ("/pump" in graph.diagnoses(at)) == two, at
+
+
 def test_forged_nodes_take_no_room_from_others() -> None:
     graph = Registry()
     say(graph, 0.0, "pump")
