@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import re
+import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -143,3 +148,59 @@ def test_console_record_summary_and_page_have_the_same_alarms(
         assert of_pages[begins].keys() == {*names}
         for name in names:
             assert of_pages[begins][name] - NOON == expected[name], (begins, name)
+
+
+# A system clock that a process may set for itself alone, by `jump` (s).
+CLOCK_C = """
+#define _GNU_SOURCE
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+long jump = 0;
+int clock_gettime(clockid_t clock, struct timespec *now) {
+    int result = syscall(SYS_clock_gettime, clock, now);
+    if (clock == CLOCK_REALTIME) now->tv_sec += jump;
+    return result;
+}
+"""
+JUMPS = """
+import ctypes, sys, time
+from pathlib import Path
+from greenroof_ros.common.conditions import Diagnosis
+from greenroof_ros.live.live_diagnostics import ERROR, LiveDiagnostics
+from greenroof_ros.live.site_alarms import SiteAlarms
+from unittest.mock import MagicMock
+jump = ctypes.c_long.in_dll(ctypes.CDLL(None), "jump")
+site, node = SiteAlarms(Path(sys.argv[1]), "", [], print), LiveDiagnostics(MagicMock(), "pump")
+began = time.time()
+for seconds, diagnosis in (
+    (0, Diagnosis("drive_not_ready")), (int(sys.argv[2]), Diagnosis("drive_not_ready")), (0, None),
+):
+    jump.value += seconds
+    node.diagnose("drive", diagnosis, "well", ERROR)
+    status = node.diagnoses["drive"]
+    site.update({"pump": {
+        "role": "pump", "process": "host 1", "state": "ready", "up_s": 99.0, "diagnoses": {
+            "drive": {"level": status.level[0], "message": status.message,
+                      "values": status.for_programs()},
+        },
+    }})
+    time.sleep(0.3)
+assert abs(time.time() - began - int(sys.argv[2])) < 60
+"""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+@pytest.mark.parametrize("jump", [-409_967_995, -3600, 86_400])
+def test_how_long_an_alarm_lasts_when_the_system_clock_is_set(tmp_path: Path, jump: int) -> None:
+    """While an alarm lasts: stamps are of that clock, spans are not."""
+    source, library = tmp_path / "clock.c", tmp_path / "clock.so"
+    source.write_text(CLOCK_C)
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", library, source], check=True)
+    ended = subprocess.run(
+        [sys.executable, "-c", JUMPS, tmp_path, str(jump)], capture_output=True, text=True,
+        env={**os.environ, "LD_PRELOAD": str(library)}, check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    (over,) = re.findall(r"is over, after (\S+) s: /pump: drive", ended.stdout)
+    assert 0.5 < float(over) < 60
