@@ -48,12 +48,13 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-# Bash's exit code after Ctrl-C.
+# Bash's exit code after Ctrl-C, and the signals that ask a process to end.
 INTERRUPTED = 130
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def end_interrupted(*_: Any) -> None:
-    """Handle Ctrl-C while a command is imported, which can take seconds, or has ended: end at once.
+    """Handle a signal while a command is imported, for seconds, or has ended: end at once.
 
     A KeyboardInterrupt would be a traceback, or another error if a compiled module is imported.
     :func:`greenroof_ros.common.command_line.command` replaces this handler.
@@ -63,12 +64,13 @@ def end_interrupted(*_: Any) -> None:
 
 
 def end_on_interrupt() -> None:
-    """Let Ctrl-C end this process, one of this package's commands, while it is imported.
+    """Let Ctrl-C, SIGTERM and SIGHUP end this process, a command, while it is imported.
 
-    Background processes of a shell go on ignoring Ctrl-C.
+    It goes on ignoring what the shell has it ignore, such as Ctrl-C in the background.
     """
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, end_interrupted)
+    for number in SIGNALS:
+        if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
+            signal.signal(number, end_interrupted)
 
 
 # The program that Python starts, if it is of this package: the module after "python -m", whose name

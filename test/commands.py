@@ -17,7 +17,6 @@ import json
 import os
 import pkgutil
 import runpy
-import signal
 import socket
 import subprocess
 import sys
@@ -156,8 +155,7 @@ def _become(
     tempfile.tempdir = None  # which TMPDIR decides
     sys.path[:0] = [cwd, *_python_path(env)]
     sys.argv = [module, *arguments]
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, importlib.import_module("greenroof_ros").end_interrupted)
+    importlib.import_module("greenroof_ros").end_on_interrupt()
     code = 0
     for name in (module, f"{module}.__main__"):  # imported above as a part of its package
         sys.modules.pop(name, None)

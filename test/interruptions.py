@@ -25,6 +25,8 @@ from places import CHECKOUT, CONFIG
 _LIMIT_S = 120.0
 # The fork server of a study ends when it has imported what it imports first.
 _LEFT_S = 10.0
+# A command that ends so soon after the signal had ended, or does nothing wrong.
+_OVER_S = 0.02
 # What another program that uses the package prints after Ctrl-C.
 CLEANED = "cleaned up"
 _USER = f"""
@@ -186,9 +188,10 @@ def interrupt(
     reader.join(_LIMIT_S)
     took = ended - began
     text = "".join(line for line in errors if not line.startswith("import time:"))
-    if not sent:
+    if not sent or ended - sent[0] < _OVER_S:
         return "", took
-    if code not in (130, -signal.SIGINT, *codes):  # the latter is 130 in a shell, too
+    # At its very end Python has no handlers any more, and then the signal itself ends it.
+    if code not in (130, -number, *codes):
         return f"exit code {code} {ended - sent[0]:.3f} s after it: {text[-300:]}", took
     if "Traceback" in text:
         return f"a traceback: {text[-2000:]}", took

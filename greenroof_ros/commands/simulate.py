@@ -10,7 +10,7 @@ from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, command, make_number_type
+from greenroof_ros.common.command_line import Parser, check_interrupts, command, make_number_type
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment import summary, summary_table
@@ -74,6 +74,7 @@ def main() -> None:
     result = simulation.summary()
     summary.write(result, directory)
     summary_table.show(result, directory, as_json=arguments.json)
+    check_interrupts()
 
 
 @contextmanager
@@ -88,8 +89,8 @@ def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[No
     try:
         write(summary.RUNNING)
         yield
-    except KeyboardInterrupt:
-        write(summary.INTERRUPTED, "interrupted by SIGINT")
+    except KeyboardInterrupt as error:
+        write(summary.INTERRUPTED, f"interrupted by {error}")
         raise
     except Exception as error:
         write(summary.FAILED, str(error))
@@ -107,6 +108,7 @@ def _paced(
         if speed:
             time.sleep(max(0.0, began + tick.k * run.site.tau / speed - now))
         if now - shown > INTERVAL_S or tick.k == run.steps:
+            check_interrupts()
             shown = now
             progress.show_tick(tick.k, tick.cistern_level, tick.roof_level, tick.command)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
@@ -103,7 +102,6 @@ def make_parser() -> Parser:
 def main() -> int:
     """Run a study, or the cases of it that are not finished."""
     arguments = make_parser().parse_args()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # acts like Ctrl-C
     if arguments.scheduler is not None and arguments.jobs is not None:
         raise ConfigurationError(
             "cannot be used with --scheduler: the cluster sets how many", key="--jobs"

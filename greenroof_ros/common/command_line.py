@@ -17,14 +17,14 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
-from greenroof_ros import INTERRUPTED, end_interrupted
+from greenroof_ros import INTERRUPTED, SIGNALS, end_interrupted
 from greenroof_ros.common.errors import (
     ConfigurationError,
     OccupiedError,
     describe_choices,
     find_similar,
 )
-from greenroof_ros.common.processes import end_with_parent
+from greenroof_ros.common.processes import end_with_parent, find_signal, store_signals
 from greenroof_ros.common.ranges import Range
 
 EXIT_DONE = 0
@@ -39,40 +39,60 @@ def exit_code(error: Exception) -> int:
     return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
 
 
-class _Interrupted(KeyboardInterrupt):
-    """Ctrl-C; after a KeyboardInterrupt itself Python may end by the signal, with any exit code."""
+class Interrupted(KeyboardInterrupt):
+    """A signal asks the command to end; the message names it.
+
+    After a KeyboardInterrupt itself Python may end by the signal, with any exit code.
+    """
 
 
 class _Interrupts:
-    """The handler of Ctrl-C: raises, and again every second until the command has ended.
+    """The handler of signals: raises, and again every second until the command has ended.
 
-    Compiled code can discard an exception. A module that is being imported can turn it into another
-    one, or go on without what it tried to import; so it is raised after the import, or in it if
-    that takes long.
+    Compiled code can discard an exception, or turn it into another one. A module that is being
+    imported can do so, too, or go on without what it tried to import; so it is raised after the
+    import, or in it if that takes long.
     """
 
     _IMPORT_S, _MAX_IMPORTS, _REPEAT_S = 0.05, 40, 1.0
 
     def __init__(self) -> None:
         self.received = 0
+        self._numbers = [
+            number for number in SIGNALS if signal.getsignal(number) is end_interrupted
+        ]
+        for number in self._numbers:
+            signal.signal(number, self)
+        if self._numbers:
+            store_signals()
 
-    def __call__(self, _: int, frame: FrameType | None) -> None:
+    def __call__(self, number: int, frame: FrameType | None) -> None:
         self.received += 1
         is_importing = False
         while frame is not None and self.received <= self._MAX_IMPORTS:
             is_importing |= frame.f_code.co_filename.startswith("<frozen importlib")
             frame = frame.f_back
-        # As SIGINT again, for the handler that there may be by then.
-        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+        # As the signal again, for the handler that there may be by then.
+        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
         signal.setitimer(signal.ITIMER_REAL, self._IMPORT_S if is_importing else self._REPEAT_S)
         if not is_importing:
-            raise _Interrupted
+            raise Interrupted(signal.Signals(number).name)
 
     def end(self) -> None:
-        """End the process at once if Ctrl-C comes from now on."""
-        signal.signal(signal.SIGINT, end_interrupted)
+        """End the process at once if a signal comes from now on."""
+        for number in self._numbers:
+            signal.signal(number, end_interrupted)
         if self.received:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def check_interrupts() -> None:
+    """Raise :class:`Interrupted` if a signal was received, though other code may have taken it.
+
+    A class that a user gives can handle signals itself, or discard a KeyboardInterrupt.
+    """
+    if (received := find_signal()) is not None:
+        raise Interrupted(received.name)
 
 
 def _discard_what_cannot_be_printed() -> None:
@@ -90,8 +110,9 @@ def command(
 
     A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 if
     another graph is in the way. A file or an output that cannot be written becomes one line and
-    exit code 1, and Ctrl-C exit code 130. None of them leaves a traceback. If no one reads the
-    output any more, as after ``| head``, nothing is printed and the exit code is 1.
+    exit code 1, and a signal that asks to end, such as Ctrl-C, exit code 130. None of them leaves a
+    traceback. If no one reads the output any more, as after ``| head``, nothing is printed and the
+    exit code is 1.
 
     Args:
         main: the function.
@@ -125,20 +146,15 @@ def command(
         if isinstance(sys.stdout, io.TextIOWrapper):  # not one that a Python caller put there
             sys.stdout.reconfigure(line_buffering=True)
         interrupts = _Interrupts()
-        is_program = signal.getsignal(signal.SIGINT) is end_interrupted
         try:
-            if is_program:
-                signal.signal(signal.SIGINT, interrupts)
             code = run()
-            if is_program:
-                interrupts.end()
+            interrupts.end()
             if interrupts.received:
-                raise _Interrupted
-        except (KeyboardInterrupt, ImportError) as error:
-            if is_program:
-                interrupts.end()
-            # While a compiled module is imported, Ctrl-C becomes an ImportError.
-            if not isinstance(error.__cause__ or error, KeyboardInterrupt):
+                raise Interrupted
+        except BaseException as error:
+            interrupts.end()
+            # Compiled code can turn it into any other error.
+            if not isinstance(error, KeyboardInterrupt) and not interrupts.received:
                 raise
             print("interrupted", file=sys.stderr)
             code = EXIT_INTERRUPTED

@@ -23,6 +23,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from greenroof_ros import SIGNALS
 from greenroof_ros.common.errors import ConfigurationError, HangError
 
 _PR_SET_PDEATHSIG = 1
@@ -229,7 +230,25 @@ def refuse_forked_polars() -> None:
 
 _IMPORTED_BY = os.getpid()
 os.register_at_fork(before=_watch_polars)
-_NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# A pipe to which Python writes the number of each signal; None until it does.
+_stored: int | None = None
+
+
+def store_signals() -> None:
+    """Store each signal from now on, whoever handles it in Python, for :func:`find_signal`."""
+    global _stored
+    _stored, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+
+
+def find_signal() -> signal.Signals | None:
+    """Return a signal to end that was stored since the last call; None if there is none."""
+    if _stored is not None:
+        with contextlib.suppress(BlockingIOError):
+            for number in os.read(_stored, 4096):
+                if number in SIGNALS:
+                    return signal.Signals(number)
+    return None
 
 
 class InterruptedRun(Exception):
@@ -246,7 +265,7 @@ class Signals:
 
     def __init__(self) -> None:
         self._received: signal.Signals | None = None
-        for number in _NUMBERS:
+        for number in SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._on_signal)
 
@@ -254,19 +273,20 @@ class Signals:
         self._received = signal.Signals(signum)
 
     @property
-    def received(self) -> bool:
-        """Whether one was received, perhaps when nothing checked for it any more."""
-        return self._received is not None
+    def received(self) -> signal.Signals | None:
+        """The signal that was received, though other code may have handled it; None if none was."""
+        self._received = self._received or find_signal()
+        return self._received
 
     def ignore(self) -> None:
         """Ignore further signals, which would interrupt the shutdown of the interpreter."""
-        for number in _NUMBERS:
+        for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
     def check(self) -> None:
         """Raise :class:`InterruptedRun` if a signal was received."""
-        if self._received is not None:
-            raise InterruptedRun(f"interrupted by {self._received.name}")
+        if (received := self.received) is not None:
+            raise InterruptedRun(f"interrupted by {received.name}")
 
 
 @contextlib.contextmanager
