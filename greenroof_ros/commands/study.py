@@ -141,13 +141,14 @@ def main() -> int:
                 signals = Signals()  # from now on a signal ends the study between two results
                 _run(store, open_cases, list(unbounded.values()), workers, signals)
     except (BrokenExecutor, InterruptedRun) as error:
-        code = EXIT_INTERRUPTED if isinstance(error, InterruptedRun) else EXIT_FAILED
+        # A signal to all processes, as of a batch system, also ends the workers.
+        received = None if signals is None else signals.received
+        why = f"error: {error}" if received is None else f"interrupted by {received.name}"
         print(
-            f"{'' if code == EXIT_INTERRUPTED else 'error: '}{error}: {len(store.outcomes)} of "
-            f"{len(cases)} cases are stored; run the same command again to continue",
-            file=sys.stderr,
+            f"{why}: {len(store.outcomes)} of {len(cases)} cases are stored; run the same command "
+            "again to continue", file=sys.stderr,
         )
-        return code
+        return EXIT_FAILED if received is None else EXIT_INTERRUPTED
     finally:
         rows = store.write_table()
     show(rows, store.directory)

@@ -84,16 +84,17 @@ def test_a_killed_worker_ends_the_study(tmp_path: Path) -> None:
     assert sorted(status) == ["done"] * done + ["not run"] * (6 - done)
 
 
-def test_interrupted_while_workers_start(tmp_path: Path) -> None:
-    """Ctrl-C while the fork server imports: it prints no traceback."""
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_while_workers_start(tmp_path: Path, number: signal.Signals) -> None:
+    """All processes get the signal, as from a terminal or a batch system, while one imports."""
     grid(tmp_path)
     process = begun(tmp_path)
     server = wait_for(lambda: fork_server(process.pid), 120, "a fork server")
     # During its imports, which take half a second or more.
     wait_for(lambda: processor_s(server) > 0.2, 60, "imports of the fork server")
-    os.killpg(process.pid, signal.SIGINT)
+    os.killpg(process.pid, number)
     _, errors = process.communicate(timeout=300)
-    assert process.returncode == 130
+    assert process.returncode == 130, errors
     assert "Traceback" not in errors
     wait_for_end([server])
 
