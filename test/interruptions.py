@@ -92,7 +92,7 @@ def prepare(directory: Path) -> None:
     for run in "finished", "killed":
         words = f"run --controller onoff --hours 0.2 --output {run}"
         subprocess.run(
-            [sys.executable, "-m", "greenroof_ros", *words.split()], cwd=directory, check=True,
+            [sys.executable, "-m", "greenroof_ros", *words.split()], cwd=directory, check=False,
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )
     (directory / "killed/bag/metadata.yaml").unlink()
@@ -223,13 +223,13 @@ def main() -> None:
     count, number, names = int(sys.argv[1]), signal.Signals[sys.argv[2]], sys.argv[3:]
     draw = random.Random(1)
     env = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    for name in names or COMMANDS:
-        codes = {0} if name in _ASKED_TO_END else set()
-        with tempfile.TemporaryDirectory() as place:
-            directory, wrong = Path(place), 0
-            prepare(directory)
+    with tempfile.TemporaryDirectory() as place:
+        directory = Path(place)
+        prepare(directory)
+        for name in names or COMMANDS:
             with _service(name, directory) as last:
-                words = COMMANDS[name] + last
+                codes = {0} if name in _ASKED_TO_END else set()
+                words, wrong = COMMANDS[name] + last, 0
                 takes = _ENDLESS_S.get(name) or interrupt(words, 1e3, directory, env)[1]
                 for _ in range(count):
                     after = draw.uniform(0.0, takes)
@@ -237,7 +237,7 @@ def main() -> None:
                     if problem:
                         wrong += 1
                         print(f"{name}, {after:.3f} of {takes:.3f} s: {problem}", flush=True)
-        print(f"{name}, {number.name}: {wrong} of {count} wrong", flush=True)
+            print(f"{name}, {number.name}: {wrong} of {count} wrong", flush=True)
 
 
 if __name__ == "__main__":
