@@ -195,7 +195,8 @@ def interrupt(
         return f"exit code {code} {ended - sent[0]:.3f} s after it: {text[-300:]}", took
     if "Traceback" in text:
         return f"a traceback: {text[-2000:]}", took
-    if "user" in words and CLEANED not in printed:
+    # By SIGTERM a program of Python ends at once, unless it has a handler.
+    if "user" in words and number == signal.SIGINT and CLEANED not in printed:
         return f"no finally: {text[-300:]}", took
     while left := [it.name for it in Path("/proc").iterdir() if _session(it.name) == process.pid]:
         if time.monotonic() - ended > _LEFT_S:
