@@ -70,13 +70,13 @@ class Taker(OnOff):
 @pytest.mark.parametrize("command", ["simulate", "run"])
 @pytest.mark.parametrize("words", [("take()", "pass"), ("", "take()"), ("", "time.sleep(0.001)")])
 def test_a_class_that_takes_signals(
-    words: tuple[str, str], command: str, number: signal.Signals, tmp_path: Path
+    words: tuple[str, str], command: str, number: signal.Signals, tmp_path: Path, domain: int
 ) -> None:
     (tmp_path / "mine.py").write_text(TAKER.format(*words))
     options = f"{command} {LONG[command]} --controller mine:Taker --output out"
     process = subprocess.Popen(
         [sys.executable, "-m", "greenroof_ros", *options.split()], cwd=tmp_path, text=True,
-        env=environment(0), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        env=environment(domain), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
     )
     wait_for((tmp_path / "ready").exists, 120, "its first command")
     process.send_signal(number)

@@ -71,8 +71,8 @@ def main() -> None:
                 ticks = _written(run, ticks, every, directory / CSV)
             for _ in ticks:
                 pass
-    result = simulation.summary()
-    summary.write(result, directory)
+        result = simulation.summary()
+        summary.write(result, directory)
     summary_table.show(result, directory, as_json=arguments.json)
     check_interrupts()
 
