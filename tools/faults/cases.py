@@ -268,7 +268,8 @@ def _brokers() -> Iterator[Case]:
         ("paused", level),
         ("half_open", level),
         ("retained", replace(level, signs=(*level.signs, lost[0]))),
-        ("hostile", Expected(stops=None, bound="level", signs=lost[:1])),
+        ("hostile", Expected(stops=None, bound="level", signs=(
+            ("cistern_sensor: sensor", "readings_refused"),))),
     ):
         yield Case(rig, "broker", fault, expected)
     for tank, sensor in zip(("cistern", "roof"), lost, strict=True):

@@ -125,12 +125,14 @@ class MqttReader(SensorReader):
         now = time.monotonic()
         if retained:
             raise ValueError("has sent nothing yet; the retained message may be old")
-        suspended = self._readings.clear_after_suspend()
-        if suspended or now - self._heard_at > self._sensor.max_age:
+        suspended, before, self._heard_at = (
+            self._readings.clear_after_suspend(), self._heard_at, now
+        )
+        if suspended or now - before > self._sensor.max_age:
             self._ignoring_until = now + _IGNORING_S
-        self._heard_at = now
-        if now < self._ignoring_until:
             raise ValueError("sends again, but its first messages may be old")
+        if now < self._ignoring_until:
+            return
         value = self._readings.add(read_number(payload, self._sensor))
         self._reading = Reading(now, "", value)
 
