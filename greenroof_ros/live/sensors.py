@@ -91,10 +91,9 @@ class SensorNode(LiveNode):
                 # An empty tank or a stopped pump reads slightly below 0: noise, or a shifted zero.
                 self.publish(self._topic, max(reading.value, self._lowest))
             problem = Diagnosis.if_any(reading.code, reading.problem)
-            self.reports.diagnose(
-                self._part, self._reader.share.diagnosis or problem, "the sensor is read",
-                self._level,
-            )
+            if problem is None or problem.code == "sensor_lost":  # no reading of a lost broker
+                problem = self._reader.share.diagnosis or problem
+            self.reports.diagnose(self._part, problem, "the sensor is read", self._level)
 
     def on_stop(self) -> None:
         """Close the connection to the sensor."""
