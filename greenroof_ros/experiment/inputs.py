@@ -186,7 +186,7 @@ INPUTS: dict[str, Parameter] = {
         *parameters_of(RunInputs),
         Parameter(
             "forecast", PERFECT, meaning="what the controller knows about the coming weather. "
-            "perfect: all of it; persistence: it stays unchanged; errors: a forecast as good as "
+            "perfect: all of it; errors: a forecast as good as "
             "real ones; ensemble: several of these; a file, or a directory of files: archived "
             "forecasts, in this project's CSV, or CSV or JSON of Open-Meteo. All but perfect are "
             "issued every 6 hours, archived forecasts at their own times",

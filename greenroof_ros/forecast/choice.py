@@ -20,7 +20,6 @@ FILE = "file"
 # Each model and its OPTIONS; an archive is named by its path.
 MODELS: dict[str, tuple[str, ...]] = {
     PERFECT: (),
-    "persistence": (),
     "errors": ("skill", "seed", "delay"),
     "ensemble": ("skill", "seed", "members", "delay"),
 }

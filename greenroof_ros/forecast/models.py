@@ -115,11 +115,6 @@ class ForecastModel(ABC):
         return self._weather.end if past else None
 
 
-def _find_issue_time(weather: Weather, hour: int) -> datetime:
-    """Return the time of the issue every six hours that is the newest in an hour."""
-    return from_epoch_ns(find_newest_issue(weather.first, hour)[0] * 3600 * 10**9)
-
-
 class PerfectModel(ForecastModel):
     """Knows the records themselves."""
 
@@ -128,36 +123,6 @@ class PerfectModel(ForecastModel):
         index = np.arange(hour, hour + hours)
         rain = select_records(self._weather, PRECIPITATION, index)
         return rain[None, :], select_records(self._weather, EVAPOTRANSPIRATION, index)
-
-
-class PersistenceModel(ForecastModel):
-    """Forecasts that the weather stays as it is.
-
-    It rains in all hours as in the hour of issue. Evapotranspiration has a daily cycle: its value
-    is from the same hour of the last day that is known at the issue or, if the records lack it,
-    from the hour of issue. No later record is used.
-    """
-
-    def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Return the forecast; see :class:`ForecastModel`."""
-        weather = self._weather
-        issued = max(find_newest_issue(weather.first, hour)[1], 0)
-        lead = hour - issued + np.arange(hours)
-        before = issued + lead - 24 * -(-lead // 24)
-        now = select_records(weather, EVAPOTRANSPIRATION, np.array([issued]))
-        evapotranspiration = np.where(
-            before < 0, now, weather.evapotranspiration[np.maximum(before, 0)]
-        )
-        evapotranspiration = np.where(np.isnan(evapotranspiration), now, evapotranspiration)
-        rain = np.full((1, hours), select_records(weather, PRECIPITATION, np.array([issued])))
-        return rain, evapotranspiration
-
-    def issued(self, hour: int) -> datetime:
-        """Return the time of the newest issue; see :class:`ForecastModel`."""
-        return _find_issue_time(self._weather, hour)
-
-    def repeats_from(self, hour: int, hours: int) -> None:
-        """Return None: no record after the issue is needed."""
 
 
 class FileModel(ForecastModel):
@@ -380,7 +345,8 @@ class ErrorModel(ForecastModel):
 
     def issued(self, hour: int) -> datetime:
         """Return the time of the newest issue; see :class:`ForecastModel`."""
-        return _find_issue_time(self._weather, hour - self._delay)
+        issue, _ = find_newest_issue(self._weather.first, hour - self._delay)
+        return from_epoch_ns(issue * 3600 * 10**9)
 
     def _make(self, issue: int, issued: int, leads: int) -> tuple[Array, Array]:
         """Make the forecast of an issue (h since 1970; index of its hour in the records).
@@ -515,8 +481,6 @@ def make_model(
     if choice.file is not None:
         archive = read_archive(choice.file, site, choice.delay)
         return FileModel(archive, weather, all_members)
-    if choice.model == "persistence":
-        return PersistenceModel(weather)
     members = choice.members if all_members and choice.model == "ensemble" else 1
     if choice.model == PERFECT:
         return PerfectModel(weather)

@@ -22,7 +22,6 @@ from greenroof_ros.forecast.models import (
     ErrorModel,
     FileModel,
     ForecastModel,
-    PersistenceModel,
     make_model,
 )
 from greenroof_ros.forecast.resampling import (
@@ -185,31 +184,6 @@ def test_errors_are_known_as_late_as_a_services() -> None:
             assert delayed.issued(hour) == MIDNIGHT.replace(hour=(hour - late) // 6 * 6)
 
 
-def test_persistence_by_hand() -> None:
-    """ET of hour h is h/10 mm/day; at 08:00 the next day the newest issue is of 06:00, hour 30.
-
-    Hour 54 is 24 h after the issue and has the value of hour 30. Hour 55 is at 07:00, and the last
-    07:00 known at the issue is hour 7. The hour of issue stands in for a gap, and for the day
-    before on the records' first day.
-    """
-    weather = weather_of(np.arange(100) / 7, np.arange(100) / 10)
-    rain, evapotranspiration = PersistenceModel(weather).forecast(32, 30)
-    assert rain.tolist() == [[30 / 7] * 30]
-    assert PersistenceModel(weather).issued(32) == MIDNIGHT + 30 * HOUR
-    expected = [*range(8, 31), *range(7, 14)]
-    assert evapotranspiration.tolist() == [hour / 10 for hour in expected]
-    gap = np.arange(40) / 10
-    gap[[7, 8]] = np.nan
-    model = PersistenceModel(weather_of(np.arange(40), gap))
-    assert model.forecast(6, 3)[1].tolist() == [0.6] * 3
-    assert model.forecast(30, 4)[1].tolist() == [3.0, 3.0, 3.0, 0.9]
-    # For an issue from before the records, their first hour persists.
-    model = PersistenceModel(weather_of([3, 4, 5], [1, 2, 3], MIDNIGHT.replace(hour=4)))
-    assert model.issued(1) == MIDNIGHT
-    rain, evapotranspiration = model.forecast(1, 4)
-    assert (rain.tolist(), evapotranspiration.tolist()) == ([[3.0] * 4], [1.0] * 4)
-
-
 def test_missing_rain_is_not_guessed() -> None:
     """A run is refused before it begins, even if only a forecast would have needed the hour.
 
@@ -224,8 +198,6 @@ def test_missing_rain_is_not_guessed() -> None:
         series = WeatherSeries(weather, PAPER_SITE, start, 3600)
         return make_forecast(weather, series, PAPER_SITE, start, horizon, ForecastChoice(model))
 
-    refusal(made, "persistence", 8, 0.0, match=r"drawn.csv: precipitation is .*2021-07-07T06:00")
-    assert made("persistence", 12, 12.0).repeats_from is None
     for model in ("perfect", "errors"):
         assert made(model, 12, 6.0).repeats_from is None
         refusal(made, model, 12, 12.0, match="missing at 2021-07-07T20:00")
@@ -339,12 +311,11 @@ def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
 
 
 def test_end_of_the_records() -> None:
-    """Perfect forecasts and errors then repeat the last record; persistence needs none of them."""
+    """Perfect forecasts and errors then repeat the last record."""
     options = ("--start", "2021-07-09T00:00", "--controller", "anticipating_onoff")
     end = "2021-07-10 00:00:00-05:00"
     for model, hours, repeats_from in (
         ("perfect", "12", "None"), ("perfect", "12.0025", end), ("errors", "12.0025", end),
-        ("persistence", "12.0025", "None"),
     ):
         run = paper_run(*options, "--hours", hours, "--horizon", "12", "--forecast", model)
         assert str(run.forecast.repeats_from) == repeats_from

@@ -183,7 +183,7 @@ def simulate(
               from UTC it is the wall clock of the site's ``time_zone``, or else in the weather's
               zone or offset. By default the paper's window, 2021-07-07T02:00-05:00.
             - ``hours``: length of the run (h); by default N of the site file, 12 h.
-            - ``forecast``: ``"perfect"``, ``"persistence"``, ``"errors"``, ``"ensemble"``, or the
+            - ``forecast``: ``"perfect"``, ``"errors"``, ``"ensemble"``, or the
               path of archived forecasts; with ``forecast_skill``, ``forecast_seed``,
               ``forecast_members`` and ``forecast_delay`` (h), as the command's options.
             - ``initial``: ``"low-low"``, ``"high-low"`` or ``"high-high"``, Table II of the paper,

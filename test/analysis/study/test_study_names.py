@@ -28,7 +28,7 @@ weather:
   - file: north/storm.csv
     start: 2021-07-07T02:00
     hours: 0.01
-    forecast: [persistence, north/archive.csv, south/archive.csv,
+    forecast: [{model: ensemble, members: 2}, north/archive.csv, south/archive.csv,
                {model: errors, skill: [real, worse], seed: [1, 2]}]
 initial: low-low
 sensor_and_pump: [{roof_noise: 0.0005}, {roof_noise: 0.00050000001}]
