@@ -52,6 +52,8 @@ TAKER = """
 import signal, time
 from pathlib import Path
 from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.experiment import summary
+def slow(*given, write=summary.write): time.sleep(1.5); write(*given)
 def take(): [signal.signal(n, lambda *_: None) for n in (signal.SIGINT, signal.SIGTERM)]
 {}
 class Taker(OnOff):
@@ -68,7 +70,10 @@ class Taker(OnOff):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("command", ["simulate", "run"])
-@pytest.mark.parametrize("words", [("take()", "pass"), ("", "take()"), ("", "time.sleep(0.001)")])
+@pytest.mark.parametrize("words", [
+    ("take()", "pass"), ("", "take()"), ("", "time.sleep(0.001)"),
+    ("summary.write = slow", "pass"),  # as on a busy disk
+])
 def test_a_class_that_takes_signals(
     words: tuple[str, str], command: str, number: signal.Signals, tmp_path: Path, domain: int
 ) -> None:

@@ -10,7 +10,13 @@ from datetime import timedelta
 from operator import attrgetter
 from pathlib import Path
 
-from greenroof_ros.common.command_line import Parser, check_interrupts, command, make_number_type
+from greenroof_ros.common.command_line import (
+    Parser,
+    check_interrupts,
+    command,
+    end_repeats,
+    make_number_type,
+)
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment import summary, summary_table
@@ -90,6 +96,7 @@ def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[No
         write(summary.RUNNING)
         yield
     except KeyboardInterrupt as error:
+        end_repeats()
         write(summary.INTERRUPTED, f"interrupted by {error}")
         raise
     except Exception as error:

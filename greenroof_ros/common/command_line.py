@@ -86,6 +86,11 @@ class _Interrupts:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
+def end_repeats() -> None:
+    """Raise :class:`Interrupted` no more: the command has begun to end, and writes how."""
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
 def check_interrupts() -> None:
     """Raise :class:`Interrupted` if a signal was received, though other code may have taken it.
 
