@@ -128,6 +128,10 @@ def _find_listener(address: str) -> int | None:
     return int(_CREDENTIALS.unpack(credentials)[0]) or None  # 0: in another process namespace
 
 
+LOCK_BYTES = 32
+"""length of the holder's number in the file of a lock (bytes); what follows it is the holder's"""
+
+
 def acquire_file_lock(path: Path) -> FileIO:
     """Return the open file of a lock; the lock is held until the file is closed.
 
@@ -144,7 +148,7 @@ def acquire_file_lock(path: Path) -> FileIO:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            text = lock.read(32).decode("ascii", "replace").strip()
+            text = lock.read(LOCK_BYTES).decode("ascii", "replace").strip()
             lock.close()
             raise LockedError(path, int(text) if text.isdecimal() else None) from None
         # The last holder may have removed the file after we opened it and before we locked it.
@@ -152,8 +156,7 @@ def acquire_file_lock(path: Path) -> FileIO:
             break
         lock.close()
     with contextlib.suppress(OSError):  # a full disk: the lock holds all the same
-        lock.truncate(0)
-        lock.write(f"{os.getpid()}\n".encode())
+        lock.write(f"{os.getpid()}\n".ljust(LOCK_BYTES).encode())
     return lock
 
 

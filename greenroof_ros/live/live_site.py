@@ -23,6 +23,7 @@ from greenroof_ros.live.devices.drive import DriveEndpoint
 from greenroof_ros.live.devices.modbus_line import parse_address
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sensors, read_sensors
 from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, read_drive_choice
+from greenroof_ros.live.pumping.ledger import RECORD
 from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.model.site import read_site
 
@@ -156,7 +157,7 @@ class LiveSite:
         if self.drive is not None:
             yield NodeStart(
                 PUMP, "greenroof_ros.live.pump", (),
-                {**common, **vars(self.drive), "state_file": str(state / "pump.json")},
+                {**common, **vars(self.drive), "state_file": str(state / RECORD)},
             )
         yield NodeStart(
             RECORDER, "greenroof_ros.live.recorder", (),

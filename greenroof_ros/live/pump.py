@@ -49,7 +49,7 @@ from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.model.site import Site
 
 _COMMAND_LIMIT = LIMITS["/pump/command"]
-# How long a suspend of the machine is reported (s).
+# How long a suspend of the machine, or a changed record, is reported (s).
 _REPORTED_S = 60.0
 # How often a state that could not be saved yet is written again, and how often the node reports on
 # the drive (s).
@@ -124,6 +124,7 @@ class PumpNode(LiveNode):
         self._resetting_until = self._reported_at = -math.inf
         self._stepped, self._watched = boot_time(), time.monotonic()
         self._suspended, self._suspended_at = suspended_time(), -math.inf
+        self._changed_at = -math.inf  # when another program was found to have changed the record
         self._levels = Levels(site, values, self.subscribe)
         of_levels = {"cistern_level": self._levels.cistern, "roof_level": self._levels.roof}
         self._by_name = {
@@ -259,9 +260,11 @@ class PumpNode(LiveNode):
         if now - self._reported_at > _REPORT_S:
             self._reported_at = now
             self._acquire_state()
+            if self._ledger.check_file():
+                self._changed_at = now
             self._pump_reports.update(
                 now, self._site, self._state, self._decision, self._control.doses.last,
-                self._ledger.problem, self._second_pump(),
+                self._ledger.problem, now - self._changed_at < _REPORTED_S, self._second_pump(),
             )
 
     def on_stop(self) -> None:

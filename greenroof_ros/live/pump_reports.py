@@ -34,7 +34,7 @@ class PumpReports:
 
     def update(
         self, now: float, site: Site, state: PumpState, decision: Decision, dose: Dose | None,
-        unsaved: str, second_pump: Diagnosis | None,
+        unsaved: str, changed: bool, second_pump: Diagnosis | None,
     ) -> None:
         """Report each part.
 
@@ -45,6 +45,7 @@ class PumpReports:
             decision: the last decision.
             dose: the dose that waits, runs, or ended a moment ago; None if there is none.
             unsaved: why the state would be forgotten at a restart; empty if it would not.
+            changed: whether another program has just changed the record.
             second_pump: that there is another pump node; None if there is not.
         """
         diagnose = self._reports.diagnose
@@ -75,9 +76,10 @@ class PumpReports:
             known_for if decision.blind_for else "what is pumped is compared with both levels",
             WARN,
         )
-        diagnose(
-            "state file", Diagnosis.if_any("state_not_kept", unsaved), "holds and faults are kept"
-        )
+        diagnosis, level = Diagnosis.if_any("state_not_kept", unsaved), ERROR
+        if diagnosis is None and changed:
+            diagnosis, level = Diagnosis.of("record_changed"), WARN
+        diagnose("state file", diagnosis, "holds and faults are kept", level)
         self._diagnose_drive(now)
 
     def _diagnose_inputs(self, decision: Decision) -> None:

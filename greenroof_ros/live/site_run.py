@@ -40,6 +40,7 @@ from greenroof_ros.experiment.summary import versions
 from greenroof_ros.graph.domain import lock_namespace, refuse_other_nodes, require_ros
 from greenroof_ros.graph.parameter_file import node_parameter_files
 from greenroof_ros.live.live_site import MIN_BAG_MB, LiveSite
+from greenroof_ros.live.pumping.ledger import RECORD, make_record
 from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.model.site import format_site, read_site
@@ -79,6 +80,8 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
         _state_directory(state) as state,
         scratch_directory(IN_MEMORY) as memory,
     ):
+        if site.drive is not None:
+            make_record(state / RECORD)
         _fit_bag(site, state / "bag")
         nodes = list(site.nodes(state))
         configuration = _Configuration(memory, site, user_files, nodes)

@@ -445,6 +445,27 @@ def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
     rig.run()
 
 
+def test_a_record_that_is_removed(rig: PumpRig) -> None:
+    """The node writes it again and warns; removed while it is down, the pump stays off."""
+    rig.simulate()
+    file = rig.cwd / "pump.json"
+    node = rig.start(state_file=file)
+    rig.join()
+    assert rig.call(SetBool, "stop", data=True).success
+    file.unlink()
+    rig.until_code("state file", "record_changed")
+    assert "the operator" in file.read_text()
+    node.kill()
+    node.wait()
+    file.unlink()
+    rig.start(state_file=file)
+    rig.join()
+    rig.until_code("pump", "record_unknown")
+    assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
+    assert rig.call(Trigger, "reset").success
+    rig.run()
+
+
 def test_commands_without_a_graph_say_what_to_do(domain: int, tmp_path: Path) -> None:
     """A time in the past is refused first, since no graph would accept it."""
     dose, reset, past = (

@@ -15,12 +15,14 @@ space is allocated when it is made, so a hold or a fault can be saved even if th
 (except on file systems that never write in place: btrfs, zfs). Each line begins with its checksum
 and is one page long. A kill does not tear a page, but a power cut may. Then the other line is
 intact, but the torn one may have had a hold or a fault: this is unknown. So it is if the file
-cannot be read, is of a later format, or is missing while another file shows that it existed. Keys
-that this version does not know are ignored, and some may be missing. The file is made under another
-name and renamed once.
+cannot be read, is of a later format, is an older copy or another site's, or is missing while
+another file shows that there was a pump node before. Keys that this version does not know are
+ignored, and some may be missing. The file is made under another name and renamed once.
 
 The disk thread writes, so a slow disk does not delay the control of the pump. A lock on a file
 next to it lets only one ledger write: the record of a second one would erase a hold or a fault.
+That file also has the number of the last line that was written. Numbers begin at random, so they
+differ between sites. If another program removes or changes the file, it is written again.
 
 Use is counted in slots of half an hour, over the last 24 h of the ledger's clock, which starts at
 its first step and counts the time of the machine's steady clock, with or without the node. Time
@@ -34,7 +36,9 @@ import errno
 import json
 import math
 import os
+import secrets
 import stat
+import time
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
@@ -45,13 +49,16 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.alarm_log import ALARMS
 from greenroof_ros.common.conditions import Diagnosis
 from greenroof_ros.common.disk import DISK, PATIENCE_S, LatestWriter
-from greenroof_ros.common.processes import LockedError, acquire_file_lock
+from greenroof_ros.common.processes import LOCK_BYTES, LockedError, acquire_file_lock
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.common.times import boot_id, boot_time, to_people
 
 DAY_S = 86_400.0
+RECORD = "pump.json"
+"""the file's name in the directory of a live site"""
 # Length of a slot (s), and how many the last 24 h touch.
 _SLOT_S, _SLOTS = 1800.0, 49
 MAX_NUMBER = 1e11
@@ -63,7 +70,12 @@ _TEXT, _OWNER, _STARTS = 350, 40, 100
 # The format of the file. A later one has another meaning of a key, not only further keys.
 _VERSION = 1
 # What is next to the file while it is made; another version moved a broken file away.
-_NEW, _LEFTOVERS = ".new", (".new", ".broken")
+_NEW, _LOCK, _LEFTOVERS = ".new", ".lock", (".new", ".broken")
+# What a live site writes next to it.
+_OF_SITE = ("summary.json", ALARMS, "bag", "configuration")
+# How many lines may have been written after the last number that is on the disk: the number is not
+# forced there. And the range of the first numbers.
+_UNNOTED, _FIRST = 10_000, 2**44
 # Starts to remember: no pump may start more often in the hour that counts.
 _MAX_STARTS = 3600
 # While the pump is on, at most this much of its use is not yet on the disk (s).
@@ -156,8 +168,9 @@ class Ledger:
         if file is not None:
             self._lines = _Lines(file)
             self._writer = LatestWriter(self._lines.write, partial(_error_text, file))
+            noted = _read_number(file)
             self._lock(file)
-            self._load(file)
+            self._load(file, noted)
 
     def acquire(self) -> bool:
         """Acquire the file if another ledger had it or it could not be made; return whether so.
@@ -165,10 +178,13 @@ class Ledger:
         Its present content counts, plus a hold and a fault that came here meanwhile. An earlier
         release does not apply to it, nor to its being unreadable.
         """
-        if self._file is None or self._file_lock is not None or not self._lock(self._file):
+        if self._file is None or self._file_lock is not None:
+            return False
+        noted = _read_number(self._file)
+        if not self._lock(self._file):
             return False
         mine, before = self.record, self._at_start
-        self._load(self._file)
+        self._load(self._file, noted)
         if mine.hold_owner and mine.hold != before.hold:
             self.hold(*mine.hold)
         if mine.fault and mine.fault != before.fault:
@@ -179,17 +195,17 @@ class Ledger:
         """Become the only writer of the file, and return whether that was possible."""
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
-            # Not a lock on the file itself, which is replaced if it is broken or removed.
-            self._file_lock = acquire_file_lock(file.with_name(file.name + ".lock"))
+            self._file_lock = acquire_file_lock(_lock_file(file))
+            self._lines.lock = self._file_lock
         except (LockedError, OSError, ValueError) as error:
             self._writer.problem = _error_text(file, error)
             return False
         self._writer.problem = ""
         return True
 
-    def _load(self, file: Path) -> None:
-        """Load the content of the file, and add the time since it was written."""
-        self.record, self._lines.sequence, intact = _read(file)
+    def _load(self, file: Path, noted: int | None) -> None:
+        """Load the content of the file, and add the time since it was written; see `_read`."""
+        self.record, self._lines.sequence, intact = _read(file, noted)
         self._at_start = self.record
         same_boot = "" != self.record.boot == boot_id()
         down = boot_time() - self.record.boot_s
@@ -283,6 +299,15 @@ class Ledger:
             self.count(0.0, run, run * flow)
             self.switch(False)
 
+    def check_file(self) -> bool:
+        """Write the file again if another program has changed it; return whether it did before."""
+        if self._file_lock is None:
+            return False
+        if self._lines.changed:
+            self._save()
+        DISK.do(self._lines.check)
+        return self._lines.changed
+
     def flush(self, within: float = _WAIT_S) -> str:
         """Write the record, and return why it is not on the disk; empty if it is.
 
@@ -297,7 +322,9 @@ class Ledger:
     def close(self) -> str:
         """Write the record and release the file; return why the record is not on the disk."""
         problem = self.flush(PATIENCE_S)
-        if self._file_lock is not None and DISK.wait(0.0):
+        if self._file is not None and self._file_lock is not None and DISK.wait(0.0):
+            if not self._lines.sequence:  # never made, so the next start is a first one, too
+                _lock_file(self._file).unlink(missing_ok=True)
             self._file_lock.close()
             self._file_lock = None
         return problem
@@ -315,25 +342,58 @@ class Ledger:
             self._writer.write(replace(self.record, boot=boot_id(), boot_s=boot_time()))
 
 
+def make_record(file: Path) -> None:
+    """Make the file if it is missing, before other files show that there was a pump node before.
+
+    An existing file is left as it is: how old its last line is counts as unseen use.
+    """
+    if not os.path.lexists(file):
+        Ledger(file, time.time).close()
+
+
 class _Lines:
     """The two lines of the file.
 
     Attributes:
         sequence: number of the newest line; 0 if the file must be made.
+        changed: whether another program was found to have changed the file.
+        lock: the file of the lock, which is given the number; None before it is locked.
     """
 
     def __init__(self, file: Path) -> None:
         self._file = file
         self.sequence = 0
+        self.changed = False
+        self.lock: FileIO | None = None
+        self._written = b""  # the newest line
+
+    def check(self) -> None:
+        """Look whether the newest line is as it was written, on the disk thread."""
+        if self._written:
+            self.changed = not self._is_written()
+
+    def _is_written(self) -> bool:
+        try:
+            # Not a pipe, which would be waited for.
+            content = self._file.read_bytes() if self._file.is_file() else b""
+        except OSError:
+            return False
+        start = _LINE * ((self.sequence + 1) % 2)
+        return len(content) == 2 * _LINE and content[start : start + _LINE] == self._written
 
     def write(self, record: PumpRecord) -> None:
         """Write a record, on the disk thread."""
-        if self.sequence == 0 or not self._file.exists():
-            _create(self._file, record)
-            self.sequence = 2
-        else:
+        if self.sequence and (self._is_written() if self._written else self._file.exists()):
             _overwrite(self._file, self.sequence + 1, record)
             self.sequence += 1
+        else:
+            first = (self.sequence or secrets.randbelow(_FIRST)) // 2 * 2 + 3
+            _create(self._file, first, record)
+            self.sequence = first + 1
+        self._written = _line(self.sequence, record)
+        if self.lock is not None:
+            with suppress(OSError):
+                os.pwrite(self.lock.fileno(), b"%-24d\n" % self.sequence, LOCK_BYTES)
 
 
 def _error_text(file: Path, error: Exception) -> str:
@@ -379,7 +439,7 @@ def _rounded_up(value: float) -> float:
     return float(f"{math.ceil(value / unit * (1 - 1e-12)) * unit:.4g}")
 
 
-def _create(file: Path, record: PumpRecord) -> None:
+def _create(file: Path, first: int, record: PumpRecord) -> None:
     """Write the file under another name, then rename it, which replaces a broken one at once.
 
     What is left of a failed attempt would keep the pump off at the next start. So it is removed,
@@ -394,7 +454,7 @@ def _create(file: Path, record: PumpRecord) -> None:
     new_file = file.with_name(file.name + _NEW)
     try:
         with new_file.open("wb") as stream:
-            stream.write(_line(1, record) + _line(2, record))
+            stream.write(_line(first, record) + _line(first + 1, record))
             stream.flush()
             os.fsync(stream.fileno())
         new_file.replace(file)
@@ -424,8 +484,27 @@ def _overwrite(file: Path, sequence: int, record: PumpRecord) -> None:
         os.close(descriptor)
 
 
-def _read(file: Path) -> tuple[PumpRecord, int, bool]:
+def _lock_file(file: Path) -> Path:
+    """Return the file of the lock: not the file itself, which is replaced if it is broken."""
+    return file.with_name(file.name + _LOCK)
+
+
+def _read_number(file: Path) -> int | None:
+    """Return the number of the last line that was written, 0 if unknown; None without a lock."""
+    try:
+        return int(_lock_file(file).read_bytes()[LOCK_BYTES:] or 0)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        return 0
+
+
+def _read(file: Path, noted: int | None) -> tuple[PumpRecord, int, bool]:
     """Read the file.
+
+    Args:
+        file: the file.
+        noted: number of the last line that was written, 0 if unknown; None if there was no lock.
 
     Returns:
         The newest record; its number, 0 if the file must be made; and whether the file was intact.
@@ -445,13 +524,15 @@ def _read(file: Path) -> tuple[PumpRecord, int, bool]:
             except ValueError as error:
                 problems.append(f"line {number + 1}: {error}")
     except FileNotFoundError:
-        problems = _traces(file)
+        problems = _traces(file, noted)
         if not problems:
             return PumpRecord(), 0, False
     except (OSError, ValueError) as error:
         problems = [getattr(error, "strerror", None) or str(error)]
     # The broken line is written next, which repairs the file.
     sequence, record = max(numbered, key=lambda pair: pair[0], default=(0, PumpRecord()))
+    if noted and numbered and not problems and not noted <= sequence <= noted + _UNNOTED:
+        problems, sequence = ["it is an older copy, or another site's"], noted
     if problems:
         unknown = (
             f"{file} cannot be read ({'; '.join(problems)}), so it is unknown whether there was a "
@@ -461,12 +542,15 @@ def _read(file: Path) -> tuple[PumpRecord, int, bool]:
     return record, sequence, not problems
 
 
-def _traces(file: Path) -> list[str]:
-    """Return what shows that a missing file existed before."""
+def _traces(file: Path, noted: int | None) -> list[str]:
+    """Return what shows that a missing file existed before; see `_read`."""
     if file.is_symlink():
         return [f"it is a link to {file.readlink()}, which is missing"]
-    left = (file.with_name(file.name + ending) for ending in _LEFTOVERS)
-    return [f"it is missing, but {path.name} is there" for path in left if os.path.lexists(path)]
+    names = *(file.name + ending for ending in _LEFTOVERS), *_OF_SITE
+    left = [name for name in names if os.path.lexists(file.with_name(name))]
+    if noted is not None:
+        left.append(_lock_file(file).name)
+    return [f"it is missing, but {name} is there" for name in left]
 
 
 def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from shutil import rmtree
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
@@ -268,7 +269,8 @@ def test_a_broken_line_holds_the_pump(tmp_path: Path, clock: Clock) -> None:
         again.clear_unknown()
         again.close()
         assert read(file, clock).unknown == ""
-        file.unlink()
+        for path in tmp_path.iterdir():
+            path.unlink()
 
 
 def lines_of(**changes: Any) -> bytes:
@@ -345,7 +347,13 @@ def test_an_upgrade_needs_no_reset(tmp_path: Path, clock: Clock) -> None:
     lambda file: file.mkdir(),
     lambda file: file.symlink_to("unmounted/pump.json"),
     lambda file: file.symlink_to(file),
-], ids=["new", "broken", "second link", "directory", "link to nothing", "loop of links"])
+    lambda file: file.with_name("pump.json.lock").touch(),
+    lambda file: file.with_name("summary.json").write_text("{}"),
+    lambda file: file.with_name("alarms.jsonl").touch(),
+    lambda file: file.with_name("bag").mkdir(),
+    lambda file: file.with_name("configuration").mkdir(),
+], ids=["new", "broken", "second link", "directory", "link to nothing", "loop of links", "lock",
+        "summary", "alarms", "bag", "configuration"])
 def test_what_shows_that_a_file_existed_is_an_unknown_state(
     make: Callable[[Path], Any], tmp_path: Path
 ) -> None:
@@ -357,6 +365,94 @@ def test_what_shows_that_a_file_existed_is_an_unknown_state(
         decision = rig.run(30, 1.0)
         assert (decision.speed, list(decision.interlocks)) == (None, ["record_unknown"])
         rig.ledger.close()
+
+
+def held(file: Path, clock: Clock, *, reason: str = "") -> bytes:
+    """Return the content of a file before someone holds the pump, and the file is closed."""
+    ledger = Ledger(file, clock)
+    assert ledger.flush(20.0) == ""
+    before = file.read_bytes()
+    ledger.hold("the operator", reason)
+    assert ledger.close() == ""
+    return before
+
+
+@pytest.mark.parametrize("how", ["removed", "older", "older of before it was made again", "other"])
+def test_a_hold_is_not_forgotten_with_its_file(how: str, tmp_path: Path, clock: Clock) -> None:
+    """A cleaner removed it, a restore put back an older copy, or the file of another site."""
+    file, other = tmp_path / "here" / "pump.json", tmp_path / "there" / "pump.json"
+    before = held(file, clock)
+    held(other, clock)
+    if how == "older of before it was made again":
+        file.unlink()
+        again = Ledger(file, clock)
+        assert "is missing, but pump.json.lock is there" in again.record.unknown
+        again.clear_unknown()
+        again.hold("the operator")
+        assert again.close() == ""
+    file.unlink()
+    if how != "removed":
+        file.write_bytes(other.read_bytes() if how == "other" else before)
+    words = "is missing" if how == "removed" else "it is an older copy, or another site's"
+    for _ in range(2):  # likewise at the next start
+        rig = Rig(file=file)
+        decision = rig.run(30, 1.0)
+        assert next(iter(decision.interlocks)) == "record_unknown" and words in decision.why
+        rig.ledger.close()
+    rig = Rig(file=file)
+    rig.control.reset()
+    rig.ledger.release()
+    assert rig.run(30, 1.0).state == "running"
+    rig.ledger.close()
+    assert read(file, clock).unknown == ""
+
+
+def test_a_moved_site_needs_no_reset(tmp_path: Path, clock: Clock) -> None:
+    """All its files, or the record alone, on a machine without any."""
+    held(tmp_path / "a" / "pump.json", clock, reason="painting")
+    (tmp_path / "a").rename(tmp_path / "b")
+    assert read(tmp_path / "b" / "pump.json", clock).hold[1] == "painting"
+    (tmp_path / "b" / "pump.json.lock").unlink()
+    record = read(tmp_path / "b" / "pump.json", clock)
+    assert (record.unknown, record.hold[1]) == ("", "painting")
+
+
+@pytest.mark.parametrize("change", [
+    Path.unlink, lambda file: file.write_bytes(b""), lambda file: file.write_bytes(lines_of()),
+    lambda file: file.rename(file.with_name("elsewhere")), lambda file: os.truncate(file, 4096),
+    lambda file: rmtree(file.parent),
+], ids=["removed", "emptied", "replaced", "renamed", "cut", "with its directory"])
+def test_a_file_that_another_program_changes_is_written_again(
+    change: Callable[[Path], Any], tmp_path: Path, clock: Clock
+) -> None:
+    """The running node notices, and the hold is in the new file."""
+    file = tmp_path / "site" / "pump.json"
+    ledger = Ledger(file, clock)
+    ledger.hold("the operator", "painting")
+    assert ledger.flush(20.0) == ""
+    for _ in range(3):
+        assert not ledger.check_file()
+        ledger.flush(20.0)
+    change(file)
+    wait_for(ledger.check_file, 20, "noticed")
+    wait_for(lambda: not ledger.check_file(), 20, "written again")
+    assert ledger.close() == ""
+    record = read(file, clock)
+    assert (record.unknown, record.hold) == ("", ("the operator", "painting", None))
+
+
+def test_a_directory_in_place_of_the_file_is_reported(tmp_path: Path, clock: Clock) -> None:
+    """It is not removed; the node goes on, and reports that it cannot write."""
+    file = tmp_path / "pump.json"
+    ledger = Ledger(file, clock)
+    assert ledger.flush(20.0) == ""
+    file.unlink()
+    file.mkdir()
+    wait_for(ledger.check_file, 20, "noticed")
+    assert "it exists but is not a file" in ledger.flush(20.0)
+    file.rmdir()
+    assert ledger.flush(20.0) == ""
+    assert ledger.close() == ""
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff" * 8192, b"[" * 100_000])
@@ -411,7 +507,9 @@ def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
         )
         assert rig.run(30, 1.0).state == "running"
         assert not list(disk.glob("pump.json*.new"))
-        assert read(file, clock).unknown == ""  # the next start is a first one, too
+        never = disk / "never.json"
+        assert Ledger(never, clock).close()
+        assert read(never, clock).unknown == ""  # the next start is a first one, too
         (disk / "rubbish").unlink()
         rig.run(30, 1.0)
         wait_for(lambda: rig.ledger.problem == "", 60, "the file")
