@@ -17,7 +17,6 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from greenroof_ros.live.devices.readings import WINDOW_S
 from greenroof_ros.recording.bag_writer import FLUSH_S, RETRY_S, find_files
 
 # How long to wait beyond the bound, to see how much it is exceeded (s).
@@ -253,8 +252,6 @@ def _check_no_alarm(rig: Rig, case: Case, outcome: Outcome) -> None:
     until = time.monotonic() + _CLEAR_S
     if case.fault == "full disk":
         until += RETRY_S + FLUSH_S  # the recorder's wait before it tries again
-    elif case.target == "hostile":
-        until += 2 * WINDOW_S  # refused readings are judged at the end of each minute
     while standing := set(rig.watcher.codes.items()).intersection(case.expected.signs):
         if time.monotonic() > until:
             outcome.fail(f"still an alarm after the end of the fault: {standing}")

@@ -19,7 +19,7 @@ from greenroof_ros.live.devices.total import Total
 _SUSPEND_S = 1.0
 # A sensor is unreliable if in a minute (s) at least this many of its readings, and more than this
 # share, were refused.
-WINDOW_S, _MIN_REFUSED, _MAX_SHARE = 60.0, 5, 0.1
+_WINDOW_S, _MIN_REFUSED, _MAX_SHARE = 60.0, 5, 0.1
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class RefusedShare:
             self._refused_since = math.inf
         self._all += 1
         self._refused += bool(why)
-        ends = now - self._began >= WINDOW_S
+        ends = now - self._began >= _WINDOW_S
         if ends or self._diagnosis is None:  # so its numbers change, and are logged, once a minute
             self._diagnosis = self._judge()
         if ends:
