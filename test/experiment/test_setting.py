@@ -129,13 +129,13 @@ def test_distances(
 
 
 def examples() -> list[str]:
-    """Return the runs among the examples of README and help that need no other file or machine."""
+    """Return the runs among the examples of README and help that need no other file, machine or node."""
     texts = [simulate.make_parser().epilog, simulated.make_parser().epilog]
     texts.append((CHECKOUT / "README.md").read_text())
     whole = "\n".join(map(str, texts)).replace("\\\n", " ")
     found = re.findall(r"greenroof ((?:run|simulate) [^#\n]*)", whole)
     alone = [line for line in found if not re.search(
-        r"--(weather|site|drive|drive-at) |external", line
+        r"--(weather|site|drive|drive-at|ros-args) |external", line
     )]
     assert len(alone) >= 5
     return alone

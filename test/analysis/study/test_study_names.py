@@ -28,7 +28,7 @@ weather:
   - file: north/storm.csv
     start: 2021-07-07T02:00
     hours: 0.01
-    forecast: [{model: ensemble, members: 2}, north/archive.csv, south/archive.csv,
+    forecast: [north/archive.csv, south/archive.csv,
                {model: errors, skill: [real, worse], seed: [1, 2]}]
 initial: low-low
 sensor_and_pump: [{roof_noise: 0.0005}, {roof_noise: 0.00050000001}]
@@ -37,7 +37,7 @@ controllers:
   onoff: {fraction: 0.5}
 """
 WINDOWS = 2 * (2 + 1 + 1 + 1)
-RUNS = (2 + 1 + 1 + 1 + 3 + 4) * 2 * 2 * (2 + 1)
+RUNS = (2 + 1 + 1 + 1 + 2 + 4) * 2 * 2 * (2 + 1)
 
 
 def write_inputs(directory: Path) -> None:
