@@ -129,7 +129,7 @@ def test_distances(
 
 
 def examples() -> list[str]:
-    """Return the runs among the examples of README and help that need no other file, machine or node."""
+    """Return the examples of README and help that need no other file, machine or node."""
     texts = [simulate.make_parser().epilog, simulated.make_parser().epilog]
     texts.append((CHECKOUT / "README.md").read_text())
     whole = "\n".join(map(str, texts)).replace("\\\n", " ")
