@@ -61,7 +61,7 @@ def test_messages_are_read_as_written() -> None:
     values = np.arange(6.0)
     for shape, offset, expected in (
         ((), 0, values), ((6,), 0, values), ((2, 2), 2, values[2:].reshape(2, 2)),
-        ((3, 1, 2), 0, values.reshape(3, 1, 2)), ((), 6, values[:0]),
+        ((), 6, values[:0]),
     ):
         message = written(
             "std_msgs/Float64MultiArray", *rows_message(values, shape, offset)

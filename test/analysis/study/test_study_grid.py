@@ -101,8 +101,8 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 # For each grid of years: sites, ticks (s), and runs of a year.
 YEARS = {
     # On each roof two on/off, and two controllers with five forecasts.
-    "seasons.yaml": (2, {60}, 2 * (2 + 2 * 5)),
-    "horizons.yaml": (2, {60}, 2 * (1 + 5 * (3 + 1))),
+    "seasons.yaml": (2, {300}, 2 * (2 + 2 * 5)),
+    "horizons.yaml": (2, {300}, 2 * (1 + 5 * (3 + 1))),
     "sizing.yaml": (18, {60}, 2 * 18),
     "ticks.yaml": (8, {1, 10, 60, 300}, 8 * 2),
 }
