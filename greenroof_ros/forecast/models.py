@@ -42,7 +42,6 @@ from greenroof_ros.formats.forecasts import (
     SERVICE_DELAY_H,
     Archive,
     IssuedForecast,
-    find_newest_issue,
 )
 from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, QUANTITIES
 from greenroof_ros.formats.reading import read_archive
@@ -328,7 +327,8 @@ class ErrorModel(ForecastModel):
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the forecast; see :class:`ForecastModel`."""
-        issue, issued = find_newest_issue(self._weather.first, hour - self._delay)
+        issue = self._find_newest(hour)
+        issued = issue - hours_since_1970(self._weather.first)
         records = np.arange(hour, hour + hours)
         select_records(self._weather, PRECIPITATION, records)  # refuses missing records
         evapotranspiration = select_records(self._weather, EVAPOTRANSPIRATION, records)
@@ -345,8 +345,17 @@ class ErrorModel(ForecastModel):
 
     def issued(self, hour: int) -> datetime:
         """Return the time of the newest issue; see :class:`ForecastModel`."""
-        issue, _ = find_newest_issue(self._weather.first, hour - self._delay)
-        return from_epoch_ns(issue * 3600 * 10**9)
+        return from_epoch_ns(self._find_newest(hour) * 3600 * 10**9)
+
+    def _find_newest(self, hour: int) -> int:
+        """Return the time (h since 1970) of the newest issue in an hour of the records.
+
+        It is the newest until the next one. If records do not begin on a whole hour of UTC, an
+        issue counts from the first hour of the records that begins after it. An issue made before
+        the records keeps its own time.
+        """
+        known = hours_since_1970(self._weather.first) + hour - self._delay
+        return known // ISSUE_HOURS * ISSUE_HOURS
 
     def _make(self, issue: int, issued: int, leads: int) -> tuple[Array, Array]:
         """Make the forecast of an issue (h since 1970; index of its hour in the records).

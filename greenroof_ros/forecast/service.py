@@ -344,16 +344,12 @@ class Fetcher:
         self.problem, self._wait = "", _FIRST_WAIT_S
         return self._every
 
-    def wait(self, seconds: float) -> bool:
-        """Wait for this long, or until the end; return whether the end has come."""
-        return self._ended.wait(seconds)
-
     def start(self) -> None:
         """Fetch repeatedly in a thread, which ends with the process."""
         threading.Thread(target=self._run, name="forecast service", daemon=True).start()
 
     def _run(self) -> None:
-        while not self.wait(self.fetch()):
+        while not self._ended.wait(self.fetch()):
             pass
 
     def stop(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.times import hours_since_1970, to_minutes
+from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.hourly import bridge_gaps
 from greenroof_ros.model.look_ahead import MAX_MEMBERS
 
@@ -245,24 +245,3 @@ class Archive:
     def members(self) -> int:
         """Number of members of each issue."""
         return len(self.issues[0].rain)
-
-
-def find_newest_issue(first: datetime, hour: int) -> tuple[int, int]:
-    """Return the time of the issue that is the newest in an hour of the records.
-
-    An issue counts as known from its time of issue on; callers subtract a service's delay from
-    ``hour``. It is the newest until the next one. If records do not begin on a whole hour of UTC,
-    an issue counts from the first hour of the records that begins after it. An issue made before
-    the records keeps its own time; the first record then stands for the hours before it.
-
-    Args:
-        first: start of hour 0.
-        hour: index of the hour.
-
-    Returns:
-        Hours since 1970, and the index of the first hour of the records from then on, negative if
-        it was made before them.
-    """
-    since_1970 = hours_since_1970(first)
-    issue = (since_1970 + hour) // ISSUE_HOURS * ISSUE_HOURS
-    return issue, issue - since_1970
