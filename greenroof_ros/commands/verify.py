@@ -112,12 +112,11 @@ def main() -> None:
             f"must be a multiple of {forecasts.finest_lead} h, the finest lead time of "
             f"{forecasts.name}", key="--lead", value=arguments.lead,
         )
+    count = len(forecasts.issues)
     with ProgressBar() as progress:
         tallies = tally_pairs(
             forecasts, weather.precipitation, arguments.lead, sums,
-            lambda done: progress.show(
-                f"verifying: {done} of {forecasts.count} issues", done / forecasts.count
-            ),
+            lambda done: progress.show(f"verifying: {done} of {count} issues", done / count),
         )
     span = f"{to_people(weather.first)} to {to_people(weather.end)}"
     if not any(of_class.scores().n for of_class in tallies.values()):
@@ -133,7 +132,7 @@ def main() -> None:
             arguments.output.write_text(_write_csv(tallies), encoding="utf-8")
     console = Console()
     console.print(_make_table(
-        f"{forecasts.name}: {forecasts.count} issues, against {weather.source}", tallies
+        f"{forecasts.name}: {count} issues, against {weather.source}", tallies
     ))
     notes = [*weather.notes, *forecasts.notes]
     if len(notes) > _MAX_NOTES:

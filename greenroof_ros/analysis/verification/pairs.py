@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -38,7 +37,6 @@ class IssuedForecasts:
         hours: length of the longest.
         finest_lead: finest resolution of the lead (h); more than 1 for previous runs.
         span: the period that they cover, in words.
-        count: number of forecasts.
         issues: in order of time, each the hour of the records in which it begins (negative if
             before them) and its rain (mm/h), shape (members, hours), NaN if missing.
         notes: what could not be used as it is.
@@ -49,8 +47,7 @@ class IssuedForecasts:
     hours: int
     finest_lead: int
     span: str
-    count: int
-    issues: Iterator[tuple[int, Array]]
+    issues: Sequence[tuple[int, Array]]
     notes: tuple[str, ...] = ()
 
 
@@ -85,8 +82,8 @@ def read_issued_forecasts(
     return IssuedForecasts(
         f"{archive.source} ({archive.kind})", archive.members,
         min(horizon, max((issue.hours for issue in within), default=horizon)), archive.finest_lead,
-        f"{to_people(begins)} to {to_people(ends)}", len(within),
-        (((issue.issued - first) // HOUR, issue.rain) for issue in within), archive.notes,
+        f"{to_people(begins)} to {to_people(ends)}",
+        [((issue.issued - first) // HOUR, issue.rain) for issue in within], archive.notes,
     )
 
 
@@ -142,8 +139,8 @@ def tally_pairs(
     }
     unknown = np.full(reach, np.nan)
     padded = np.concatenate((unknown, observed, unknown))
-    added = 0
-    while batch := list(itertools.islice(forecasts.issues, _AT_ONCE)):
+    for added in range(0, len(forecasts.issues), _AT_ONCE):
+        batch = forecasts.issues[added : added + _AT_ONCE]
         rain = np.full((forecasts.members, len(batch), reach), np.nan)
         fallen = np.empty((1, len(batch), reach))
         for place, (hour, issue) in enumerate(batch):
@@ -160,6 +157,5 @@ def tally_pairs(
                 for hours in (rain, fallen)
             )
             total.add(predicted, fell[0])
-        added += len(batch)
-        done(added)
+        done(added + len(batch))
     return tallies
