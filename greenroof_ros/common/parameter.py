@@ -227,6 +227,8 @@ def _mapping(value: Any, parts: tuple[str, ...]) -> Mapping[str, Any]:
 
 
 def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> Any:
+    if hasattr(value, "tolist"):  # an array of numpy
+        value = value.tolist()
     origin, inner = get_origin(kind), get_args(kind)
     if origin in (types.UnionType, Union):
         if value is None and types.NoneType in inner:

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
+import numpy as np
+
 from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
@@ -220,6 +222,8 @@ def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunIn
                 f"is neither an input nor a parameter of {controller.name}; "
                 f"{suggest_names(name, known)}", key=name, value=value,
             )
+    if isinstance(values.get("start"), np.datetime64):
+        values["start"] = values["start"].astype("datetime64[us]").item()
     if isinstance(values.get("start"), date):
         values["start"] = values["start"].isoformat()
     if not isinstance(values.get("initial", ""), str):

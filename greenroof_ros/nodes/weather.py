@@ -88,7 +88,8 @@ class WeatherNode(SimulationNode):
             find_files(values["weather_files"] or [], "parameter weather_files of weather"),
             site, values["evapotranspiration"] or None, values["gaps"],
         )
-        start = read_start(values["start"], weather.first.tzinfo)
+        zone = weather.first.tzinfo if site.time_zone is None else site.zone
+        start = read_start(values["start"], zone)
         self._series = WeatherSeries(weather, site, start, self._last_tick)
         self._forecast = make_forecast(
             weather, self._series, site, start, values["horizon"], _choose_forecast(values),

@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from greenroof_ros.common.parameter import parameters_of
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.inputs import RunInputs
 from greenroof_ros.forecast.choice import OPTIONS, ForecastChoice
@@ -87,6 +88,7 @@ class Case:
         inputs = self.inputs
         content = {
             **self.columns(),
+            **{each.name: getattr(inputs, each.name) for each in parameters_of(RunInputs)},
             **inputs.sensor_and_pump.values(),
             "site": self.site.digest,
             "weather": " ".join(file.digest for file in self.weather),

@@ -254,14 +254,20 @@ def test_an_instance_goes_on_with_what_it_has_learned(
 
 def test_numbers_of_numpy(tmp_path: Path) -> None:
     """They are the numbers that they equal, in runs, sites and what is saved of them."""
-    site = replace(gr.read_site(z_veg=np.float64(0.04)), d=np.float32(11.0), N=np.int64(360))
+    months = np.linspace(0.5, 6.0, 12)
+    site = replace(
+        gr.read_site(z_veg=np.float64(0.04), monthly_evapotranspiration=months),
+        d=np.float32(11.0), N=np.int64(360),
+    )
     result = gr.simulate(
         "anticipating_onoff", site=site, horizon=np.int64(24), hours=np.float32(0.25),
         initial=np.array([60.0, 2.0]), waiting_share=np.float16(0.5),
+        start=np.datetime64("2021-07-07T03:00", "ns"),
     )
     plain = gr.simulate(
-        "anticipating_onoff", site=gr.read_site(z_veg=0.04, d=11.0, N=360), horizon=24.0,
-        hours=0.25, initial=(60.0, 2.0), waiting_share=0.5,
+        "anticipating_onoff", horizon=24.0, hours=0.25, initial=(60.0, 2.0), waiting_share=0.5,
+        site=gr.read_site(z_veg=0.04, d=11.0, N=360, monthly_evapotranspiration=months.tolist()),
+        start="2021-07-07T03:00",
     )
     assert result.metrics == plain.metrics
     directory = result.save(tmp_path / "run")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +21,8 @@ from greenroof_ros.analysis.study.case import collect_contents
 from greenroof_ros.analysis.study.case_run import bound_case, run_case, write_inputs
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.commands.study import show
+from greenroof_ros.common.parameter import parameters_of
+from greenroof_ros.experiment.inputs import RunInputs
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.model.sensor_and_pump import PARAMETERS
 from greenroof_ros.model.site import format_site, read_site
@@ -279,6 +283,15 @@ def test_a_directory_of_forecasts_with_two_delays(tmp_path: Path) -> None:
     assert [*known.values()] == [
         (None, 1.0), (datetime.fromisoformat("2021-07-07T01:30-05:00"), 0.0)
     ]
+
+
+def test_each_input_makes_another_case(tmp_path: Path) -> None:
+    """A new input is in the identity without being named there."""
+    usual = read_grid(tmp_path / grid(tmp_path))[0]
+    for parameter in parameters_of(RunInputs):
+        other: Any = {parameter.name: "another"}
+        case = replace(usual, inputs=replace(usual.inputs, **other))
+        assert case.identity != usual.identity, parameter.name
 
 
 def test_seconds_of_the_bound(tmp_path: Path) -> None:
