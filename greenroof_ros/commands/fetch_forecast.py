@@ -86,7 +86,7 @@ def main() -> int:
     fetcher = Fetcher(service, files.write, 3600)
     fetcher.fetch()
     if fetcher.problem:
-        print(f"no forecast: {fetcher.problem}", flush=True)
+        print(f"no forecast: {fetcher.problem}")
         return EXIT_FAILED
     assert fetcher.newest is not None
     print(

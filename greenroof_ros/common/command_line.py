@@ -83,7 +83,7 @@ class _Interrupts:
         for number in self._numbers:
             signal.signal(number, end_interrupted)
         if self.received:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            end_repeats()
 
 
 def end_repeats() -> None:

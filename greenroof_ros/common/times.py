@@ -166,7 +166,8 @@ def is_skipped(local: datetime) -> bool:
 def read_start(text: str, zone: tzinfo | None = None) -> datetime:
     """Read a start time; without an offset from UTC it is in the given zone.
 
-    In the hour that clocks show twice it is the first.
+    In the hour that clocks show twice it is the first. The result has a fixed offset: in a zone
+    with daylight saving, sums of time would be of the wall clock.
 
     Args:
         text: the time.
@@ -192,7 +193,7 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
         raise ConfigurationError(
             f"is a time that clocks in {start.tzinfo} skip", key="start", value=text
         )
-    return start
+    return start.replace(tzinfo=timezone(start.utcoffset() or timedelta()))
 
 
 def boot_time() -> float:

@@ -9,11 +9,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import date, timedelta, timezone, tzinfo
+from datetime import date, tzinfo
 from functools import partial
 from pathlib import Path
 from typing import Any
-from zoneinfo import ZoneInfo
 
 import numpy as np
 
@@ -129,7 +128,7 @@ class RunInputs:
     def _find_zone(self, site: Site) -> tzinfo | None:
         """Return the zone of times without an offset, if site or data frame have one."""
         if site.time_zone is not None:
-            return ZoneInfo(site.time_zone)
+            return site.zone
         return find_zone(self.weather) if is_frame(self.weather) else None
 
     def build(
@@ -156,8 +155,6 @@ class RunInputs:
         initial, (x1, x2) = find_state(site, self.initial, given)
         weather, records = self.read_records(site, read)
         start = read_start(self.start, self._find_zone(site) or weather.first.tzinfo)
-        # With a fixed offset: in a zone with daylight saving, sums of time are of the wall clock.
-        start = start.replace(tzinfo=timezone(start.utcoffset() or timedelta()))
         steps = count_ticks(site, self.hours, "hours")
         series = WeatherSeries(weather, site, start, steps)
         _refuse_what_nodes_refuse(site, series, x1, x2)

@@ -43,7 +43,9 @@ def add_run_arguments(
     add_site_arguments(group)
     group = parser.add_argument_group("forecasts")
     _add_option(group, INPUTS["forecast"], metavar=f"{{{','.join(MODELS)},FILE}}")
-    _add_forecast_options(group)
+    skill = {"metavar": f"{{{','.join(SKILLS)},FILE.yaml}}"}
+    for name, parameter in choice.INPUTS.items():
+        _add_option(group, parameter, **(skill if name == "forecast_skill" else {}))
     group = parser.add_argument_group("sensor and pumps (default: as in the paper)")
     for parameter in sensor_and_pump.PARAMETERS.values():
         _add_option(group, parameter)
@@ -98,13 +100,6 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     for name in ("hours", "cistern", "roof", "gaps"):
         _add_option(group, INPUTS[name])
     _add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
-
-
-def _add_forecast_options(group: argparse._ArgumentGroup) -> None:
-    """Add the options that only some forecasts have."""
-    skill = {"metavar": f"{{{','.join(SKILLS)},FILE.yaml}}"}
-    for name, parameter in choice.INPUTS.items():
-        _add_option(group, parameter, **(skill if name == "forecast_skill" else {}))
 
 
 def _add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:

@@ -8,10 +8,9 @@ import re
 from array import array
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta, timezone, tzinfo
+from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
-from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,11 +209,8 @@ def _open(file: Path) -> Table:
 
 def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[str]]:
     """Return the first time, each row's seconds since 1970, and a note about the clock."""
-    zone: tzinfo | None = None
-    if site.time_zone is not None:
-        zone = ZoneInfo(site.time_zone)
-    elif site.utc_offset is not None:
-        zone = timezone(timedelta(hours=site.utc_offset))
+    has_clock = site.time_zone is not None or site.utc_offset is not None
+    zone = site.zone if has_clock else None
     seconds = array("d")
     first: datetime | None = None
     before: datetime | None = None

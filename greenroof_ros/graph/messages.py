@@ -130,11 +130,20 @@ def decoder(type_name: str) -> Callable[[bytes], Any]:
 
 
 def pass_whole(type_name: str, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
-    """Return a function that passes on the bytes of a message if they are one of a type."""
-    decode = decoder(type_name)
+    """Return a function that passes on the bytes of a message if they are one of a type.
+
+    Numbers that have the length and the layout of the last ones are not decoded.
+    """
+    decode, is_array = decoder(type_name), type_name == "std_msgs/msg/Float64MultiArray"
+    length, layout = -1, b""
 
     def receive(message: bytes) -> None:
-        decode(message)
+        nonlocal length, layout
+        if len(message) != length or not message.startswith(layout):
+            values = decode(message)
+            if is_array:
+                # What stands before the values, with the numbers in front of them.
+                length, layout = len(message), message[: len(message) - 8 * np.size(values)]
         callback(message)
 
     return receive
