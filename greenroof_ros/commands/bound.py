@@ -1,4 +1,4 @@
-"""The minimum total deviation that any controller could reach: ``greenroof bound``."""
+"""What no controller could beat, deviation or discharge in wet weather: ``greenroof bound``."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from greenroof_ros.common.command_line import (
     make_number_type,
 )
 from greenroof_ros.experiment.clairvoyant import BLOCK_S, NoBoundError, clairvoyant_bound
+from greenroof_ros.experiment.discharge_bound import simulate_frontier
 from greenroof_ros.experiment.options import add_site_arguments, build_run
 from greenroof_ros.experiment.plan import PlanResult, simulate_plan
 from greenroof_ros.experiment.run import Run, count_ticks
@@ -68,14 +69,21 @@ def make_parser() -> Parser:
         usage="%(prog)s [options]",
         description="Compute a lower bound of the total deviation that any controller could "
         "reach if it knew all weather, and the result of lookahead's plan in the exact plant. "
-        "The optimum lies in between. It is the same for every controller.",
+        "The optimum lies in between. It is the same for every controller. With --of discharge: "
+        "the minimum discharge in wet weather for each amount of mains water, at a site with a "
+        "valve on the low outlet, for the irrigation of on/off control.",
         epilog="examples:\n"
         "  greenroof bound --start 2021-07-08T05:00\n"
-        "  greenroof bound --block 1 --hours 2 --max-command 0.1\n\n"
+        "  greenroof bound --block 1 --hours 2 --max-command 0.1\n"
+        "  greenroof bound --of discharge --site my_site.yaml\n\n"
         "exit codes: 0 done, 1 no bound found, 2 bad usage or configuration",
     )
     add_site_arguments(parser.add_argument_group("the run"))
     group = parser.add_argument_group("the bound")
+    group.add_argument(
+        "--of", choices=("deviation", "discharge"), default="deviation",
+        help="what is bounded (default: %(default)s)",
+    )
     group.add_argument(
         "--block", type=make_number_type(1e-9, 1e9), metavar="S",
         help="seconds that share one variable: shorter is tighter and slower, one tick is exact "
@@ -89,19 +97,51 @@ def make_parser() -> Parser:
     return parser
 
 
+def _report_failure(error: NoBoundError) -> int:
+    print(f"error: no bound found; the solver reports: {error}", file=sys.stderr)
+    return EXIT_FAILED
+
+
+def _print_frontier(run: Run, as_json: bool) -> None:
+    """Print the minimum discharge in wet weather for each amount of mains water."""
+    frontier = simulate_frontier(run)
+    points = [point._asdict() for point in frontier.points]
+    result = {
+        **describe_setting(run), "wet_discharge_m3": frontier.wet_discharge_m3,
+        "mains_m3": frontier.mains_m3, "frontier": points,
+    }
+    if as_json:
+        print(json.dumps(result, indent=2, allow_nan=False))
+        return
+    about = "m3 in wet weather, with {:.2f} m3 of mains water".format
+    rows = (
+        *setting_rows(result),
+        ("on/off", f"{frontier.wet_discharge_m3:.2f}", about(frontier.mains_m3)),
+        *(("bound", f"{wet:.2f}", about(mains)) for _, wet, mains in frontier.points),
+    )
+    console = Console()
+    print_notes(console, result)
+    console.print(grid("Minimum discharge", rows))
+
+
 @command
 def main() -> int:
     """Compute the bound of the run on the command line."""
     arguments = make_parser().parse_args()
     run = build_run(arguments)
+    if arguments.of == "discharge":
+        try:
+            _print_frontier(run, arguments.json)
+        except NoBoundError as error:
+            return _report_failure(error)
+        return EXIT_DONE
     block_s = max(1, round(BLOCK_S / run.site.tau)) * run.site.tau
     if arguments.block is not None:
         block_s = count_ticks(run.site, arguments.block, "--block", unit_s=1.0) * run.site.tau
     try:
         bound_m3 = clairvoyant_bound(run, block_s, arguments.max_command)
     except NoBoundError as error:
-        print(f"error: no bound found; the solver reports: {error}", file=sys.stderr)
-        return EXIT_FAILED
+        return _report_failure(error)
     plan = simulate_plan(run, arguments.max_command)
     result = _result(run, arguments.max_command, bound_m3, plan, block_s)
     if arguments.json:

@@ -28,7 +28,7 @@ from greenroof_ros.experiment.options import (
 )
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
-from greenroof_ros.recording.trajectory import COLUMNS, CSV, LAYER
+from greenroof_ros.recording.trajectory import CSV, columns_of
 
 
 def make_parser() -> Parser:
@@ -122,8 +122,7 @@ def _paced(
 
 def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterator[Tick]:
     """Yield the ticks, and write the first of so many, and the last, to a new file."""
-    measured = run.site.drainage_storage is not None
-    columns = [column for column in COLUMNS if column is not LAYER or measured]
+    columns = columns_of(run.site)
     values = attrgetter(*(column.tick for column in columns))
     with add_path_to_errors(file), file.open("x", newline="") as stream:
         rows = csv.writer(stream)

@@ -84,6 +84,7 @@ class Topic:
     qos: Qos
     meaning: str
     optional: bool = False
+    of_valve: bool = False
     display: Display | None = None
     dimensions: tuple[str, ...] = ()
     undecided: float | array[float] = math.nan
@@ -176,11 +177,12 @@ def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
     return [(topic, outputs[name]) for name, topic in topics.items() if name in outputs]
 
 
-def recorded_topics(outputs: Mapping[str, str]) -> list[Topic]:
+def recorded_topics(outputs: Mapping[str, str], valve: bool) -> list[Topic]:
     """Return the topics that a graph publishes each tick, in bag order.
 
     Args:
         outputs: the optional topics that its controller publishes.
+        valve: whether the cistern's low outlet has a valve.
 
     Raises:
         ConfigurationError: one of them is not an optional topic of the interface.
@@ -189,6 +191,7 @@ def recorded_topics(outputs: Mapping[str, str]) -> list[Topic]:
     return [
         topic for topic in read_topics().values()
         if topic.per_tick and (not topic.optional or topic.name in outputs)
+        and (valve or not topic.of_valve)
     ]
 
 

@@ -75,6 +75,29 @@ class Parameter:
         """The numbers that it may be."""
         return Range(self.low, self.high, self.unit, self.whole)
 
+    def read(
+        self, value: Any, *, file: Path | None = None, line: int | None = None,
+        key: str = "",
+    ) -> Any:
+        """Return a value that a user gives, checked; a number as Python's.
+
+        Args:
+            value: what is given.
+            file: where, for the error.
+            line: likewise.
+            key: likewise.
+
+        Raises:
+            ConfigurationError: it is not in the range, or none of the allowed texts.
+        """
+        if not self.among:
+            return self.range.read(value, file=file, line=line, key=key)
+        if value in self.among:
+            return value
+        raise ConfigurationError(
+            describe_choices(self.among, value), file=file, line=line, key=key, value=value
+        )
+
     @property
     def limits(self) -> str:
         """Its range, or the allowed texts; empty if there is no limit."""
@@ -281,9 +304,12 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
     return allowed.read(value, key=".".join(parts), about=f"{example} ({entry.meaning})")
 
 
-def replace_infinity(parameters: Mapping[str, float]) -> dict[str, float | None]:
+def replace_infinity(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return parameters for JSON, which has no infinity: null stands for no limit."""
-    return {name: value if math.isfinite(value) else None for name, value in parameters.items()}
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in parameters.items()
+    }
 
 
 def suggest_parameter(name: str, names: Iterable[str]) -> str:

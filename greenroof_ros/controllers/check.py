@@ -16,6 +16,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.decide import is_finite_number
 from greenroof_ros.controllers.failure import locate_error
+from greenroof_ros.controllers.outlet import OfController
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.controllers.tick_times import TickTimes
@@ -223,6 +224,14 @@ def _outputs(trial: _Trial) -> None:
             raise _BrokenRuleError(problem)
 
 
+def _outlet(trial: _Trial) -> None:
+    controller = trial.make()
+    for inputs in trial.inputs(stride=3):
+        _check_command(controller, *inputs)
+        if hasattr(controller, "outlet"):
+            OfController(controller).command()
+
+
 def _statistics(trial: _Trial) -> None:
     controller = trial.make()
     _check_command(controller, *next(trial.inputs()))
@@ -248,5 +257,6 @@ _CHECKS: dict[str, Callable[[_Trial], object]] = {
         _wrong_forecasts,
     "each parameter that can change during a run is an attribute that can be set": _may_change,
     "each of its outputs is a topic of the interface and has its value after a command": _outputs,
+    "if it commands the outlet's valve itself, its attribute outlet is from 0 to 1": _outlet,
     "its statistics are None, or the figures of its solver": _statistics,
 }

@@ -19,6 +19,7 @@ from greenroof_ros.controllers.order_up_to import (
     Policy,
     halve_by_rain,
 )
+from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.controllers.regret_budget import WAITING_BUDGET, WAITING_SHARE, RegretBudget
 from greenroof_ros.controllers.roof_observer import OBSERVER_TIME_CONSTANT, RoofObserver
 from greenroof_ros.controllers.tick_times import TickTimes
@@ -114,6 +115,7 @@ class Lookahead:
         WAITING_SHARE,
     )
     ensemble: ClassVar[bool] = True
+    outlet_policy: ClassVar[str] = PLAN
     needs_forecast: ClassVar[bool] = False
     outputs: ClassVar[Mapping[str, str]] = {
         "/controller/fill_to": "fill_to",

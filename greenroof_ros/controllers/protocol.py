@@ -15,7 +15,7 @@ class Controller(Protocol):
     same inputs must give the same commands, at any time and on any machine. ``greenroof
     check-controller package.module:Class`` checks a class against all of these rules.
 
-    Seven more attributes of the class are optional:
+    Nine more attributes of the class are optional:
 
     - ``ensemble = True``: it takes all members of an ensemble of forecasts. ``precipitation`` is
       then an array of shape (members, steps); a single forecast has one member.
@@ -33,6 +33,10 @@ class Controller(Protocol):
     - ``forecast_ends``: an array that is set when it is made: the ends of the forecasts' steps (s
       from the present tick), the first 0, shape (steps + 1,). Entry i of a forecast is the mean
       from ``forecast_ends[i]`` to ``forecast_ends[i + 1]``.
+    - ``outlet``: the share to which the valve of the cistern's low outlet is open (1), valid after
+      each command, for a class that commands it itself. Others have the parameters of
+      :mod:`greenroof_ros.controllers.outlet` at a site with a valve.
+    - ``outlet_policy``: the name of the policy that commands the valve by default.
     - ``gauge_rain``: what the rain gauge of a live site measures (m/s; 0 without one), set before
       each command. It is the present rain if there is no forecast.
 

@@ -20,7 +20,9 @@ from greenroof_ros.common.errors import (
 )
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.parameter_sections import read_sections
+from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.failure import locate_error, not_imported
+from greenroof_ros.controllers.outlet import OfController, OutletPolicy
 from greenroof_ros.controllers.own_code import digest_own_code
 from greenroof_ros.controllers.protocol import Controller, ControllerClass, set_optional
 from greenroof_ros.model.look_ahead import look_ahead_ends
@@ -107,8 +109,13 @@ class ControllerChoice:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Its parameters, by name."""
-        return {parameter.name: parameter for parameter in self.kind.parameters}
+        """Its parameters, and those of the outlet's valve, by name."""
+        return {parameter.name: parameter for parameter in (*self.kind.parameters, *self._outlet)}
+
+    @property
+    def _outlet(self) -> tuple[Parameter, ...]:
+        """The parameters of the outlet's valve; none if its class commands the valve."""
+        return () if hasattr(self.kind, "outlet") else outlet.PARAMETERS
 
     @property
     def ensemble(self) -> bool:
@@ -146,9 +153,10 @@ class ControllerChoice:
         Raises:
             ConfigurationError: its solver's library cannot be imported, or its code failed.
         """
-        kind = self.kind
+        kind, of_valve = self.kind, {parameter.name for parameter in self._outlet}
+        own = {name: value for name, value in parameters.items() if name not in of_valve}
         try:
-            controller = kind(site, **parameters)
+            controller = kind(site, **own)
             ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
             set_optional(controller, forecast_ends=ends)
         except ImportError as error:
@@ -159,21 +167,45 @@ class ControllerChoice:
             raise locate_error(kind, error) from error
         return controller
 
+    def make_outlet(
+        self, site: Site, parameters: dict[str, Any], controller: Controller
+    ) -> OutletPolicy | None:
+        """Make what commands the valve of a site's outlet; None at a site without one.
+
+        Args:
+            site: the site.
+            parameters: as for :meth:`make`.
+            controller: what :meth:`make` returned.
+        """
+        if not site.low_outlet_valve:
+            return None
+        if hasattr(controller, "outlet"):
+            return OfController(controller)
+        ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
+        of_valve = {parameter.name: parameters[parameter.name] for parameter in self._outlet}
+        return outlet.make_outlet(site, ends, **of_valve)
+
     def parameters_on(self, site: Site) -> list[Parameter]:
-        """Return its parameters, each with its default for a site's roof."""
-        if not soil_of(site).measured:
-            return list(self.kind.parameters)
+        """Return its parameters, each with its default for a site's roof.
+
+        Those of the outlet's valve are among them if the site has one.
+        """
+        of_valve = []
+        if site.low_outlet_valve and self._outlet:
+            policy = getattr(self.kind, "outlet_policy", outlet.DRAIN)
+            of_valve = outlet.parameters_on(site, policy)
+        measured = soil_of(site).measured
         return [
-            parameter if parameter.measured is None
-            else replace(parameter, default=parameter.measured)
-            for parameter in self.kind.parameters
+            replace(parameter, default=parameter.measured)
+            if measured and parameter.measured is not None else parameter
+            for parameter in (*self.kind.parameters, *of_valve)
         ]
 
     def defaults(self, site: Site) -> dict[str, float]:
         """Return the value of each parameter on a site, unless a user gives another."""
         return {parameter.name: parameter.default for parameter in self.parameters_on(site)}
 
-    def check_parameters(self, given: Mapping[str, Any]) -> dict[str, float]:
+    def check_parameters(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return values of its parameters as numbers.
 
         Raises:
@@ -181,9 +213,9 @@ class ControllerChoice:
                 name.
         """
         known = self.parameters
-        return {name: known[name].range.read(value, key=name) for name, value in given.items()}
+        return {name: known[name].read(value, key=name) for name, value in given.items()}
 
-    def read_parameters(self, path: Path, namespace: str = "") -> dict[str, float]:
+    def read_parameters(self, path: Path, namespace: str = "") -> dict[str, Any]:
         """Return the values of its parameters that a ROS 2 parameter file gives its node.
 
         A dump of the node has more: what rclpy declares in every node is ignored, and so is the
@@ -209,7 +241,7 @@ class ControllerChoice:
             for key, value in section.values.items():
                 place: dict[str, Any] = {"file": path, "line": section.lines[key], "key": key}
                 if key in known:
-                    values[key] = known[key].range.read(value, **place)
+                    values[key] = known[key].read(value, **place)
                 elif key == "site_file":
                     _log.warning("%s: site_file has no effect: --site gives the site", path)
                 elif key.partition(".")[0] not in OF_EVERY_NODE:

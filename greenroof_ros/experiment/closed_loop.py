@@ -16,7 +16,7 @@ from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.plant import Flows
 from greenroof_ros.model.virtual_site import VirtualSite
-from greenroof_ros.recording.trajectory import RECORDED, Trajectory
+from greenroof_ros.recording.trajectory import Trajectory, recorded_columns
 
 # Makes a named tuple from a tuple in half the time of its own class.
 _new = tuple.__new__
@@ -47,6 +47,8 @@ class Tick(NamedTuple):
     """share of the maximum flow"""
     flows: Flows
     """m3/s; not applied in the last tick, since the run ends in its state"""
+    outlet: float
+    """share to which the valve of the low outlet is open; 1 without a valve"""
 
 
 class Simulation:
@@ -66,6 +68,7 @@ class Simulation:
         """
         self._run = run
         self._controller = run.make_controller() if controller is None else controller
+        self._outlet = run.make_outlet(self._controller)
         self.site = VirtualSite(run.site, run.x1, run.x2, run.time_ns(0), run.sensor_and_pump)
         self.metrics = self.site.metrics
         self._wall_s = 0.0
@@ -74,6 +77,7 @@ class Simulation:
         """Run the ticks from the present one to N, and yield each after its step."""
         began = time.monotonic()
         run, site, controller, until = self._run, self.site, self._controller, self.site.tick
+        policy, outlet = self._outlet, 1.0
         plant, forecast, has_quiet_hours = site.plant, run.forecast, run.site.quiet is not None
         for k in range(until, run.steps + 1):
             if k == until:
@@ -82,15 +86,17 @@ class Simulation:
             if has_quiet_hours:
                 set_optional(controller, time_ns=site.time_ns)
             cistern_level, roof_level = site.observe()
+            known = forecast.precipitation(k), forecast.evapotranspiration(k)
             command = decide(
-                controller, not frost, cistern_level, roof_level,
-                forecast.precipitation(k), forecast.evapotranspiration(k), site.quiet,
+                controller, not frost, cistern_level, roof_level, *known, site.quiet,
             )
+            if policy is not None:
+                outlet = policy.command(cistern_level, roof_level, *known)
             x1, x2, layer = plant.x1, plant.x2, plant.layer
-            flows = site.act(precipitation, evapotranspiration, command)
+            flows = site.act(precipitation, evapotranspiration, command, outlet=outlet)
             tick = _new(Tick, (
                 k, x1, x2, layer, cistern_level, roof_level,
-                precipitation, evapotranspiration, frost, command, flows,
+                precipitation, evapotranspiration, frost, command, flows, outlet,
             ))
             if k < run.steps:
                 site.step()
@@ -101,6 +107,7 @@ class Simulation:
         """Return the content of ``summary.json``, after the last tick."""
         return summary.make_summary(
             self._run, self.metrics.results(), self.metrics.weekly_deviations(),
+            self.metrics.events(),
             wall_s=self._wall_s, solver=read_statistics(self._controller),
         )
 
@@ -113,16 +120,17 @@ def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
         ticks: of the run.
         every: the first of this many ticks is kept, and the last one of the run.
     """
-    values = attrgetter("k", *(column.tick for column in RECORDED))
+    recorded = recorded_columns(run.site)
+    values = attrgetter("k", *(column.tick for column in recorded))
     rows = array("d")
     for tick in ticks:
         if tick.k % every == 0 or tick.k == run.steps:
             rows.extend(values(tick))
-    number, *columns = np.frombuffer(rows).reshape(-1, 1 + len(RECORDED)).T
+    number, *columns = np.frombuffer(rows).reshape(-1, 1 + len(recorded)).T
     return Trajectory(
         start=run.start, time=run.site.tau * number,
         **{
             column.attribute: values
-            for column, values in zip(RECORDED, columns, strict=True)
+            for column, values in zip(recorded, columns, strict=True)
         },
     )

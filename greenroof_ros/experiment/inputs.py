@@ -56,7 +56,7 @@ class RunInputs:
     """
 
     controller: ControllerChoice = field(default_factory=partial(find_controller, DEFAULT))
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, Any] = field(default_factory=dict)
     site: Path | Site = field(default_factory=default_site_file)
     weather: Any = field(default_factory=lambda: (default_weather(),))
     forecast: ForecastChoice = field(default_factory=ForecastChoice)
@@ -159,6 +159,11 @@ class RunInputs:
         series = WeatherSeries(weather, site, start, steps)
         _refuse_what_nodes_refuse(site, series, x1, x2)
         parameters = self.controller.defaults(site) | dict(self.parameters)
+        for name in parameters.keys() - self.controller.defaults(site).keys():
+            raise ConfigurationError(
+                "is for the valve of the low outlet, which this site does not have "
+                "(low_outlet_valve: true)", key=name, value=parameters[name],
+            )
         if "min_on" in parameters:  # the controller knows its pumps
             min_on = max(parameters["min_on"], self.sensor_and_pump.pump_min_on)
             parameters["min_on"] = min_on

@@ -87,7 +87,7 @@ def add_controller_arguments(
         "--parameters", type=Path, metavar="FILE",
         help="ROS 2 parameter file of the controller; what it leaves out has its default",
     )
-    for parameter in controller.kind.parameters:
+    for parameter in controller.parameters.values():
         _add_option(of_controller, parameter)
 
 
@@ -110,9 +110,9 @@ def _add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings
         settings |= {"metavar": "X", "type": make_number_type(parameter.low, parameter.high, kind)}
     elif parameter.among:
         settings["choices"] = parameter.among
-    if isinstance(parameter.default, float):
+    if isinstance(parameter.default, float) and not math.isnan(parameter.default):
         about.append(f"default: {parameter.default:g}")
-    elif parameter.default is not None:
+    elif parameter.default is not None and not isinstance(parameter.default, float):
         about.append(f"default: {parameter.default}")
     end = f" ({', '.join(about)})" if about else ""
     group.add_argument(_option(parameter.name), help=f"{parameter.meaning}{end}", **settings)

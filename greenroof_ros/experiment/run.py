@@ -7,9 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import duration, epoch_ns, to_minutes
+from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
@@ -55,7 +57,7 @@ class Run:
     start: datetime
     steps: int
     controller: ControllerChoice
-    parameters: dict[str, float]
+    parameters: dict[str, Any]
     initial: str
     x1: float
     x2: float
@@ -102,6 +104,10 @@ class Run:
     def make_controller(self) -> Controller:
         """Make the run's controller."""
         return self.controller.make(self.site, self.parameters)
+
+    def make_outlet(self, controller: Controller) -> OutletPolicy | None:
+        """Make what commands the valve of the outlet beside a controller, if there is one."""
+        return self.controller.make_outlet(self.site, self.parameters, controller)
 
 
 def _note_far(weather: Weather, site: Site) -> Iterator[str]:

@@ -124,6 +124,7 @@ def write_configuration(
             },
             run.controller.name: {**common, **run.parameters},
             "recorder": {
+                **common,
                 **({"peer_limit": nodes["peer_limit"]} if nodes else {}),
                 "directory": str(directory / "bag"),
                 "controller": run.controller.reference,

@@ -7,6 +7,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Mapping, Sequence
+from datetime import timedelta
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,12 @@ from greenroof_ros import __version__
 from greenroof_ros.common.files import replace_text
 from greenroof_ros.common.parameter import replace_infinity
 from greenroof_ros.experiment.run import Run
+from greenroof_ros.model.storm_water import Event
 
 # The file's name in the directory of a run.
 SUMMARY = "summary.json"
+# The table of its events of rain.
+EVENTS = "events.csv"
 # The site file's name in the configuration of a run.
 SITE_FILE = "site.yaml"
 # Status of a run. It is RUNNING until the run ends, and for ever if its process was killed.
@@ -28,6 +32,7 @@ def make_summary(
     run: Run,
     metrics: Mapping[str, float],
     weeks: Sequence[float],
+    events: Sequence[Event],
     *,
     wall_s: float,
     solver: Mapping[str, float] | None,
@@ -40,6 +45,7 @@ def make_summary(
         run: what was asked for.
         metrics: its results, by :data:`greenroof_ros.model.metrics.METRICS`.
         weeks: total deviation of each week (m3).
+        events: of rain.
         wall_s: duration in wall time (s).
         solver: the controller's statistics; None if it has no solver.
         messages: number of messages of each topic in the bag.
@@ -51,6 +57,11 @@ def make_summary(
         "precipitation_in_frost_mm": run.series.precipitation_in_frost,
         **metrics,
         "weekly_deviation_m3": list(weeks),
+        "events": [
+            {"start": (run.start + timedelta(hours=event.start_h)).isoformat(timespec="seconds"),
+             **replace_infinity(event._asdict())}
+            for event in events
+        ],
         "solver": dict(solver) if solver is not None else None,
         "wall_s": wall_s,
         "times_real_time": run.steps * run.site.tau / wall_s,
@@ -138,6 +149,12 @@ def write(summary: Mapping[str, Any], directory: Path) -> None:
     Raises:
         OSError: it cannot be written.
     """
+    if summary.get("events"):
+        rows = summary["events"]
+        lines = [",".join(rows[0]), *(
+            ",".join("" if value is None else str(value) for value in row.values()) for row in rows
+        )]
+        replace_text(directory / EVENTS, "\n".join([*lines, ""]))
     path = directory / SUMMARY
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     try:

@@ -16,7 +16,7 @@ from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.models import ForecastModel, PerfectModel, make_model
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
-from greenroof_ros.weather.series import Weather, WeatherSeries
+from greenroof_ros.weather.series import PerTick, Weather, WeatherSeries
 
 Array = NDArray[np.float64]
 Rain: TypeAlias = "array[float] | Array"
@@ -176,7 +176,7 @@ class SteppedForecast:
 
     def __init__(
         self, model: ForecastModel, weather: Weather, site: Site, start: datetime, ends: Array,
-        steps: int, all_members: bool = False,
+        steps: int, all_members: bool = False, rain_now: PerTick | None = None,
     ) -> None:
         """Prepare for a run; request all that it needs, so that missing data show at the start.
 
@@ -188,12 +188,14 @@ class SteppedForecast:
             ends: of the steps, see :func:`look_ahead_ends`.
             steps: N of the run (ticks).
             all_members: whether to return rain of all members, or of the only one.
+            rain_now: present rain of each tick (m/s), if it is known by the minute.
 
         Raises:
             ConfigurationError: there is no forecast for a part of the run.
         """
         self._model, self._weather, self._site = model, weather, site
         self._ends, self._all_members = ends, all_members
+        self._rain_now = rain_now
         self._offset = (start - weather.first).total_seconds()
         self._until = self._offset + steps * site.tau
         # Rain and evapotranspiration of a tick are computed together.
@@ -218,7 +220,12 @@ class SteppedForecast:
     def _outlook(self, tick: int) -> Outlook:
         time = self._offset + tick * self._site.tau
         hour = int(time // _HOUR_S)
-        return self._hour_forecast(hour).at(time - hour * _HOUR_S, self._all_members)
+        outlook = self._hour_forecast(hour).at(time - hour * _HOUR_S, self._all_members)
+        if self._rain_now is not None and isinstance(outlook.rain, np.ndarray):
+            outlook.rain[:, 0] = self._rain_now[tick]
+        elif self._rain_now is not None:
+            outlook.rain[0] = self._rain_now[tick]
+        return outlook
 
     def _request_all(self) -> datetime | None:
         """Request every hour's forecast; return the earliest time from which one only repeats."""
@@ -279,4 +286,5 @@ def make_forecast(
         return PerfectForecast(series, site.M)
     ends = look_ahead_ends(site, horizon)
     steps = len(series.precipitation) - site.M
-    return SteppedForecast(model, weather, site, start, ends, steps, all_members)
+    now = None if weather.minutes is None else series.precipitation
+    return SteppedForecast(model, weather, site, start, ends, steps, all_members, now)

@@ -35,6 +35,8 @@ class Records:
         left_out: what could not be used as it is, in sentences that name it.
         places: latitude and longitude (degrees) of each file that gives them, by file.
         wind_height: height at which the wind was measured (m); None if it is in the site file.
+        minutes: rain of each minute (mm/h), shape (hours, 60), NaN if it is not known better than
+            by the hour; None if no file has rows of less than an hour.
     """
 
     files: tuple[Path, ...]
@@ -47,6 +49,7 @@ class Records:
     left_out: tuple[str, ...] = ()
     places: dict[Path, tuple[float, float]] = field(default_factory=dict)
     wind_height: float | None = None
+    minutes: NDArray[np.float64] | None = None
 
     @property
     def hours(self) -> int:
@@ -187,11 +190,28 @@ def join_records(parts: Sequence[Records]) -> Records:
                     value=float(series[hour]),
                 )
             joined[known] = series[known]
+    minutes = _join_minutes(hours, zip(begins, parts, strict=True))
     parts = sorted(parts, key=lambda part: part.first)
     files = tuple(file for part in parts for file in part.files)
     left_out = tuple(note for part in parts for note in part.left_out)
     places = {file: place for part in parts for file, place in part.places.items()}
-    return replace(first, files=files, values=values, left_out=left_out, places=places)
+    return replace(
+        first, files=files, values=values, left_out=left_out, places=places, minutes=minutes
+    )
+
+
+def _join_minutes(
+    hours: int, parts: Iterable[tuple[int, Records]]
+) -> NDArray[np.float64] | None:
+    """Return the rain of each minute of parts, each with its first hour; None if none has it."""
+    joined = None
+    for begin, part in parts:
+        if part.minutes is not None:
+            if joined is None:
+                joined = np.full((hours, part.minutes.shape[1]), np.nan)
+            place = joined[begin : begin + part.hours]
+            place[...] = np.where(np.isnan(place), part.minutes, place)
+    return joined
 
 
 def _add_quantities(first: Records, other: Records) -> Records:
@@ -213,13 +233,16 @@ def _add_quantities(first: Records, other: Records) -> Records:
         for quantity, series in part.values.items():
             values[quantity] = np.full(hours, np.nan)
             values[quantity][at : at + part.hours] = series
+    minutes = _join_minutes(
+        hours, [((part.first - begin) // HOUR, part) for part in (first, other)]
+    )
     heights = [part.wind_height for part in (first, other) if "wind speed" in part.values]
     return replace(
         first, files=(*first.files, *other.files), first=begin, values=values,
         method=first.method or other.method, shifted=(*first.shifted, *other.shifted),
         rain_late=max(first.rain_late, other.rain_late),
         left_out=(*first.left_out, *other.left_out), places={**first.places, **other.places},
-        wind_height=heights[0] if heights else None,
+        wind_height=heights[0] if heights else None, minutes=minutes,
     )
 
 
@@ -241,9 +264,12 @@ def _check_same_kind(first: Records, part: Records) -> None:
 def _shift_to_hours_of(first: Records, part: Records) -> Records:
     """Return records on hours that begin with another's, as local hours at UTC-3:30 do not."""
     late = (part.first - first.first) % HOUR
-    share = late / HOUR
+    share, minutes = late / HOUR, part.minutes
+    if minutes is not None:
+        gone = minutes.shape[1] - late // _MINUTE
+        minutes = minutes.ravel()[gone : gone - minutes.shape[1]].reshape(-1, minutes.shape[1])
     return replace(
-        part, first=part.first - late + HOUR,
+        part, first=part.first - late + HOUR, minutes=minutes,
         values={
             quantity: share * series[:-1] + (1 - share) * series[1:]
             for quantity, series in part.values.items()

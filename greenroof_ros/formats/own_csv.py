@@ -270,8 +270,8 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
     """Read a weather file; see :func:`read_rows`.
 
     Each row is the hour that starts at its time. Rows less than an hour apart are averaged by the
-    hours of the clock in which they begin, apart from a clock's error. Rain of an hour with less
-    than 0.75 of its rows is missing.
+    hours of the clock in which they begin, apart from a clock's error; their rain is also kept
+    minute by minute. Rain of an hour with less than 0.75 of its rows is missing.
 
     Raises:
         ConfigurationError: the file has no precipitation, or its step is no whole number of hours;
@@ -282,7 +282,7 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
         raise rows.table.refuse(
             f"there must be a column '{_FORECAST[PRECIPITATION]}' or 'rain [mm]'"
         )
-    steps, first, values = rows.steps, rows.first, rows.values
+    steps, first, values, minutes = rows.steps, rows.first, rows.values, None
     notes = rows.table.notes
     durations_h = np.unique(steps.durations) / 3600
     if steps.step_s >= 3600:
@@ -300,6 +300,9 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
         first += int(of_rows[0]) * HOUR
         of_rows -= of_rows[0]
         weights_h = np.minimum(steps.durations / 3600, 1.0)
+        minutes = _spread_over_minutes(
+            values[PRECIPITATION], (rows.first - first).total_seconds(), steps, int(of_rows[-1]) + 1
+        )
         values = {
             name: _average_hours(
                 series, of_rows, weights_h, _ENOUGH if name == PRECIPITATION else 0.0
@@ -309,8 +312,8 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
         hours = np.arange(of_rows[-1] + 1)
         notes.append(
             f"{file.name}: rows are {' and '.join(duration(3600 * each) for each in durations_h)} "
-            f"apart; each hour has their mean, of rain their mean rate if at least {_ENOUGH:g} of "
-            "them are there"
+            "apart; rain is kept minute by minute, and each hour has the mean of its rows, of rain "
+            f"if at least {_ENOUGH:g} of them are there"
         )
     if steps.changes:
         notes.append(
@@ -325,7 +328,7 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
     return Records(
         (file,), first, add_dew_point(arrange_by_hour(values, hours)), rows.method,
         left_out=tuple(notes), rain_late=round(about.get(RAIN_LATE, 0.0)), places=here,
-        wind_height=about.get(WIND_HEIGHT),
+        wind_height=about.get(WIND_HEIGHT), minutes=minutes,
     )
 
 
@@ -334,6 +337,32 @@ def _round_first(first: datetime, steps: RowSteps) -> datetime:
     begin = first - timedelta(seconds=steps.late)
     whole = begin.replace(minute=begin.minute // 5 * 5, second=0, microsecond=0)
     return whole + timedelta(minutes=5) * round((begin - whole) / timedelta(minutes=5))
+
+
+def _spread_over_minutes(rain: Values, first_s: float, steps: RowSteps, hours: int) -> Values:
+    """Return the mean rain of each minute, NaN where no row is, shape (hours, 60).
+
+    Args:
+        rain: of the rows (mm/h), NaN if missing.
+        first_s: start of the first row since the first hour (s).
+        steps: of the rows.
+        hours: their number.
+    """
+    begins = first_s - steps.late + steps.steps * steps.step_s
+    if steps.step_s >= 60:
+        begins = 60 * np.round(begins / 60)  # clocks are not right to the second
+    known = ~np.isnan(rain)
+    edges = np.stack((begins, begins + steps.durations), axis=1)[known].ravel()
+    edges = np.maximum.accumulate(edges)
+    minutes = 60 * np.arange(60 * hours + 1)
+    amounts, seconds = np.zeros((2, len(edges)))
+    amounts[1::2], seconds[1::2] = rain[known] * np.diff(edges)[::2], np.diff(edges)[::2]
+    fallen, there = (
+        np.diff(np.interp(minutes, edges, np.cumsum(each))) for each in (amounts, seconds)
+    )
+    rates = np.divide(fallen, there, out=np.full(len(there), math.nan), where=there > 1e-6)
+    # Sums of binary numbers are rounded.
+    return np.asarray(np.round(rates, 9).reshape(hours, 60))
 
 
 def _average_hours(
@@ -381,10 +410,15 @@ def write_records(records: Records, about: str) -> str:
         f"# {about}", *(f"# {line}" for line in head),
         ",".join(["time", *(f"{text} [{QUANTITIES[name].unit}]" for name, text in names.items())]),
     ]
-    columns = (series.tolist() for series in records.values.values())
-    for hour, row in enumerate(zip(*columns, strict=True)):
-        cells = ("" if math.isnan(value) else repr(value) for value in row)
-        lines.append(",".join([(records.first + hour * HOUR).isoformat(), *cells]))
+    table, step = np.array(list(records.values.values())), HOUR
+    if records.minutes is not None:
+        step = timedelta(minutes=1)
+        table = np.repeat(table, 60, axis=1)
+        rain, known = list(records.values).index(PRECIPITATION), ~np.isnan(records.minutes)
+        table[rain, known.ravel()] = records.minutes[known]
+    for row, values in enumerate(table.T.tolist()):
+        cells = ("" if math.isnan(value) else repr(value) for value in values)
+        lines.append(",".join([(records.first + row * step).isoformat(), *cells]))
     return "\n".join([*lines, ""])
 
 

@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 from greenroof_ros.common.parameter import Parameter, replace_infinity
 from greenroof_ros.controllers.failure import locate_error
+from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.parameters import declare
 from greenroof_ros.model.site import Site
@@ -55,6 +56,10 @@ class ControllerParameters:
         self.controller = None
         self.controller = self._choice.make(self._site, self._values)
         return self.controller
+
+    def make_outlet(self) -> OutletPolicy | None:
+        """Make what commands the valve of the outlet beside the controller, if there is one."""
+        return self._choice.make_outlet(self._site, self._values, self.controller)
 
     def changes(self) -> dict[str, Any]:
         """Return the changes of the parameters, for reports."""

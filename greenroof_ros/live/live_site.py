@@ -55,6 +55,11 @@ class LiveSite:
         """
         self.site_file: Path = arguments.site
         site = read_site(self.site_file)
+        refuse((
+            site.low_outlet_valve, f"{self.site_file}: low_outlet_valve", True,
+            "must be false: a live site cannot command the valve yet; it would stay as it is while "
+            "the controller plans with it",
+        ))
         self.controller, parameters = read_controller(arguments)
         self.parameters = self.controller.defaults(site) | parameters
         self.drive = drive = read_drive_choice(arguments)

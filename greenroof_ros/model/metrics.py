@@ -32,14 +32,26 @@ from greenroof_ros.model.plant import (
 )
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
+from greenroof_ros.model.storm_water import (
+    Event,
+    Intervals,
+    connected_area,
+    find_events,
+    find_peak,
+    find_wet_weather,
+    interval_seconds,
+)
 
 _HOUR_S = 3600.0
-_WEEK_S = 7 * 24 * _HOUR_S
+_DAY_S = 24 * _HOUR_S
+_WEEK_S = 7 * _DAY_S
 _WATER_DENSITY = 1000.0  # kg/m3
 _JOULES_PER_KWH = 3.6e6
 _RUNS = f"above {RUNNING_SHARE:.0%} of the maximum or of the commanded flow"
 # A roof drains water that came within this many hours; as many hours without rain end an event.
 _DRAINS_H = 6
+# An overflow of less is none (m3).
+_NO_WATER = 1e-6
 # Sums of rain are rounded: 20 mm must not be treated as more than 20 mm.
 _ROUNDING_MM = 1e-6
 
@@ -70,6 +82,7 @@ class Samples:
         potential: evapotranspiration of plants that lack no water (m3/s).
         time: start of each sample, since the run's start (s).
         mains: from the mains into the cistern (m3/s); 0 if there is no valve.
+        low_outlet: the part of the outflow through the low outlet (m3/s); None if unknown.
         limited: 1 if a tank held less than was demanded, else 0; None if unknown.
         pumping_before: whether the pumps ran in the sample before the first.
         earlier_starts: times of pump starts in the hour before the first sample (s, negative).
@@ -88,6 +101,7 @@ class Samples:
     potential: Values
     time: Values
     mains: Values
+    low_outlet: Values | None = None
     limited: Values | None = None
     pumping_before: bool = False
     earlier_starts: Values = field(default_factory=lambda: np.empty(0))
@@ -233,6 +247,46 @@ def _running_share(site: Site, samples: Samples) -> Values:
     return np.asarray(running * np.minimum(share, 1.0))
 
 
+def _storm_water(site: Site, samples: Samples) -> Values:
+    """Return each sample's interval, with its rain (m) and its discharge to the sewer (m3)."""
+    return np.stack((
+        (samples.time + site.tau / 2) // interval_seconds(site),
+        samples.duration * samples.precipitation,
+        samples.duration * _discharge(site, samples),
+    ))
+
+
+def _discharge(site: Site, samples: Samples) -> Values:
+    """Return what reaches the sewer (m3/s)."""
+    return samples.outflow + (1 - site.drainage_to_cistern) * samples.drainage
+
+
+def intervals_of(site: Site, sums: Values) -> Intervals:
+    """Return the storm water of a run, from the sums of :func:`_storm_water`."""
+    return Intervals(interval_seconds(site), *sums)
+
+
+def _wet_discharge(site: Site, sums: Values) -> float:
+    intervals = intervals_of(site, sums)
+    return _sum(0.0, intervals.discharge[find_wet_weather(site, intervals)])
+
+
+def _peak(minutes: float) -> Callable[[Site, Values], float]:
+    return lambda site, sums: 1000 * find_peak(intervals_of(site, sums), minutes)
+
+
+def _overflow(site: Site, samples: Samples) -> Values | None:
+    """Return each sample's day of the run, and what left through the upper outlet (m3)."""
+    if samples.low_outlet is None:
+        return None
+    day = (samples.time + site.tau / 2) // _DAY_S
+    return np.stack((day, samples.duration * (samples.outflow - samples.low_outlet)))
+
+
+def _retained_share(site: Site, sums: Values) -> float | None:
+    return 1 - float(sums[0] / sums[1]) if sums[1] else None
+
+
 def _pump_starts(site: Site, samples: Samples) -> Values:
     pumping = _running_share(site, samples) > 0
     return np.asarray(pumping & ~np.append(samples.pumping_before, pumping[:-1]), dtype=float)
@@ -369,6 +423,39 @@ METRICS = (
     Metric("pumped_m3", "m3", "pumped", "from the cistern to the roof", _volume("pump")),
     Metric("outflow_m3", "m3", "outflow", "from the cistern to the sewer", _volume("outflow")),
     Metric("drainage_m3", "m3", "drainage", "off the roof", _volume("drainage")),
+    Metric(
+        "discharge_m3", "m3", "discharge", "to the sewer: outflow, and drainage that is not kept",
+        lambda site, samples: samples.duration * _discharge(site, samples),
+    ),
+    Metric(
+        "wet_discharge_m3", "m3", "discharge in wet weather",
+        "to the sewer in rain, and wet_after of the site after it", _storm_water, _sums_by,
+        finish=_wet_discharge,
+    ),
+    *(
+        Metric(
+            f"peak_discharge_{minutes}min_l_s", "L/s", f"peak discharge, {minutes} min",
+            f"maximum mean of the discharge over {minutes} min", _storm_water, _sums_by,
+            finish=_peak(minutes),
+        )
+        for minutes in (5, 15, 60)
+    ),
+    Metric(
+        "overflow_m3", "m3", "overflow", "through the cistern's upper outlet", _overflow, _sums_by,
+        finish=lambda site, days: _sum(0.0, days[0]),
+    ),
+    Metric(
+        "overflow_days", "1", "days of overflow", "of the run, from its start on", _overflow,
+        _sums_by, "d", finish=lambda site, days: int(np.count_nonzero(days[0] > _NO_WATER)),
+    ),
+    Metric(
+        "retention_share", "1", "retention",
+        "share of the rain on roof and catchment that did not reach the sewer",
+        lambda site, samples: samples.duration * np.stack((
+            _discharge(site, samples), samples.precipitation * connected_area(site)
+        )),
+        _sums, ".1%", finish=_retained_share,
+    ),
     Metric(
         "rain_m3", "m3", "rain", "into both tanks",
         lambda site, samples: (
@@ -515,6 +602,11 @@ class Metrics:
         last tick of all, so that the weeks add up to the total.
         """
         return [float(week) for week in self._weekly(self._end())[0]]
+
+    def events(self) -> list[Event]:
+        """Return the events of rain, if the run ends in the present tick."""
+        sums = _add(self._totals, self._site, self._end())["wet_discharge_m3"]
+        return find_events(self._site, intervals_of(self._site, sums))
 
     def _end(self) -> Samples:
         """Add up all ticks, and return the state in which the run ends.

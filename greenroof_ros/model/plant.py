@@ -36,18 +36,19 @@ MIN_RUN_S = 1.0
 """In a tick that is not short the pumps run for at least this time (s), the paper's tick."""
 
 
-def outlet_flow(site: Site, x1: float) -> float:
-    """q_out (m3/s): what leaves a cistern holding x1 (m3) for the sewer, Eq. (2).
-
-    If there is a low outlet, it is the flow of both outlets.
-    """
+def overflow(site: Site, x1: float) -> float:
+    """q_out (m3/s): what leaves a cistern holding x1 (m3) through its upper outlet, Eq. (2)."""
     head = x1 / site.a1 - site.z_o
-    flow = site.c_out * math.sqrt(head) if head > 0 else 0.0
-    return flow + low_outlet_flow(site, x1)
+    return site.c_out * math.sqrt(head) if head > 0 else 0.0
+
+
+def outlet_flow(site: Site, x1: float) -> float:
+    """What leaves a cistern holding x1 (m3) for the sewer through both outlets, open (m3/s)."""
+    return overflow(site, x1) + low_outlet_flow(site, x1)
 
 
 def low_outlet_flow(site: Site, x1: float) -> float:
-    """What the low outlet takes (m3/s) from a cistern holding x1 (m3): Eq. (2) at its elevation."""
+    """What the open low outlet takes (m3/s) from a cistern of x1 (m3): Eq. (2) at its level."""
     if site.low_outlet_level is None:
         return 0.0
     head = x1 / site.a1 - site.low_outlet_level
@@ -155,6 +156,8 @@ class Flows(NamedTuple):
     """whether a tank held less than was demanded"""
     mains: float
     """from the mains into the cistern"""
+    low_outlet: float = 0.0
+    """the part of the outflow that leaves through the low outlet"""
 
 
 class Plant:
@@ -176,6 +179,7 @@ class Plant:
         self._retains_all_below = self._soil.retains_all_below
         self._has_layer = site.drainage_storage is not None
         self._has_mains = site.mains_flow is not None
+        self._kept = site.drainage_to_cistern
         self._short = has_short_ticks(site)
         self.x1 = x1
         self.x2 = x2
@@ -190,7 +194,7 @@ class Plant:
 
     def flows(
         self, precipitation: float, evapotranspiration: float, command: float,
-        pumped: float | None = None,
+        pumped: float | None = None, outlet: float = 1.0,
     ) -> Flows:
         """Return what moves during the present tick.
 
@@ -202,22 +206,24 @@ class Plant:
             evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
             command: to the pumps (share of the maximum flow), Eq. (3a).
             pumped: flow from the cistern to the roof (m3/s), if another program drives the pumps.
+            outlet: share to which the valve of the low outlet is open (1).
         """
         x1, x2, tau = self.x1, self.x2, self._tau
         collected, rain = precipitation * self._catchment, precipitation * self._a2
-        mains, limited = 0.0, False
+        mains, low, limited = 0.0, 0.0, False
         if not self._short:
             missing = rise = 0.0
             if pumped is None and command and x2 / self._a2 < self._site.z_veg:
                 missing, rise = self._find_missing(rain, evapotranspiration)
-            outflow, pump, mains, limited = self._step_cistern(
-                collected, command, pumped, missing, rise
+            outflow, low, pump, mains, limited = self._step_cistern(
+                collected, command, pumped, outlet, missing, rise
             )
         else:
             pump = pump_flow(self._site, x1, x2, command) if pumped is None else pumped
             outflow = 0.0
             if x1 / self._a1 > self._min_outlet_level:
-                outflow = outlet_flow(self._site, x1)
+                low = outlet * low_outlet_flow(self._site, x1)
+                outflow = overflow(self._site, x1) + low
             demand = outflow + pump
             if self._has_mains:
                 mains = mains_flow(self._site, x1, demand - collected, tau)
@@ -225,6 +231,7 @@ class Plant:
             if demand > available:
                 share = available / demand
                 outflow *= share
+                low *= share
                 pump *= share
                 limited = True
         drainage = 0.0
@@ -236,7 +243,7 @@ class Plant:
                 x2, self.layer, available, rain + pump, evapotranspiration
             )
             limited = limited or dry
-        return _new(Flows, (outflow, pump, drainage, evapotranspiration, limited, mains))
+        return _new(Flows, (outflow, pump, drainage, evapotranspiration, limited, mains, low))
 
     def _find_missing(self, rain: float, evapotranspiration: float) -> tuple[float, float]:
         """Return what must be pumped until the roof is at its target in a long tick.
@@ -257,9 +264,10 @@ class Plant:
         return arrive - self._tau * rain, 0.0
 
     def _step_cistern(
-        self, collected: float, command: float, pumped: float | None, missing: float, rise: float
-    ) -> tuple[float, float, float, bool]:
-        """Return outflow, pumped and mains water in a long tick (m3/s).
+        self, collected: float, command: float, pumped: float | None, outlet: float,
+        missing: float, rise: float,
+    ) -> tuple[float, float, float, float, bool]:
+        """Return outflow, its part through the low outlet, pumped and mains water in a long tick.
 
         If something changes quickly, in steps of up to 10 s. In each, pumps and mains stop at their
         levels. The outlets follow by the backward Euler method, so they take at most what stands
@@ -271,11 +279,12 @@ class Plant:
             collected: rain that flows in (m3/s).
             command: to the pumps (share of the maximum flow).
             pumped: flow to the roof (m3/s), if another program drives the pumps.
+            outlet: share to which the valve of the low outlet is open (1).
             missing: what must be pumped until the roof is at its target (m3).
             rise: by how much that falls because of rain (m3/s).
 
         Returns:
-            The three flows, and whether the cistern held less than another program pumped.
+            The four flows (m3/s), and whether the cistern held less than another program pumped.
         """
         site, x1, tau = self._site, self.x1, self._tau
         lowest, min_run = self._a1 * site.suction_level * (1 + _ROUNDING), MIN_RUN_S
@@ -287,7 +296,8 @@ class Plant:
         quick = overflows or tau * flow > _SHORT_SHARE * site.x2_star
         steps = math.ceil(tau / _MAX_STEP_S) if quick else 1
         seconds, running, limited = tau / steps, False, False
-        out = lifted = let_in = 0.0  # m3
+        outlets = (site.z_o, site.c_out), (site.min_outlet_level, outlet * site.c_low)
+        out = let_out = lifted = let_in = 0.0  # m3
         for _ in range(steps):
             if pumped is None:
                 flow = command * maximum_pump_flow(site, x1) if missing > 0 else 0.0
@@ -308,16 +318,16 @@ class Plant:
             lifted += volume
             let_in += mains
             # The upper outlet first: while it flows, the lower one's head hardly changes.
-            for level, coefficient in (
-                (site.z_o, site.c_out), (site.min_outlet_level, site.c_low)
-            ):
+            for level, coefficient in outlets:
                 above = x1 - self._a1 * level
+                low = 0.0
                 if above > 0:
                     drop = coefficient * seconds
-                    taken = drop * 2 * above / (drop + math.sqrt(drop**2 + 4 * self._a1 * above))
-                    x1 -= taken
-                    out += taken
-        return out / tau, lifted / tau, let_in / tau, limited
+                    low = drop * 2 * above / (drop + math.sqrt(drop**2 + 4 * self._a1 * above))
+                    x1 -= low
+                    out += low
+            let_out += low
+        return out / tau, let_out / tau, lifted / tau, let_in / tau, limited
 
     def step(self, precipitation: float, flows: Flows) -> None:
         """Move on by one tick, Eq. (1).
@@ -326,9 +336,9 @@ class Plant:
             precipitation: rain (m/s), the same as given to :meth:`flows`.
             flows: what :meth:`flows` returned for the present tick.
         """
-        outflow, pump, drained, evapotranspiration, _, mains = flows
+        outflow, pump, drained, evapotranspiration, _, mains, _ = flows
         tau = self._tau
-        into_cistern = precipitation * self._catchment + mains
+        into_cistern = precipitation * self._catchment + mains + self._kept * drained
         into_roof = precipitation * self._a2 + pump
         if self._has_layer:
             drained = self._soil.drained(self.x2, into_roof, tau)

@@ -67,6 +67,8 @@ _TOGETHER = (
     (("drainage_storage", "drainage_time"), ("field_capacity",)),
     (("mains_level", "mains_flow"), ()),
     (("low_outlet_level", "low_outlet_radius"), ()),
+    (("low_outlet_valve",), ("low_outlet_level",)),
+    (("valve_closed_in_frost",), ("low_outlet_valve",)),
     (("initial_cistern", "initial_roof"), ()),
     (("quiet_hours",), ("time_zone",)),
 )
@@ -155,6 +157,22 @@ class Site:
     )
     low_outlet_radius: float | None = entry(
         "radius of the low outlet", 0.001, 1.0, unit="m", default=None,
+    )
+    low_outlet_valve: bool = entry(
+        "whether a valve opens and closes the low outlet, as /outlet/command asks; without one it "
+        "is always open", default=False,
+    )
+    valve_closed_in_frost: bool = entry(
+        "whether the valve is closed in frost, for one that could freeze while it is open; a valve "
+        "below the frost line also works then", default=False,
+    )
+    drainage_to_cistern: float = entry(
+        "share of the roof's drainage that flows into the cistern; the rest reaches the sewer",
+        0.0, 1.0, unit="1", default=0.0,
+    )
+    wet_after: float = entry(
+        "how long after rain the sewer still carries storm water, so that what reaches it counts "
+        "as discharge in wet weather [assumed]", 0.0, 48.0, unit="h", default=2.0,
     )
     initial_cistern: float | None = entry(
         "volume in the cistern at the start of a run; without it, low-low of Table II",
@@ -550,8 +568,9 @@ def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str,
                 "refused; is a unit wrong?"
             )
     for names, further in _TOGETHER:
-        present = [name for name in names if name in entries]
-        missing = [name for name in (*names, *further) if name not in entries]
+        there = {name for name in entries if getattr(site, name) is not False}
+        present = [name for name in names if name in there]
+        missing = [name for name in (*names, *further) if name not in there]
         if present and missing:
             yield present[0], f"needs {', '.join(missing)} as well"
     if site.time_zone is not None and site.utc_offset is not None:

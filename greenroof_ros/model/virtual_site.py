@@ -43,6 +43,7 @@ class VirtualSite:
         self._start_ns, self._tick_ns = start_ns, round(site.tau * 1e9)
         self._sensor = None if sensor_and_pump.exact_sensor else RoofSensor(sensor_and_pump)
         self._pump = None if sensor_and_pump.instant_pump else Pump(sensor_and_pump, site.tau)
+        self._closed_in_frost = site.valve_closed_in_frost
         self._quiet_hours = site.quiet
         self.quiet = site.quiet is not None and site.quiet.quiet_at(start_ns)
 
@@ -60,7 +61,7 @@ class VirtualSite:
 
     def act(
         self, precipitation: float, evapotranspiration: float, command: float,
-        pumped: float | None = None,
+        pumped: float | None = None, outlet: float = 1.0,
     ) -> Flows:
         """Return what moves in the present tick; call it once in each.
 
@@ -69,13 +70,16 @@ class VirtualSite:
             evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
             command: to the pumps (share of the maximum flow).
             pumped: flow (m3/s) of pumps that another program drives; None for the site's own.
+            outlet: to the valve of the low outlet (share to which it is open).
         """
         may_run = self.frost == 0 and not self.quiet
         if self._pump is None:
             switched = command if may_run else 0.0
         else:
             switched = self._pump.switch(command, may_run)
-        flows = self.plant.flows(precipitation, evapotranspiration, switched, pumped)
+        if self._closed_in_frost and self.frost != 0:
+            outlet = 0.0
+        flows = self.plant.flows(precipitation, evapotranspiration, switched, pumped, outlet)
         if self._pump is not None:
             self._pump.observe(flows.pump)
         self._acted = command, precipitation, evapotranspiration, flows

@@ -43,7 +43,10 @@ class ControllerNode(SimulationNode):
         self._site = site = self.declare_site()
         self._settings = ControllerParameters(self, choice, site, lambda: self.lockstep.tick)
         self._controller = self._settings.make()
+        self._outlet = self._settings.make_outlet()
         self._optional = optional_topics(choice.outputs)
+        if self._outlet is not None:
+            self.open_outputs("/outlet/command")
         self.open_outputs("/pump/command", *(topic.name for topic, _ in self._optional))
         self._cistern, self._roof, self._rain, self._evapotranspiration, self._frost = (
             self.subscribe(name) for name in (
@@ -71,6 +74,11 @@ class ControllerNode(SimulationNode):
             shape_rain(self._choice, self._rain.value, self._rain.name),
             self._evapotranspiration.value, quiet,
         ))
+        if self._outlet is not None:
+            self.publish("/outlet/command", self._outlet.command(
+                self._cistern.value, self._roof.value, self._rain.value,
+                self._evapotranspiration.value,
+            ))
         for topic, attribute in self._optional:
             value = getattr(controller, attribute) if allowed else topic.undecided
             self.publish(topic.name, value)

@@ -105,9 +105,14 @@ class PlantNode(SimulationNode):
         )
         self._rain = self.subscribe("/weather/precipitation")
         self._evapotranspiration = self.subscribe("/weather/evapotranspiration")
-        # Frost cuts a minimum on-time short. Without one the pump only follows the command.
-        self._frost = self.subscribe("/weather/frost") if sensor_and_pump.pump_min_on else None
+        # Frost cuts a minimum on-time short, and can close the outlet's valve. Otherwise the pump
+        # only follows the command.
+        needs_frost = sensor_and_pump.pump_min_on or site.valve_closed_in_frost
+        self._frost = self.subscribe("/weather/frost") if needs_frost else None
         self._command = self.subscribe("/pump/command")
+        self._outlet = self.subscribe("/outlet/command") if site.low_outlet_valve else None
+        if self._outlet is not None:
+            self.open_outputs("/outlet/flow")
         if self._external:
             self._flow = self.subscribe("/pump/flow")
         else:
@@ -165,6 +170,7 @@ class PlantNode(SimulationNode):
         flows = site.act(
             self._rain.value, self._evapotranspiration.value, self._command.value,
             self._flow.value if self._external else None,
+            1.0 if self._outlet is None else self._outlet.value,
         )
         if site.tick == self._run_length:
             self._publish_flows(flows)
@@ -190,6 +196,8 @@ class PlantNode(SimulationNode):
     def _publish_flows(self, flows: Flows) -> None:
         self.publish("/cistern/outflow", flows.outflow)
         self.publish("/roof/drainage", flows.drainage)
+        if self._outlet is not None:
+            self.publish("/outlet/flow", flows.low_outlet)
         if not self._external:
             self.publish("/pump/flow", flows.pump)
 
@@ -255,10 +263,11 @@ class PlantNode(SimulationNode):
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return the metrics of the run and its weeks, and its duration (s of wall time)."""
+        """Return the metrics of the run, its weeks, events and duration (s of wall time)."""
         return {
             "metrics": self._site.metrics.results(),
             "weeks": self._site.metrics.weekly_deviations(),
+            "events": self._site.metrics.events(),
             "wall_s": self._wall_s,
         }
 

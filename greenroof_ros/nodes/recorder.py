@@ -18,7 +18,7 @@ from greenroof_ros.graph.executable import node_command
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import decode_clock
 from greenroof_ros.graph.node import SimulationNode
-from greenroof_ros.graph.parameters import declare
+from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import BagWriter
 
@@ -26,6 +26,7 @@ from greenroof_ros.recording.bag_writer import BagWriter
 def parameters(site: Site | None = None) -> list[Parameter]:
     """Return the node's parameters, which are the same at every site."""
     return [
+        site_file(),
         Parameter("directory", "bag", meaning="the bag; must not exist"),
         Parameter(
             "controller", DEFAULT, meaning="the active controller: a name, or package.module:Class",
@@ -49,12 +50,13 @@ class RecorderNode(SimulationNode):
     def __init__(self) -> None:
         """Declare the parameters, make the bag and open the topics."""
         super().__init__(RECORDER, RECORDER)
+        site = self.declare_site()
         values = declare(self, parameters())
         directory = values["directory"]
         self._limit = values["peer_limit"]
         try:
             controller = find_controller(values["controller"])
-            topics = recorded_topics(controller.outputs)
+            topics = recorded_topics(controller.outputs, site.low_outlet_valve)
         except ConfigurationError as error:
             raise ConfigurationError(f"parameter controller of recorder: {error}") from error
         self._in_bag = [

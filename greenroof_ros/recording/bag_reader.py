@@ -20,14 +20,14 @@ from greenroof_ros.formats.quantities import EVAPOTRANSPIRATION, PRECIPITATION, 
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import METADATA
-from greenroof_ros.recording.trajectory import RECORDED, Trajectory
+from greenroof_ros.recording.trajectory import COLUMNS, Trajectory, recorded_columns
 
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
 
 # Attribute of a trajectory, by topic. A sample needs the topics that follow; the others are treated
 # as 0 if missing.
-_ATTRIBUTES = {column.topic: column.attribute for column in RECORDED}
+_ATTRIBUTES = {column.topic: column.attribute for column in COLUMNS if column.attribute}
 _NEEDED = ("/roof/level", "/cistern/level", "/pump/command", "/pump/flow")
 _TYPE = "std_msgs/msg/Float64"
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
@@ -99,8 +99,9 @@ def load_bag(
         ConfigurationError: the bag is damaged, foreign, or has implausible values.
     """
     recorded, notes = _keep_one_time(_read_series(bag, repair), zone)
+    of_site = {column.topic: column.attribute for column in recorded_columns(site)}
     notes += [
-        f"{topic} is not in the bag; assumed 0" for topic in _ATTRIBUTES if topic not in recorded
+        f"{topic} is not in the bag; assumed 0" for topic in of_site if topic not in recorded
     ]
     interface, highest = read_topics(), _compute_maxima(site)
     series = {}
@@ -123,7 +124,7 @@ def load_bag(
     longest = max(_GAP_S * 1e9, _GAP_SPACINGS * float(np.median(spacings)))
     gaps = np.flatnonzero(spacings > longest)  # the last sample before each gap
     columns: dict[str, Values] = {}
-    for topic, name in _ATTRIBUTES.items():
+    for topic, name in of_site.items():
         columns[name] = np.zeros(len(samples))
         if topic in series:
             # If messages have the same time, the last counts.

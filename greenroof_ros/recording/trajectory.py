@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.common.times import epoch_ns
+from greenroof_ros.model.site import Site
 
 if TYPE_CHECKING:
     import polars
@@ -36,10 +37,11 @@ class TrajectoryColumn(NamedTuple):
     """of a :class:`Trajectory`; empty if it is computed from the others and the site"""
     topic: str = ""
     """in a bag; the volumes are computed from levels"""
+    needs: str = ""
+    """key of the sites that have it; empty if all have it"""
 
 
-LAYER = TrajectoryColumn("drainage_layer_m3", "layer")
-"""of a measured soil only"""
+LAYER = TrajectoryColumn("drainage_layer_m3", "layer", needs="drainage_storage")
 
 # Besides the times, in the order of files and tables.
 COLUMNS = (
@@ -60,12 +62,29 @@ COLUMNS = (
     TrajectoryColumn("drainage_m3_per_s", "flows.drainage", "drainage", "/roof/drainage"),
     TrajectoryColumn("frost", "frost", "frost", "/weather/frost"),
     LAYER,
+    TrajectoryColumn("outlet_command", "outlet", "outlet", "/outlet/command", "low_outlet_valve"),
+    TrajectoryColumn(
+        "low_outlet_flow_m3_per_s", "flows.low_outlet", "low_outlet", "/outlet/flow",
+        "low_outlet_valve",
+    ),
 )
-RECORDED = tuple(column for column in COLUMNS if column.attribute)
-"""The columns that a :class:`Trajectory` has."""
+
+
+def columns_of(site: Site) -> list[TrajectoryColumn]:
+    """Return the columns of a site's files and tables."""
+    return [column for column in COLUMNS if not column.needs or getattr(site, column.needs)]
+
+
+def recorded_columns(site: Site) -> list[TrajectoryColumn]:
+    """Return the columns that a :class:`Trajectory` of a site has."""
+    return [column for column in columns_of(site) if column.attribute]
+
 
 # Name of each column of a trajectory's file, by its attribute.
-_NAMES = {"time": "time_s", **{column.attribute: column.name for column in RECORDED}}
+_NAMES = {
+    "time": "time_s", **{column.attribute: column.name for column in COLUMNS if column.attribute},
+}
+_OPTIONAL = {column.name for column in COLUMNS if column.needs}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +103,8 @@ class Trajectory:
         outflow: from the cistern to the sewer (m3/s).
         drainage: from the roof (m3/s).
         frost: 1 in frost, else 0.
+        outlet: share to which the valve of the low outlet is open (1); None without a valve.
+        low_outlet: the part of the outflow through it (m3/s); None without a valve.
     """
 
     start: datetime
@@ -97,6 +118,8 @@ class Trajectory:
     outflow: Samples
     drainage: Samples
     frost: Samples
+    outlet: Samples | None = None
+    low_outlet: Samples | None = None
 
     def to_frame(self) -> polars.DataFrame:
         """Return it as a table: the time with its zone, to the microsecond, and each array.
@@ -112,8 +135,11 @@ class Trajectory:
         since_1970 = epoch_ns(self.start) // 1000 + np.rint(1e6 * self.time).astype(np.int64)
         time = polars.Series(since_1970).cast(polars.Datetime("us", "UTC"))
         return polars.DataFrame({
-            "time": time.dt.convert_time_zone(_zone_name(self.start)),
-            **{name: getattr(self, attribute) for attribute, name in _NAMES.items()},
+            "time": time.dt.convert_time_zone(zone_name(self.start)),
+            **{
+                name: getattr(self, attribute) for attribute, name in _NAMES.items()
+                if getattr(self, attribute) is not None
+            },
         })
 
     def to_parquet(self) -> bytes:
@@ -129,7 +155,7 @@ class Trajectory:
         return stream.getvalue()
 
 
-def _zone_name(time: datetime) -> str:
+def zone_name(time: datetime) -> str:
     """Return the name of a time's zone, such as Etc/GMT+5 for an offset of -05:00."""
     if isinstance(time.tzinfo, ZoneInfo):
         return time.tzinfo.key
@@ -153,6 +179,11 @@ def read_trajectory(path: Path) -> Trajectory:
         raise ConfigurationError(f"cannot be read: {error.strerror}", file=path) from error
     columns = list(_NAMES.values())
     try:
+        there = (
+            polars.read_csv(content, n_rows=0).columns if path.suffix == ".csv"
+            else list(polars.read_parquet_schema(io.BytesIO(content)))
+        )
+        columns = [name for name in columns if name in there or name not in _OPTIONAL]
         if path.suffix == ".csv":
             numbers = dict.fromkeys(columns, polars.Float64)
             table = polars.read_csv(
@@ -178,5 +209,8 @@ def read_trajectory(path: Path) -> Trajectory:
             "is empty, truncated or not a trajectory; repeat the run", file=path
         ) from error
     return Trajectory(
-        start=start, **{attribute: table[name].to_numpy() for attribute, name in _NAMES.items()}
+        start=start, **{
+            attribute: table[name].to_numpy() for attribute, name in _NAMES.items()
+            if name in columns
+        }
     )

@@ -231,6 +231,7 @@ def _drop_partial_hours(records: Records) -> Records:
         records,
         first=records.first + begin * HOUR,
         values={quantity: series[begin:end] for quantity, series in records.values.items()},
+        minutes=None if records.minutes is None else records.minutes[begin:end],
     )
 
 

@@ -1,6 +1,8 @@
 """The weather of a run: hourly records, and their values tick by tick.
 
-A run may last years, so no array has an entry per tick: a tick's value is looked up in its hour.
+A run may last years, so no array has an entry per tick: a tick's value is looked up in its hour,
+and rain that is known by the minute in its minute. Only if ticks are longer than that, each has
+the mean of its minutes.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.weather.evapotranspiration import COMPUTED, explain_missing
 
 _HOUR_NS = 3_600_000_000_000
+_MINUTE_NS = _HOUR_NS // 60
 # At or below this temperature there is frost, and nothing is pumped (degC).
 _FREEZING = 0.0
 
@@ -71,7 +74,7 @@ class Weather(Records):
 
 
 class _Clock(NamedTuple):
-    """The hour of the records of each tick; beyond their end the last hour."""
+    """The hour of the records of each tick, or another step; beyond their end the last."""
 
     offset_ns: int
     """time of tick 0 since hour 0"""
@@ -79,22 +82,24 @@ class _Clock(NamedTuple):
     """duration of a tick"""
     last: int
     """the last hour"""
+    step_ns: int = _HOUR_NS
+    """duration of an hour, or of another step"""
 
     def hour(self, tick: int) -> int:
-        return min((self.offset_ns + tick * self.tick_ns) // _HOUR_NS, self.last)
+        return min((self.offset_ns + tick * self.tick_ns) // self.step_ns, self.last)
 
     def hours(self, ticks: range) -> NDArray[np.int64]:
         elapsed_ns = self.offset_ns + np.asarray(ticks, dtype=np.int64) * self.tick_ns
-        return np.minimum(elapsed_ns // _HOUR_NS, self.last)
+        return np.minimum(elapsed_ns // self.step_ns, self.last)
 
     def first_tick(self, hour: int) -> int:
         """Return the first tick that begins in an hour or after it."""
-        return -((self.offset_ns - hour * _HOUR_NS) // self.tick_ns)
+        return -((self.offset_ns - hour * self.step_ns) // self.tick_ns)
 
 
 @dataclass(frozen=True, eq=False)
 class PerTick(Sequence[float]):
-    """One value for each tick, from hourly values; a slice is an array."""
+    """One value for each tick, from hourly values, or of another step; a slice is an array."""
 
     hourly: NDArray[np.float64]
     """of all hours of the records"""
@@ -186,7 +191,10 @@ class WeatherSeries:
         first = clock.hour(0)
         _check_hours(weather, np.arange(first, clock.hour(ticks - 1) + 1))
         frost = np.zeros(last + 1) if weather.frost is None else weather.frost.astype(float)
-        self.precipitation = PerTick(weather.precipitation / 1000 / 3600, clock, range(ticks))
+        self.precipitation = _rain_per_tick(weather, clock, ticks)
+        self._rain_changes = None if weather.minutes is None else (
+            1 + np.flatnonzero(np.diff(self.precipitation.hourly))
+        )
         self.evapotranspiration = PerTick(
             weather.evapotranspiration / 1000 / 86400 * site.a2, clock, range(ticks)
         )
@@ -226,10 +234,39 @@ class WeatherSeries:
         """Return the weather of a tick, and the tick until which it stays the same."""
         hour = self._clock.hour(tick)
         until = self._clock.first_tick(hour + 1)
+        if self._rain_changes is not None:
+            rain = self.precipitation.clock
+            later = self._rain_changes.searchsorted(rain.hour(tick), side="right")
+            if later < len(self._rain_changes):
+                until = min(until, rain.first_tick(int(self._rain_changes[later])))
         return Hour(
             self.precipitation[tick], self.evapotranspiration[tick], self.frost[tick],
             until if tick < until else len(self.precipitation),
         )
+
+
+def _rain_per_tick(weather: Weather, hours: _Clock, ticks: int) -> PerTick:
+    """Return the rain of each tick (m/s), as finely as the records have it.
+
+    Args:
+        weather: the records.
+        hours: the hour of each tick.
+        ticks: their number.
+    """
+    hourly = weather.precipitation / 1000 / 3600
+    if weather.minutes is None:
+        return PerTick(hourly, hours, range(ticks))
+    known = ~np.isnan(weather.minutes)
+    minutes = np.where(known, weather.minutes / 1000 / 3600, hourly[:, None]).ravel()
+    clock = hours._replace(last=len(minutes) - 1, step_ns=_MINUTE_NS)
+    if clock.tick_ns > _MINUTE_NS:
+        fallen = np.concatenate(([0.0], np.cumsum(np.nan_to_num(minutes))))
+        edges = (clock.offset_ns + clock.tick_ns * np.arange(ticks + 1.0)) / _MINUTE_NS
+        minutes = np.diff(np.interp(edges, np.arange(len(fallen)), fallen)) / (
+            clock.tick_ns / _MINUTE_NS
+        )
+        clock = _Clock(0, clock.tick_ns, ticks - 1, clock.tick_ns)
+    return PerTick(minutes, clock, range(ticks))
 
 
 def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:

@@ -126,7 +126,7 @@ def test_a_tank_that_holds_too_little_shares_it_out(
     """And nothing is left in it."""
     plant = Plant(PAPER_SITE, x1, x2)
     flows = plant.flows(*inputs[:2], 0.0, inputs[2])
-    assert flows == pytest.approx((*expected, True, 0.0), rel=1e-12)
+    assert flows == pytest.approx((*expected, True, 0.0, 0.0), rel=1e-12)
     plant.step(inputs[0], flows)
     assert 0.0 in (plant.x1, plant.x2)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,7 +29,14 @@ from greenroof_ros.experiment.run_directory import make_run_directory, write_con
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import Site
-from greenroof_ros.recording.trajectory import COLUMNS, LAYER, TRAJECTORY, Trajectory
+from greenroof_ros.model.storm_water import Event
+from greenroof_ros.recording.trajectory import (
+    COLUMNS,
+    LAYER,
+    TRAJECTORY,
+    Trajectory,
+    zone_name,
+)
 
 if TYPE_CHECKING:
     import altair
@@ -114,6 +122,35 @@ class Result:
             (1.0, 3601)
         """
         return make_table(self.run.site, self.ticks)
+
+    @cached_property
+    def events(self) -> polars.DataFrame:
+        """The events of rain, a row for each, and what of it reached the sewer.
+
+        Events are separated by six hours without rain. ``volume_reduction`` and ``peak_reduction``
+        compare with the same area without roof and cistern; the columns are the fields of
+        :class:`greenroof_ros.model.storm_water.Event`, and ``start``.
+
+        Raises:
+            ConfigurationError: polars is not installed.
+
+        Example:
+            >>> import greenroof_ros as gr
+            >>> gr.simulate("onoff", hours=36).events["rain_mm"].round(1).to_list()
+            [5.9, 21.6]
+        """
+        refuse_forked_polars()
+        with require_extra("study"):
+            import polars
+        events, zone = self.summary["events"], zone_name(self.run.start)
+        starts = polars.Series(
+            [datetime.fromisoformat(event["start"]) for event in events],
+            dtype=polars.Datetime("us", "UTC"),
+        )
+        return polars.DataFrame({
+            "start": starts.dt.convert_time_zone(zone),
+            **{name: [event[name] for event in events] for name in Event._fields},
+        }, schema_overrides=dict.fromkeys(Event._fields, polars.Float64))
 
     def plot(self) -> altair.VConcatChart:
         """Return a chart: rain, levels of roof and cistern, and the pump, over time.

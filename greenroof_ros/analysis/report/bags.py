@@ -197,6 +197,10 @@ def make_samples(site: Site, trajectory: Trajectory) -> Samples:
     values["mains"] = np.fromiter(
         map(partial(mains_flow, site), trajectory.cistern, drawn, dt), float
     )
+    if trajectory.low_outlet is not None:
+        values["low_outlet"] = trajectory.low_outlet
+    elif site.low_outlet_level is None:
+        values["low_outlet"] = np.zeros_like(dt)
     # The run ends at the last sample: nothing flows after it.
     flows: dict[str, Any] = {name: np.append(flow[:-1], 0.0) for name, flow in values.items()}
     evaporated, layer = soil_of(site).reconstruct_losses(

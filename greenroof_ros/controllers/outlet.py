@@ -1,0 +1,360 @@
+"""What commands the valve of the low outlet, beside any controller of the pump.
+
+The cistern keeps storm water out of the sewer only if there is room in it when the rain comes. A
+policy decides in each tick how far the valve is open (share, 0 to 1): ``closed``; ``open``, an
+orifice without a valve; ``drain``, which makes room in dry weather; and ``plan``, which makes it
+before forecast rain, and otherwise keeps the water for the roof.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.ranges import Range
+from greenroof_ros.model.plant import low_outlet_flow
+from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import soil_of
+from greenroof_ros.model.storm_water import WET_RAIN
+
+Array = NDArray[np.float64]
+
+CLOSED, OPEN, DRAIN, PLAN = "closed", "open", "drain", "plan"
+
+_HOUR_S, _DAY_S = 3600.0, 86_400.0
+# How far a plan looks ahead (h), and the nodes of the cistern's volume in it.
+_HORIZON_H, _NODES = 48, 61
+# A plan is made each hour, or if a member's total rain has changed by more than this (m).
+_CHANGED_M = 1e-3
+# Of plans that cost the same, the one that keeps the water: a cost of what is let out (1).
+_TIE = 1e-6
+# The reserve, unless given: ten days of irrigation at 4 mm a day [assumed], but at most half of
+# the cistern.
+_RESERVE_M, _MAX_RESERVE = 0.04, 0.5
+
+_SHARE = Range(0.0, 1.0, "1")
+
+PARAMETERS = (
+    Parameter(
+        "outlet", DRAIN, "", meaning="what commands the outlet's valve. closed and open: always; "
+        "drain: opens in dry weather, down to the reserve; plan: opens before forecast rain that "
+        "would not fit, and is drain without a forecast", among=(CLOSED, OPEN, DRAIN, PLAN),
+    ),
+    Parameter(
+        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "drain leaves this volume in the cistern; by "
+        "default ten days of irrigation at 4 mm a day, or half of a smaller cistern",
+    ),
+    Parameter(
+        "outlet_price", 0.3, "1", 0.0, 1e3, "plan: cost of a m3 of mains water, in m3 of discharge "
+        "in wet weather",
+    ),
+    Parameter(
+        "outlet_reach", 30.0, "days", 0.0, 365.0, "plan: water for this long is worth its price "
+        "in mains water at the end of the plan; more of it is not",
+    ),
+)
+"""of every controller at a site with a valve"""
+
+
+def parameters_on(site: Site, policy: str) -> list[Parameter]:
+    """Return :data:`PARAMETERS` with their defaults at a site.
+
+    Args:
+        site: with a valve.
+        policy: that a controller has unless another is asked for.
+    """
+    reserve = min(_RESERVE_M * site.a2, _MAX_RESERVE * site.cistern_volume(site.z_o))
+    defaults = {"outlet": policy, "outlet_reserve": reserve}
+    return [
+        replace(parameter, default=defaults.get(parameter.name, parameter.default))
+        for parameter in PARAMETERS
+    ]
+
+
+class OutletPolicy(Protocol):
+    """Decides how far the valve of the low outlet is open."""
+
+    def command(
+        self, cistern_level: float, roof_level: float, precipitation: Any,
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Return the share to which the valve is open in the present tick (1).
+
+        Args:
+            cistern_level: water depth in the cistern (m).
+            roof_level: water in the roof's substrate, as a depth (m).
+            precipitation: forecast of rain (m/s), as the controller gets it; the first entry is
+                now.
+            evapotranspiration: forecast (m3/s), likewise.
+        """
+        ...
+
+
+def make_outlet(
+    site: Site, ends: Array, outlet: str, outlet_reserve: float, outlet_price: float,
+    outlet_reach: float,
+) -> OutletPolicy:
+    """Make a policy; :data:`PARAMETERS` has the units and meanings.
+
+    Args:
+        site: with a valve.
+        ends: of the steps of the forecasts (s from now), the first 0.
+        outlet: name of the policy.
+        outlet_reserve: of drain.
+        outlet_price: of mains water.
+        outlet_reach: of the value of stored water.
+    """
+    if outlet in (CLOSED, OPEN):
+        return Fixed(float(outlet == OPEN))
+    drain = Drain(site, outlet_reserve)
+    return drain if outlet == DRAIN else Plan(site, ends, drain, outlet_price, outlet_reach)
+
+
+class OfController:
+    """Opens the valve as a controller says that commands it itself, in its attribute ``outlet``."""
+
+    def __init__(self, controller: Any) -> None:
+        """Set the controller, which decides on the pump before this is asked."""
+        self._controller = controller
+
+    def command(self, *inputs: Any) -> float:
+        """Return the controller's share; see :class:`OutletPolicy`.
+
+        Raises:
+            ConfigurationError: it is not a number from 0 to 1.
+        """
+        name = type(self._controller).__name__
+        return float(_SHARE.read(self._controller.outlet, key=f"the attribute outlet of {name}"))
+
+
+class Fixed:
+    """Leaves the valve as it is."""
+
+    def __init__(self, share: float) -> None:
+        """Set the share to which it is open (1)."""
+        self._share = share
+
+    def command(self, *inputs: Any) -> float:
+        """Return the share; see :class:`OutletPolicy`."""
+        return self._share
+
+
+class Drain:
+    """Opens the valve in dry weather, until the cistern is down to a reserve.
+
+    Weather is dry ``wet_after`` hours after the last rain of 0.1 mm/h or more: what is let out then
+    meets a sewer without storm water.
+    """
+
+    def __init__(self, site: Site, reserve: float) -> None:
+        """Set the site, and what is left in the cistern (m3)."""
+        self._site, self._reserve = site, reserve
+        self._without_rain_s = 0.0  # until the end of the present tick
+
+    def observe(self, rain: float) -> None:
+        """Count the time without rain; call it once a tick, with the present rain (m/s)."""
+        self._without_rain_s = 0.0 if rain >= WET_RAIN else self._without_rain_s + self._site.tau
+
+    @property
+    def wet_hours(self) -> float:
+        """How long the weather remains wet if there is no rain from now on (h)."""
+        before = max(0.0, self._without_rain_s - self._site.tau)
+        return max(0.0, self._site.wet_after - before / _HOUR_S)
+
+    def command(
+        self, cistern_level: float, roof_level: float, precipitation: Any,
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Return the share that drains the cistern to the reserve; see :class:`OutletPolicy`."""
+        self.observe(find_present(precipitation))
+        return self.drain_to(self._reserve, cistern_level) if not self.wet_hours else 0.0
+
+    def drain_to(self, volume: float, cistern_level: float) -> float:
+        """Return the share with which a cistern is not below a volume (m3) after the tick."""
+        x1 = self._site.cistern_volume(cistern_level)
+        full = self._site.tau * low_outlet_flow(self._site, x1)
+        return min(1.0, max(0.0, x1 - volume) / full) if full > 0 else 0.0
+
+
+class Plan:
+    r"""Opens the valve for forecast rain that would not fit, and otherwise keeps the water.
+
+    A stochastic dynamic program over the cistern's volume v, hour by hour to the forecast's end or
+    48 h, for each member of the forecast,
+
+        V_t(v) = min over y of  c_t (v' - y) + c_t max(v' - full, 0) + p max(-v', 0) + V_{t+1}(y),
+        v' = v + what flows in - what the roof needs,
+
+    with c = 1 in wet weather and 0 in dry weather: the cost is the discharge in wet weather (m3),
+    and p per m3 of mains water. y is at least what the open valve leaves of v'. V is convex, so
+    that the best y is a level: the cistern is drained down to it as far as the valve can. At the
+    end, water is worth its price as long as the roof needs it within the reach.
+
+    The level of the first hour is the same for all members, by the mean of their V; later hours
+    assume that it is known which member comes true. Of levels that cost the same the highest is
+    taken, so that water is kept until it must go.
+
+    What the roof needs is what evaporates, less the rain, once the water above the target is gone.
+    """
+
+    def __init__(
+        self, site: Site, ends: Array, drain: Drain, price: float, reach: float
+    ) -> None:
+        """Set the site, the ends of the forecasts' steps (s), and what decides without a forecast.
+
+        Args:
+            site: with a valve.
+            ends: of the steps of the forecasts (s from now), the first 0.
+            drain: counts the dry hours, and decides without a forecast.
+            price: of mains water, in m3 of discharge in wet weather (1).
+            reach: days for which stored water is worth its price.
+        """
+        self._site, self._soil, self._drain = site, soil_of(site), drain
+        self._ends, self._lengths = ends, np.diff(ends)
+        self._price, self._reach_s = price, reach * _DAY_S
+        hours = max(1, min(_HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
+        self._hour_ends = np.minimum(_HOUR_S * np.arange(hours + 1), ends[-1])
+        full = site.cistern_volume(site.z_o)
+        floor = site.cistern_volume(max(site.suction_level, site.mains_level or 0.0))
+        self._nodes = np.linspace(min(floor, full), full, _NODES)
+        self._outlet = site.cistern_volume(site.min_outlet_level)
+        self._level = full
+        self._age = math.inf  # of the level (s)
+        self._was_dry = False
+        self._total = np.zeros(0)  # rain of each member in the last plan (m)
+
+    def command(
+        self, cistern_level: float, roof_level: float, precipitation: Any,
+        evapotranspiration: Sequence[float],
+    ) -> float:
+        """Return the share that drains the cistern to the plan's level.
+
+        See :class:`OutletPolicy`. A forecast with a missing value is treated as lost.
+        """
+        rain = np.atleast_2d(np.asarray(precipitation, dtype=float))
+        evaporated = np.asarray(evapotranspiration, dtype=float)
+        usable = rain.shape[1] == evaporated.size == len(self._lengths)
+        total = rain @ self._lengths if usable else np.full(1, math.nan)
+        if not math.isfinite(float(total.sum() + evaporated.sum())):
+            self._age = math.inf
+            return self._drain.command(cistern_level, roof_level, precipitation, evapotranspiration)
+        self._drain.observe(float(rain[0, 0]))
+        dry = not self._drain.wet_hours
+        changed = (
+            dry != self._was_dry or total.shape != self._total.shape
+            or float(np.abs(total - self._total).max()) > _CHANGED_M
+        )
+        if self._age >= _HOUR_S or changed:
+            self._age, self._was_dry, self._total = 0.0, dry, total
+            x1, x2 = (
+                self._site.cistern_volume(cistern_level), self._site.roof_volume(roof_level)
+            )
+            self._level = self._find_level(x1, x2, self._hourly(rain), self._hourly(evaporated))
+        self._age += self._site.tau
+        return self._drain.drain_to(self._level, cistern_level)
+
+    def _hourly(self, rates: Array) -> Array:
+        """Return the total of each hour, of rates per second on the last axis."""
+        totals = np.cumsum(rates * self._lengths, axis=-1)
+        place = self._ends[1:].searchsorted(self._hour_ends[1:])
+        before = np.concatenate((np.zeros_like(totals[..., :1]), totals), axis=-1)
+        since = self._hour_ends[1:] - self._ends[place]
+        at_ends = before[..., place] + rates[..., place] * since
+        return np.asarray(np.diff(at_ends, axis=-1, prepend=0.0))
+
+    def _find_level(self, x1: float, x2: float, rain: Array, evaporated: Array) -> float:
+        """Return the volume to which the cistern is drained in the first hour (m3).
+
+        Args:
+            x1: in the cistern (m3).
+            x2: on the roof (m3).
+            rain: in each hour (m), shape (members, hours).
+            evaporated: off the roof in each hour (m3), shape (hours,).
+        """
+        nodes, inflow = self._nodes, rain * self._site.effective_catchment
+        full = float(nodes[-1])
+        if x1 + float(inflow.sum(axis=1).max()) <= full:
+            return full  # whatever comes, it fits
+        flows = inflow - self._find_needs(x2, rain * self._site.a2, evaporated)
+        costs = self._find_wet(rain) + _TIE
+        demand = self._reach_s / _HOUR_S * float(evaporated.mean())
+        worth = self._price * np.minimum(nodes - nodes[0], demand)
+        value = np.repeat(-worth[None], len(rain), axis=0)
+        for hour in reversed(range(1, rain.shape[1])):
+            value = self._before(value, nodes, flows[:, hour, None], costs[:, hour, None])
+        now = np.full((1, len(nodes)), x1)
+        first = self._let_out(value, now, nodes, flows[:, :1], costs[:, :1]).mean(axis=0)
+        return float(nodes[np.flatnonzero(first == first.min())[-1]])
+
+    def _before(self, value: Array, volumes: Array, flow: Array, cost: Array) -> Array:
+        """Go back by an hour: the minimum cost from its beginning on.
+
+        Args:
+            value: minimum cost from its end on, at each node, shape (members, nodes).
+            volumes: at its beginning (m3), shape (n,).
+            flow: into the cistern in the hour, net of what the roof needs (m3), (members, 1).
+            cost: of discharge in the hour (1), (members, 1).
+        """
+        level = self._nodes[(value - cost * self._nodes).argmin(axis=1)][:, None]
+        return self._let_out(value, volumes[None], level, flow, cost)
+
+    def _let_out(
+        self, value: Array, volumes: Array, level: Array, flow: Array, cost: Array
+    ) -> Array:
+        """Return the cost from an hour on, in which the cistern is drained to a level."""
+        site, nodes = self._site, self._nodes
+        arrived = volumes + flow
+        held = np.minimum(np.maximum(arrived, nodes[0]), nodes[-1])
+        # The square root of the head over the outlet falls linearly.
+        root = np.sqrt(np.maximum(held - self._outlet, 0.0) / site.a1)
+        root = np.maximum(root - site.c_low * _HOUR_S / (2 * site.a1), 0.0)
+        reached = np.minimum(held, self._outlet + site.a1 * root**2)
+        left = np.minimum(held, np.maximum(level, reached))
+        out = np.maximum(arrived, nodes[0]) - left
+        mains = np.maximum(nodes[0] - arrived, 0.0)
+        return np.asarray(cost * out + self._price * mains + self._at(value, left))
+
+    def _at(self, value: Array, volumes: Array) -> Array:
+        """Return values at volumes between the nodes (m3), both of shape (members, n)."""
+        nodes, count = self._nodes, len(self._nodes)
+        place = (volumes - nodes[0]) * ((count - 1) / (nodes[-1] - nodes[0]))
+        node = np.minimum(place.astype(np.intp), count - 2)
+        start = np.arange(len(value))[:, None] * count + node
+        low = value.take(start)
+        return np.asarray(low + (place - node) * (value.take(start + 1) - low))
+
+    def _find_needs(self, x2: float, rain: Array, evaporated: Array) -> Array:
+        """Return what the roof takes from the cistern in each hour (m3), less what drains back."""
+        site, room = self._site, self._soil.above_target
+        above, needs = np.full(len(rain), x2 - site.x2_star), np.empty_like(rain)
+        for hour in range(rain.shape[1]):
+            above = above + rain[:, hour] - evaporated[hour]
+            drained = np.maximum(above - room, 0.0)
+            needs[:, hour] = np.maximum(-above, 0.0) - site.drainage_to_cistern * drained
+            above = np.clip(above, 0.0, room)
+        return needs
+
+    def _find_wet(self, rain: Array) -> Array:
+        """Return 1 for each hour in wet weather, else 0; rain (m) of shape (members, hours)."""
+        rains = rain >= _HOUR_S * WET_RAIN
+        wet, after = rains.copy(), math.ceil(self._site.wet_after)
+        for hours in range(1, after + 1):
+            wet[:, hours:] |= rains[:, :-hours]
+        wet[:, : math.ceil(self._drain.wet_hours)] = True
+        return wet.astype(float)
+
+
+def find_present(precipitation: Any) -> float:
+    """Return the present rain of a forecast (m/s): its first entry, NaN without one."""
+    if not len(precipitation):
+        return math.nan
+    first = precipitation[0]
+    if isinstance(first, float):
+        return first
+    return float(first[0]) if len(first) else math.nan
