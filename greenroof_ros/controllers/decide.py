@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Sequence
 from numbers import Real
 from typing import Any
@@ -88,6 +89,22 @@ def read_statistics(controller: Controller) -> dict[str, float] | None:
         return controller.statistics()
     except Exception as error:
         raise locate_error(type(controller), error) from error
+
+
+def cut_forecast(
+    choice: ControllerChoice, steps: int, rain: Any, evapotranspiration: Any
+) -> tuple[Any, Any]:
+    """Return a controller's part of forecasts that reach further, for a plan of the outlet.
+
+    Args:
+        choice: the controller; unless it takes all members, it gets the first one.
+        steps: that it takes.
+        rain: shape (steps,) or (members, steps).
+        evapotranspiration: shape (steps,).
+    """
+    if isinstance(rain, np.ndarray):
+        rain = rain[:, :steps] if choice.ensemble else array("d", rain[0, :steps])
+    return rain[:steps] if isinstance(rain, array) else rain, evapotranspiration[:steps]
 
 
 def shape_rain(choice: ControllerChoice, rain: Any, topic: str) -> Any:

@@ -9,7 +9,7 @@ before forecast rain, and otherwise keeps the water for the roof.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -26,10 +26,12 @@ from greenroof_ros.model.storm_water import WET_RAIN
 Array = NDArray[np.float64]
 
 CLOSED, OPEN, DRAIN, PLAN = "closed", "open", "drain", "plan"
+HORIZON_H = 48
+"""How far a plan looks ahead (h)."""
 
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
-# How far a plan looks ahead (h), and the nodes of the cistern's volume in it.
-_HORIZON_H, _NODES = 48, 61
+# Nodes of the cistern's volume in a plan.
+_NODES = 61
 # A plan is made each hour, or if a member's total rain has changed by more than this (m).
 _CHANGED_M = 1e-3
 # Of plans that cost the same, the one that keeps the water: a cost of what is let out (1).
@@ -75,6 +77,11 @@ def parameters_on(site: Site, policy: str) -> list[Parameter]:
         replace(parameter, default=defaults.get(parameter.name, parameter.default))
         for parameter in PARAMETERS
     ]
+
+
+def find_horizon(parameters: Mapping[str, Any]) -> float:
+    """Return how far the policy of a controller's parameters looks ahead (h)."""
+    return float(HORIZON_H) if parameters.get("outlet") == PLAN else 0.0
 
 
 class OutletPolicy(Protocol):
@@ -218,7 +225,7 @@ class Plan:
         self._site, self._soil, self._drain = site, soil_of(site), drain
         self._ends, self._lengths = ends, np.diff(ends)
         self._price, self._reach_s = price, reach * _DAY_S
-        hours = max(1, min(_HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
+        hours = max(1, min(HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
         self._hour_ends = np.minimum(_HOUR_S * np.arange(hours + 1), ends[-1])
         full = site.cistern_volume(site.z_o)
         floor = site.cistern_volume(max(site.suction_level, site.mains_level or 0.0))

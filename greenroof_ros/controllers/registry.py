@@ -181,9 +181,20 @@ class ControllerChoice:
             return None
         if hasattr(controller, "outlet"):
             return OfController(controller)
-        ends = look_ahead_ends(site, parameters.get("horizon", 0.0))
+        ends = look_ahead_ends(
+            site, parameters.get("horizon", 0.0), outlet.find_horizon(parameters)
+        )
         of_valve = {parameter.name: parameters[parameter.name] for parameter in self._outlet}
         return outlet.make_outlet(site, ends, **of_valve)
+
+    def count_own_steps(self, site: Site, parameters: Mapping[str, Any]) -> int | None:
+        """Return how many steps of the forecasts it takes itself; None for all.
+
+        A plan of the outlet's valve takes more.
+        """
+        if not outlet.find_horizon(parameters):
+            return None
+        return len(look_ahead_ends(site, parameters.get("horizon", 0.0))) - 1
 
     def parameters_on(self, site: Site) -> list[Parameter]:
         """Return its parameters, each with its default for a site's roof.

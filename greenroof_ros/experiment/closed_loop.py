@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greenroof_ros.controllers.decide import decide, read_statistics
+from greenroof_ros.controllers.decide import cut_forecast, decide, read_statistics
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
@@ -69,6 +69,7 @@ class Simulation:
         self._run = run
         self._controller = run.make_controller() if controller is None else controller
         self._outlet = run.make_outlet(self._controller)
+        self._own_steps = run.controller.count_own_steps(run.site, run.parameters)
         self.site = VirtualSite(run.site, run.x1, run.x2, run.time_ns(0), run.sensor_and_pump)
         self.metrics = self.site.metrics
         self._wall_s = 0.0
@@ -77,7 +78,7 @@ class Simulation:
         """Run the ticks from the present one to N, and yield each after its step."""
         began = time.monotonic()
         run, site, controller, until = self._run, self.site, self._controller, self.site.tick
-        policy, outlet = self._outlet, 1.0
+        policy, outlet, own_steps = self._outlet, 1.0, self._own_steps
         plant, forecast, has_quiet_hours = site.plant, run.forecast, run.site.quiet is not None
         for k in range(until, run.steps + 1):
             if k == until:
@@ -86,12 +87,16 @@ class Simulation:
             if has_quiet_hours:
                 set_optional(controller, time_ns=site.time_ns)
             cistern_level, roof_level = site.observe()
-            known = forecast.precipitation(k), forecast.evapotranspiration(k)
+            rain, evaporated = forecast.precipitation(k), forecast.evapotranspiration(k)
+            own_rain, own_evaporated = (rain, evaporated) if own_steps is None else cut_forecast(
+                run.controller, own_steps, rain, evaporated
+            )
             command = decide(
-                controller, not frost, cistern_level, roof_level, *known, site.quiet,
+                controller, not frost, cistern_level, roof_level, own_rain, own_evaporated,
+                site.quiet,
             )
             if policy is not None:
-                outlet = policy.command(cistern_level, roof_level, *known)
+                outlet = policy.command(cistern_level, roof_level, rain, evaporated)
             x1, x2, layer = plant.x1, plant.x2, plant.layer
             flows = site.act(precipitation, evapotranspiration, command, outlet=outlet)
             tick = _new(Tick, (

@@ -21,6 +21,7 @@ from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
 from greenroof_ros.common.times import DEFAULT_START, read_start
+from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import DEFAULT, ControllerChoice, find_controller
 from greenroof_ros.experiment.run import Run, count_ticks
 from greenroof_ros.forecast import choice
@@ -167,9 +168,10 @@ class RunInputs:
         if "min_on" in parameters:  # the controller knows its pumps
             min_on = max(parameters["min_on"], self.sensor_and_pump.pump_min_on)
             parameters["min_on"] = min_on
+        outlet_horizon = find_horizon(parameters)
         forecast = make_forecast(
             weather, series, site, start, parameters.get("horizon", 0.0), self.forecast,
-            self.controller.ensemble,
+            self.controller.ensemble or outlet_horizon > 0, outlet_horizon,
         )
         return Run(
             file, site, weather, series, forecast, start, steps, self.controller, parameters,

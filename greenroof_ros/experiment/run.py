@@ -11,13 +11,14 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import duration, epoch_ns, to_minutes
-from greenroof_ros.controllers.outlet import OutletPolicy
+from greenroof_ros.controllers.outlet import OutletPolicy, find_horizon
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import Forecast
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.model.initial_state import note_full_roof
+from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.place import format_place, measure_distance
 from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site
@@ -81,7 +82,7 @@ class Run:
     def look_ahead_s(self) -> float:
         """How far the controller looks ahead (s)."""
         horizon = self.parameters.get("horizon") or 0.0
-        return horizon * 3600 if horizon else self.site.M * self.site.tau
+        return float(look_ahead_ends(self.site, horizon, find_horizon(self.parameters))[-1])
 
     def notes(self) -> list[str]:
         """Return what a reader must know before the results, in sentences."""

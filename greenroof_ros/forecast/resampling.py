@@ -266,6 +266,7 @@ def make_forecast(
     horizon: float,
     choice: ForecastChoice,
     all_members: bool = False,
+    outlet_horizon: float = 0.0,
 ) -> Forecast:
     """Return the forecast that a controller gets.
 
@@ -277,6 +278,7 @@ def make_forecast(
         horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
         choice: which forecasts.
         all_members: whether to return rain of all members of an ensemble, or of the first.
+        outlet_horizon: hours that a plan of the outlet's valve looks ahead; 0 without one.
 
     Raises:
         ConfigurationError: a file of forecasts is wrong, or there is none for a part of the run.
@@ -284,7 +286,7 @@ def make_forecast(
     model = make_model(choice, weather, site, all_members)
     if not horizon and not all_members and isinstance(model, PerfectModel):
         return PerfectForecast(series, site.M)
-    ends = look_ahead_ends(site, horizon)
+    ends = look_ahead_ends(site, horizon, outlet_horizon)
     steps = len(series.precipitation) - site.M
     now = None if weather.minutes is None else series.precipitation
     return SteppedForecast(model, weather, site, start, ends, steps, all_members, now)

@@ -61,6 +61,10 @@ class ControllerParameters:
         """Make what commands the valve of the outlet beside the controller, if there is one."""
         return self._choice.make_outlet(self._site, self._values, self.controller)
 
+    def count_own_steps(self) -> int | None:
+        """Return how many steps of the forecasts the controller takes itself; None for all."""
+        return self._choice.count_own_steps(self._site, self._values)
+
     def changes(self) -> dict[str, Any]:
         """Return the changes of the parameters, for reports."""
         return {

@@ -20,18 +20,21 @@ _FORECASTS = "/forecast/precipitation", "/forecast/evapotranspiration"
 class WeatherOutputs:
     """The outputs of a weather node."""
 
-    def __init__(self, node: GraphNode, site: Site, horizon: float) -> None:
+    def __init__(
+        self, node: GraphNode, site: Site, horizon: float, outlet_horizon: float = 0.0
+    ) -> None:
         """Open the topics.
 
         Args:
             node: the node.
             site: the site.
             horizon: how far the forecasts reach (h).
+            outlet_horizon: how far they reach for a plan of the outlet's valve (h).
         """
         self.publish = node.publish
         # Prefix of each forecast: the time of its issue (s since 1970), and the ends of its steps
         # (s from now).
-        self._front = array("d", [math.nan, *look_ahead_ends(site, horizon)[1:]])
+        self._front = array("d", [math.nan, *look_ahead_ends(site, horizon, outlet_horizon)[1:]])
         node.open_outputs(FROST, RAIN, EVAPOTRANSPIRATION, *_FORECASTS)
 
     def publish_forecasts(self, issued: datetime | None, *forecasts: Any) -> None:

@@ -38,11 +38,16 @@ def growing_steps(horizon: float) -> NDArray[np.float64]:
     return np.concatenate(([0.0], ends[ends < seconds], [seconds]))
 
 
-def look_ahead_ends(site: Site, horizon: float) -> NDArray[np.float64]:
+def look_ahead_ends(
+    site: Site, horizon: float, outlet_horizon: float = 0.0
+) -> NDArray[np.float64]:
     """Return the ends of the steps of a look-ahead (s from now), the first 0, shape (steps + 1,).
 
     Args:
         site: gives tick and look-ahead.
         horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
+        outlet_horizon: hours that a plan of the outlet's valve looks ahead, in further steps.
     """
-    return growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
+    ends = growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
+    further = growing_steps(outlet_horizon) if outlet_horizon else ends
+    return np.concatenate((ends, further[further > ends[-1]]))

@@ -10,7 +10,13 @@ from typing import Any
 
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.common.parameter import Parameter
-from greenroof_ros.controllers.decide import decide, may_decide, read_statistics, shape_rain
+from greenroof_ros.controllers.decide import (
+    cut_forecast,
+    decide,
+    may_decide,
+    read_statistics,
+    shape_rain,
+)
 from greenroof_ros.controllers.protocol import set_optional
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
 from greenroof_ros.graph.controller_parameters import ControllerParameters, of_reference
@@ -44,6 +50,7 @@ class ControllerNode(SimulationNode):
         self._settings = ControllerParameters(self, choice, site, lambda: self.lockstep.tick)
         self._controller = self._settings.make()
         self._outlet = self._settings.make_outlet()
+        self._own_steps = self._settings.count_own_steps()
         self._optional = optional_topics(choice.outputs)
         if self._outlet is not None:
             self.open_outputs("/outlet/command")
@@ -69,10 +76,14 @@ class ControllerNode(SimulationNode):
             set_optional(controller, time_ns=time_ns)
             quiet = self._site.quiet.quiet_at(time_ns)
             allowed = may_decide(controller, allowed, quiet)
+        rain, evapotranspiration = self._rain.value, self._evapotranspiration.value
+        if self._own_steps is not None:
+            rain, evapotranspiration = cut_forecast(
+                self._choice, self._own_steps, rain, evapotranspiration
+            )
         self.publish("/pump/command", decide(
             controller, allowed, self._cistern.value, self._roof.value,
-            shape_rain(self._choice, self._rain.value, self._rain.name),
-            self._evapotranspiration.value, quiet,
+            shape_rain(self._choice, rain, self._rain.name), evapotranspiration, quiet,
         ))
         if self._outlet is not None:
             self.publish("/outlet/command", self._outlet.command(

@@ -16,6 +16,7 @@ from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.node import SimulationNode
 from greenroof_ros.graph.parameters import declare, look_ahead_parameters, site_file
 from greenroof_ros.graph.weather_outputs import EVAPOTRANSPIRATION, FROST, RAIN, WeatherOutputs
+from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import default_weather, find_files, read_weather
 from greenroof_ros.weather.series import GAPS, REFUSE, WeatherSeries
@@ -43,6 +44,10 @@ def parameters(site: Site) -> list[Parameter]:
             among=GAPS,
         ),
         *look_ahead_parameters(),
+        Parameter(
+            "outlet_horizon", 0.0, "", 0.0, MAX_HORIZON, "how far the forecasts reach for a plan "
+            "of the outlet's valve (h), in further steps; 0: no further",
+        ),
         Parameter(
             "forecast", PERFECT,
             meaning=f"{', '.join(MODELS)}, or a file or directory of archived ones",
@@ -93,11 +98,11 @@ class WeatherNode(SimulationNode):
         self._series = WeatherSeries(weather, site, start, self._last_tick)
         self._forecast = make_forecast(
             weather, self._series, site, start, values["horizon"], _choose_forecast(values),
-            values["all_members"],
+            values["all_members"], values["outlet_horizon"],
         )
         self._start_ns, self._tick_ns = epoch_ns(start), round(site.tau * 1e9)
         self._time = self.subscribe(CLOCK)
-        self._weather = WeatherOutputs(self, site, values["horizon"])
+        self._weather = WeatherOutputs(self, site, values["horizon"], values["outlet_horizon"])
 
     def on_inputs(self) -> None:
         """Publish the weather of the tick, and the forecasts known at that time."""

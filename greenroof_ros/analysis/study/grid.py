@@ -21,6 +21,7 @@ from greenroof_ros.common.files import (
     unique_name,
 )
 from greenroof_ros.common.ranges import Range
+from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
 from greenroof_ros.experiment.clairvoyant import BLOCK_S
 from greenroof_ros.experiment.inputs import RunInputs, make_inputs
@@ -149,7 +150,8 @@ class _Grid:
             alike, controller=find_controller("onoff"), parameters={},
             sensor_and_pump=SensorAndPump(),
         )
-        key = parameters.get("horizon"), inputs.controller.ensemble, repr(others)
+        horizons = parameters.get("horizon"), find_horizon(parameters)
+        key = horizons, inputs.controller.ensemble, repr(others)
         if key not in runs:
             runs[key] = alike.build(self._read_weather)
         run = runs[key]
