@@ -292,7 +292,7 @@ class Plant:
         if pumped is not None:
             flow, missing, lowest, min_run = pumped, math.inf, 0.0, 0.0
         filled = max(x1, self._a1 * (site.mains_level or 0.0)) + tau * collected
-        overflows = filled > self._a1 * site.min_outlet_level
+        overflows = filled > self._a1 * (site.min_outlet_level if outlet else site.z_o)
         quick = overflows or tau * flow > _SHORT_SHARE * site.x2_star
         steps = math.ceil(tau / _MAX_STEP_S) if quick else 1
         seconds, running, limited = tau / steps, False, False
