@@ -31,11 +31,15 @@ HORIZON_H = 48
 
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
 # Nodes of the cistern's volume in a plan.
-_NODES = 61
+_NODES = 121
 # A plan is made each hour, or if a member's total rain has changed by more than this (m).
 _CHANGED_M = 1e-3
-# Of plans that cost the same, the one that keeps the water: a cost of what is let out (1).
-_TIE = 1e-6
+# Interval (s) at which it checks whether they have.
+_CHECK_S = 60.0
+# Levels whose costs differ by less than this share of the cistern cost the same.
+_TIE = 1e-3
+# Rates are rounded: an hour with 0.1 mm must not be one with less.
+_MIN_RAIN = WET_RAIN * (1 - 1e-9)
 # The reserve, unless given: ten days of irrigation at 4 mm a day [assumed], but at most half of
 # the cistern.
 _RESERVE_M, _MAX_RESERVE = 0.04, 0.5
@@ -161,12 +165,12 @@ class Drain:
 
     def __init__(self, site: Site, reserve: float) -> None:
         """Set the site, and what is left in the cistern (m3)."""
-        self._site, self._reserve = site, reserve
+        self._site, self.reserve = site, reserve
         self._without_rain_s = 0.0  # until the end of the present tick
 
     def observe(self, rain: float) -> None:
         """Count the time without rain; call it once a tick, with the present rain (m/s)."""
-        self._without_rain_s = 0.0 if rain >= WET_RAIN else self._without_rain_s + self._site.tau
+        self._without_rain_s = 0.0 if rain >= _MIN_RAIN else self._without_rain_s + self._site.tau
 
     @property
     def wet_hours(self) -> float:
@@ -180,7 +184,7 @@ class Drain:
     ) -> float:
         """Return the share that drains the cistern to the reserve; see :class:`OutletPolicy`."""
         self.observe(find_present(precipitation))
-        return self.drain_to(self._reserve, cistern_level) if not self.wet_hours else 0.0
+        return self.drain_to(self.reserve, cistern_level) if not self.wet_hours else 0.0
 
     def drain_to(self, volume: float, cistern_level: float) -> float:
         """Return the share with which a cistern is not below a volume (m3) after the tick."""
@@ -190,24 +194,29 @@ class Drain:
 
 
 class Plan:
-    r"""Opens the valve for forecast rain that would not fit, and otherwise keeps the water.
+    r"""Opens the valve in dry weather for forecast rain that would not fit; else it keeps the water.
 
     A stochastic dynamic program over the cistern's volume v, hour by hour to the forecast's end or
-    48 h, for each member of the forecast,
+    48 h. For each member of the forecast,
 
-        V_t(v) = min over y of  c_t (v' - y) + c_t max(v' - full, 0) + p max(-v', 0) + V_{t+1}(y),
-        v' = v + what flows in - what the roof needs,
+        V_t(v) = min over y of  U_t(y),  with y from what the open valve leaves of v to v,
+        U_t(y) = c_t max(v' - full, 0) + p max(floor - v', 0) + V_{t+1}(v'),
+        v' = y + what flows in - what the roof needs,
 
-    with c = 1 in wet weather and 0 in dry weather: the cost is the discharge in wet weather (m3),
-    and p per m3 of mains water. y is at least what the open valve leaves of v'. V is convex, so
-    that the best y is a level: the cistern is drained down to it as far as the valve can. At the
-    end, water is worth its price as long as the roof needs it within the reach.
+    where c is 1 in wet weather and 0 in dry weather: the cost is the discharge in wet weather (m3),
+    and p per m3 of mains water. In wet weather y is v: what is let out then costs as much as the
+    most that it can save. At the end, water is worth its price as long as the roof needs it within
+    the reach.
 
-    The level of the first hour is the same for all members, by the mean of their V; later hours
-    assume that it is known which member comes true. Of levels that cost the same the highest is
-    taken, so that water is kept until it must go.
+    Above the outlet U falls to its minimum and then rises, so that the best y is a level: the
+    cistern is drained down to it as far as the valve can. The level of the first hour is the same
+    for all members, by the mean of their U; later hours assume that it is known which member comes
+    true. Of levels that cost the same the highest is taken, so that water is kept until it must go.
 
     What the roof needs is what evaporates, less the rain, once the water above the target is gone.
+
+    A forecast shows only what comes until it ends. So the plan keeps at most what the open valve
+    could drain to drain's reserve until then: with a short forecast or a small valve it is drain.
     """
 
     def __init__(
@@ -229,42 +238,66 @@ class Plan:
         self._hour_ends = np.minimum(_HOUR_S * np.arange(hours + 1), ends[-1])
         full = site.cistern_volume(site.z_o)
         floor = site.cistern_volume(max(site.suction_level, site.mains_level or 0.0))
-        self._nodes = np.linspace(min(floor, full), full, _NODES)
+        self._nodes = np.linspace(floor, full, _NODES)
         self._outlet = site.cistern_volume(site.min_outlet_level)
+        # The square root of the head over the outlet falls linearly in time.
+        self._fall = site.c_low / (2 * site.a1)  # of that root (m^0.5/s)
+        self._drained = self._drain_hour(self._nodes)
+        self._first = int(self._nodes.searchsorted(self._outlet))  # node that can be drained to
+        root = math.sqrt(max(0.0, drain.reserve - self._outlet) / site.a1)
+        root += self._fall * float(self._hour_ends[-1])
+        self._max_level = min(full, self._outlet + site.a1 * root**2)
         self._level = full
         self._age = math.inf  # of the level (s)
-        self._was_dry = False
+        self._unchecked = math.inf  # since the forecast was last compared (s)
         self._total = np.zeros(0)  # rain of each member in the last plan (m)
 
     def command(
         self, cistern_level: float, roof_level: float, precipitation: Any,
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Return the share that drains the cistern to the plan's level.
+        """Return the share that drains the cistern to the plan's level; 0 in wet weather.
 
         See :class:`OutletPolicy`. A forecast with a missing value is treated as lost.
         """
-        rain = np.atleast_2d(np.asarray(precipitation, dtype=float))
-        evaporated = np.asarray(evapotranspiration, dtype=float)
+        site = self._site
+        self._drain.observe(find_present(precipitation))
+        self._age += site.tau
+        self._unchecked += site.tau
+        if self._drain.wet_hours:
+            self._age = math.inf
+            return 0.0
+        if max(self._age - _HOUR_S, self._unchecked - _CHECK_S) > -site.tau / 2:
+            self._update_level(
+                cistern_level, roof_level, np.atleast_2d(np.asarray(precipitation, dtype=float)),
+                np.asarray(evapotranspiration, dtype=float),
+            )
+        return self._drain.drain_to(self._level, cistern_level)
+
+    def _update_level(
+        self, cistern_level: float, roof_level: float, rain: Array, evaporated: Array
+    ) -> None:
+        """Make a plan, if the last one is old or the forecast has changed."""
+        self._unchecked, old = 0.0, self._age > _HOUR_S - self._site.tau / 2
         usable = rain.shape[1] == evaporated.size == len(self._lengths)
         total = rain @ self._lengths if usable else np.full(1, math.nan)
-        if not math.isfinite(float(total.sum() + evaporated.sum())):
-            self._age = math.inf
-            return self._drain.command(cistern_level, roof_level, precipitation, evapotranspiration)
-        self._drain.observe(float(rain[0, 0]))
-        dry = not self._drain.wet_hours
-        changed = (
-            dry != self._was_dry or total.shape != self._total.shape
-            or float(np.abs(total - self._total).max()) > _CHANGED_M
+        if not math.isfinite(cistern_level + roof_level + float(total.sum() + evaporated.sum())):
+            if old:
+                self._age, self._level = math.inf, self._drain.reserve
+            return
+        changed = total.shape != self._total.shape or (
+            float(np.abs(total - self._total).max()) > _CHANGED_M
         )
-        if self._age >= _HOUR_S or changed:
-            self._age, self._was_dry, self._total = 0.0, dry, total
-            x1, x2 = (
-                self._site.cistern_volume(cistern_level), self._site.roof_volume(roof_level)
+        if old or changed:
+            self._age, self._total = 0.0, total
+            needed = self._reach_s * float(evaporated @ self._lengths) / float(self._ends[-1])
+            self._level = min(
+                self._max_level, max(self._drain.reserve, float(self._nodes[0]) + needed),
+                self._find_level(
+                    self._site.cistern_volume(cistern_level), self._site.roof_volume(roof_level),
+                    self._hourly(rain), self._hourly(evaporated), needed,
+                ),
             )
-            self._level = self._find_level(x1, x2, self._hourly(rain), self._hourly(evaporated))
-        self._age += self._site.tau
-        return self._drain.drain_to(self._level, cistern_level)
 
     def _hourly(self, rates: Array) -> Array:
         """Return the total of each hour, of rates per second on the last axis."""
@@ -275,7 +308,9 @@ class Plan:
         at_ends = before[..., place] + rates[..., place] * since
         return np.asarray(np.diff(at_ends, axis=-1, prepend=0.0))
 
-    def _find_level(self, x1: float, x2: float, rain: Array, evaporated: Array) -> float:
+    def _find_level(
+        self, x1: float, x2: float, rain: Array, evaporated: Array, needed: float
+    ) -> float:
         """Return the volume to which the cistern is drained in the first hour (m3).
 
         Args:
@@ -283,49 +318,49 @@ class Plan:
             x2: on the roof (m3).
             rain: in each hour (m), shape (members, hours).
             evaporated: off the roof in each hour (m3), shape (hours,).
+            needed: what the roof needs within the reach (m3).
         """
-        nodes, inflow = self._nodes, rain * self._site.effective_catchment
-        full = float(nodes[-1])
-        if x1 + float(inflow.sum(axis=1).max()) <= full:
+        site, nodes = self._site, self._nodes
+        floor, full = float(nodes[0]), float(nodes[-1])
+        inflow, kept = rain * site.effective_catchment, site.drainage_to_cistern
+        most = float(rain.sum(axis=1).max()) * (site.effective_catchment + kept * site.a2)
+        if x1 + most + kept * max(0.0, x2 - site.x2_star) <= full:
             return full  # whatever comes, it fits
-        flows = inflow - self._find_needs(x2, rain * self._site.a2, evaporated)
-        costs = self._find_wet(rain) + _TIE
-        demand = self._reach_s / _HOUR_S * float(evaporated.mean())
-        worth = self._price * np.minimum(nodes - nodes[0], demand)
+        flows = inflow - self._find_needs(x2, rain * site.a2, evaporated)
+        wet = self._find_wet(rain)
+        worth = self._price * np.minimum(nodes - floor, needed)
         value = np.repeat(-worth[None], len(rain), axis=0)
-        for hour in reversed(range(1, rain.shape[1])):
-            value = self._before(value, nodes, flows[:, hour, None], costs[:, hour, None])
-        now = np.full((1, len(nodes)), x1)
-        first = self._let_out(value, now, nodes, flows[:, :1], costs[:, :1]).mean(axis=0)
-        return float(nodes[np.flatnonzero(first == first.min())[-1]])
+        for hour in reversed(range(rain.shape[1])):
+            held = nodes + flows[:, hour, None]
+            inside = np.minimum(np.maximum(held, floor), full)
+            value = (
+                self._at(value, inside) + self._price * (inside - np.minimum(held, inside))
+                + wet[:, hour, None] * (np.maximum(held, inside) - inside)
+            )
+            if hour:
+                value = self._before(value, wet[:, hour])
+        x1 = min(max(x1, floor), full)
+        reached = float(self._drain_hour(np.array([x1]))[0])
+        left = np.minimum(np.maximum(nodes, reached), x1)
+        costs = self._at(value, np.repeat(left[None], len(value), axis=0)).mean(axis=0)
+        return float(nodes[np.flatnonzero(costs <= costs.min() + _TIE * (full - floor))[-1]])
 
-    def _before(self, value: Array, volumes: Array, flow: Array, cost: Array) -> Array:
-        """Go back by an hour: the minimum cost from its beginning on.
+    def _before(self, value: Array, wet: Array) -> Array:
+        """Return V from U of the class: the best that the valve can do in an hour.
 
         Args:
-            value: minimum cost from its end on, at each node, shape (members, nodes).
-            volumes: at its beginning (m3), shape (n,).
-            flow: into the cistern in the hour, net of what the roof needs (m3), (members, 1).
-            cost: of discharge in the hour (1), (members, 1).
+            value: U at each node, shape (members, nodes).
+            wet: 1 for each member for which the hour is in wet weather, else 0.
         """
-        level = self._nodes[(value - cost * self._nodes).argmin(axis=1)][:, None]
-        return self._let_out(value, volumes[None], level, flow, cost)
+        best = self._nodes[self._first + value[:, self._first :].argmin(axis=1)]
+        level = np.where(wet > 0, self._nodes[-1], best)[:, None]
+        return self._at(value, np.minimum(np.maximum(level, self._drained), self._nodes))
 
-    def _let_out(
-        self, value: Array, volumes: Array, level: Array, flow: Array, cost: Array
-    ) -> Array:
-        """Return the cost from an hour on, in which the cistern is drained to a level."""
-        site, nodes = self._site, self._nodes
-        arrived = volumes + flow
-        held = np.minimum(np.maximum(arrived, nodes[0]), nodes[-1])
-        # The square root of the head over the outlet falls linearly.
-        root = np.sqrt(np.maximum(held - self._outlet, 0.0) / site.a1)
-        root = np.maximum(root - site.c_low * _HOUR_S / (2 * site.a1), 0.0)
-        reached = np.minimum(held, self._outlet + site.a1 * root**2)
-        left = np.minimum(held, np.maximum(level, reached))
-        out = np.maximum(arrived, nodes[0]) - left
-        mains = np.maximum(nodes[0] - arrived, 0.0)
-        return np.asarray(cost * out + self._price * mains + self._at(value, left))
+    def _drain_hour(self, volumes: Array) -> Array:
+        """Return what the open valve leaves of volumes (m3) in an hour."""
+        root = np.sqrt(np.maximum(volumes - self._outlet, 0.0) / self._site.a1)
+        root = np.maximum(root - self._fall * _HOUR_S, 0.0)
+        return np.asarray(np.minimum(volumes, self._outlet + self._site.a1 * root**2))
 
     def _at(self, value: Array, volumes: Array) -> Array:
         """Return values at volumes between the nodes (m3), both of shape (members, n)."""
@@ -349,11 +384,10 @@ class Plan:
 
     def _find_wet(self, rain: Array) -> Array:
         """Return 1 for each hour in wet weather, else 0; rain (m) of shape (members, hours)."""
-        rains = rain >= _HOUR_S * WET_RAIN
+        rains = rain >= _HOUR_S * _MIN_RAIN
         wet, after = rains.copy(), math.ceil(self._site.wet_after)
         for hours in range(1, after + 1):
             wet[:, hours:] |= rains[:, :-hours]
-        wet[:, : math.ceil(self._drain.wet_hours)] = True
         return wet.astype(float)
 
 

@@ -1,13 +1,15 @@
 """The minimum discharge in wet weather for an amount of mains water, with all weather known.
 
-A linear program over the hours of a run, solved by HiGHS. The roof takes the water that a given
-run pumps; outlet and mains are free. Weights of mains water, from little to much, give the points
-of the frontier: no control of the outlet can have less discharge in wet weather with as little
-mains water, for the same irrigation.
+A linear program over the hours of a run, solved by HiGHS. The roof gets what a given run pumps;
+the valve of the low outlet and the mains are free. Weights of mains water, from little to much,
+give the points of the frontier: no control of the valve can have less discharge in wet weather with
+as little mains water, for the same irrigation. doc/explanation/bound.md has the proof.
 """
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,25 +17,29 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.experiment.clairvoyant import NoBoundError
-from greenroof_ros.experiment.closed_loop import Simulation
+from greenroof_ros.experiment.closed_loop import Simulation, Tick
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.plant import low_outlet_flow
+from greenroof_ros.model.plant import Plant, low_outlet_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.storm_water import Intervals, find_wet_weather
+from greenroof_ros.model.storm_water import Intervals, find_wet_weather, interval_seconds
 
 Values = NDArray[np.float64]
 
-WEIGHTS = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+WEIGHTS = (0.001, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Costs of a m3 of mains water, in m3 of discharge in wet weather, one for each point."""
 
 _HOUR_S = 3600.0
+# In a short tick an outlet can take what stands this far above the water (m).
+_OVERDRAWN = 1e-4
+# Points that differ by less are one (m3).
+_SAME = 1e-3
 
 
 class FrontierPoint(NamedTuple):
     """A point of the frontier."""
 
     weight: float
-    """of mains water"""
+    """of mains water: each run has at least this point's sum of discharge and weighted mains"""
     wet_discharge_m3: float
     """discharge in wet weather"""
     mains_m3: float
@@ -51,57 +57,94 @@ class Frontier(NamedTuple):
     """the run's mains water"""
 
 
-def simulate_frontier(run: Run) -> Frontier:
+class Steps(NamedTuple):
+    """Steps of a run of up to an hour, each in wet or in dry weather; arrays have shape (n,)."""
+
+    seconds: Values
+    """duration (s)"""
+    wet: NDArray[np.bool_]
+    """whether it is in wet weather"""
+    inflow: Values
+    """rain and kept drainage into the cistern (m3)"""
+    pumped: Values
+    """to the roof (m3)"""
+    highest: Values
+    """in the cistern at the beginning, if the valve is always closed (m3); shape (n + 1,)"""
+    lowest: float
+    """what the pumps leave in the cistern (m3)"""
+
+
+def simulate_frontier(run: Run, watch: Callable[[Tick], object] | None = None) -> Frontier:
     """Simulate a run, and return the frontier for the irrigation that it had.
 
     Args:
-        run: at a site with a valve, whose ticks divide an hour; of at least an hour.
+        run: at a site with a valve.
+        watch: is called with each tick.
 
     Raises:
-        ConfigurationError: the site has no valve, or a tick that does not divide an hour.
+        ConfigurationError: the site has no valve.
         NoBoundError: the solver found no optimum.
     """
-    site, per_hour = run.site, round(_HOUR_S / run.site.tau)
+    site, tau = run.site, run.site.tau
     if not site.low_outlet_valve:
         raise ConfigurationError(
             "needs a valve that lets storm water out (low_outlet_valve: true)", key="site"
         )
-    if per_hour * site.tau != _HOUR_S or run.steps < per_hour:
-        raise ConfigurationError("must divide an hour", key="tau", value=site.tau)
-    simulation = Simulation(run)
-    flows = np.array([
-        (tick.precipitation, tick.flows.pump, site.drainage_to_cistern * tick.flows.drainage)
-        for tick in simulation.ticks()
-    ])
-    hours = run.steps // per_hour
-    sums = site.tau * flows[: hours * per_hour].reshape(hours, per_hour, 3).sum(axis=1)
-    rain, pumped, kept = sums.T
-    wet = find_wet_weather(site, Intervals(_HOUR_S, rain, rain))
-    points = find_frontier(site, run.x1, rain * site.effective_catchment + kept, pumped, wet)
+    simulation, closed, rows = Simulation(run), Plant(site, run.x1, run.x2), array("d")
+    for tick in simulation.ticks():
+        if watch is not None:
+            watch(tick)
+        rows.extend((closed.x1, tick.precipitation, tick.flows.pump, tick.flows.drainage))
+        closed.step(tick.precipitation, closed.flows(
+            tick.precipitation, tick.evapotranspiration, 0.0, tick.flows.pump, outlet=0.0
+        ))
+    highest, rain, pumped, drainage = np.frombuffer(rows).reshape(-1, 4).T
+    seconds = interval_seconds(site)
+    firsts = np.arange(0, run.steps, round(seconds / tau))
+    depths = tau * np.add.reduceat(rain[:-1], firsts)
+    wet = find_wet_weather(site, Intervals(seconds, depths, depths))
+    begins = np.arange(len(wet)) % max(1, round(_HOUR_S / seconds)) == 0
+    begins |= np.diff(wet, prepend=wet[0])
+    firsts, wet = firsts[begins], wet[begins]
+    # The last tick that pumps begins at the suction level or above.
+    lowest = min(run.x1, site.cistern_volume(site.suction_level)) - tau * float(pumped.max())
+    rain, pumped, drainage = (
+        tau * np.add.reduceat(flow[:-1], firsts) for flow in (rain, pumped, drainage)
+    )
+    kept = site.drainage_to_cistern * drainage
+    steps = Steps(
+        tau * np.diff(firsts, append=run.steps), wet, rain * site.effective_catchment + kept,
+        pumped, highest[[*firsts, run.steps]], lowest,
+    )
+    of_roof = float((drainage - kept)[wet].sum())
+    points = [
+        point._replace(wet_discharge_m3=of_roof + point.wet_discharge_m3)
+        for point in find_frontier(site, run.x1, steps)
+    ]
     results = simulation.metrics.results()
     return Frontier(points, results["wet_discharge_m3"], results.get("mains_m3", 0.0))
 
 
-def find_frontier(
-    site: Site, x1: float, inflow: Values, pumped: Values, wet: NDArray[np.bool_],
-) -> list[FrontierPoint]:
-    """Return the frontier, the point with the most mains water first.
+def find_frontier(site: Site, x1: float, steps: Steps) -> list[FrontierPoint]:
+    """Return the frontier without the roof's drainage, the point with the most mains water first.
 
-    In each hour, with the volume v at its beginning,
+    In each step, with the volume v at its beginning,
 
-        v' = v + inflow + mains - pumped - released - overflow,
+        v' = v + inflow + mains - pumped - released - overflow.
 
-    released is at most what the open valve takes from a full cistern, overflow at most what has
-    flowed in within two hours, mains at most what its pipe gives. The volume stays above the
-    suction level, and above the outlet only with what flowed in within the hour. So each run of
-    the site is a solution, but for what lies between two hours.
+    - v' is at most full, or what it is with a closed valve if that is more. It is at least what the
+      pumps leave.
+    - Released is at most what the open valve takes from the highest volume in the step.
+    - Overflow is at most what flows in and what stands above the upper outlet at the beginning.
+    - Mains is at most what its pipe gives.
+
+    Each run with this irrigation satisfies this, so its discharge in wet weather plus the weighted
+    mains water is not below the optimum.
 
     Args:
         site: with a valve.
         x1: in the cistern at the beginning (m3).
-        inflow: in each hour (m3), shape (n,).
-        pumped: in each hour (m3), shape (n,).
-        wet: whether an hour is in wet weather, shape (n,).
+        steps: of the run.
 
     Raises:
         NoBoundError: the solver found no optimum.
@@ -109,29 +152,29 @@ def find_frontier(
     from scipy.optimize import linprog
     from scipy.sparse import diags, hstack, identity
 
-    n = len(inflow)
-    full, before = site.cistern_volume(site.z_o), np.append(0.0, inflow[:-1])
-    released = _HOUR_S * low_outlet_flow(site, full + float(inflow.max(initial=0.0)))
-    floor = min(x1, site.cistern_volume(site.suction_level))
-    mains = _HOUR_S * (site.mains_flow or 0.0)
+    n, (seconds, wet, inflow, pumped, highest, lowest) = len(steps.wet), steps
+    full, overdrawn = site.cistern_volume(site.z_o), site.cistern_volume(_OVERDRAWN)
+    peaks = np.maximum(highest[:-1], full) + inflow
+    released = seconds * [low_outlet_flow(site, volume + overdrawn) for volume in peaks.tolist()]
     step = diags([np.ones(n), -np.ones(n - 1)], [0, -1])
     balance = hstack([step, identity(n), identity(n), -identity(n)], format="csc")
     change = inflow - pumped
     change[0] += x1
     bounds = np.column_stack((
-        np.concatenate((np.full(n, floor), np.zeros(3 * n))),
+        np.concatenate((np.full(n, lowest - overdrawn), np.zeros(3 * n))),
         np.concatenate((
-            full + inflow, np.full(n, released), inflow + before, np.full(n, mains),
+            np.maximum(highest[1:], full) + overdrawn, released,
+            peaks - full + overdrawn, seconds * (site.mains_flow or 0.0),
         )),
     ))
-    points = []
+    points: list[FrontierPoint] = []
     for weight in WEIGHTS:
         costs = np.concatenate((np.zeros(n), wet, wet, np.full(n, weight)))
         result = linprog(costs, A_eq=balance, b_eq=change, bounds=bounds, method="highs")
         if result.status != 0:
             raise NoBoundError(result.message)
         _, out, over, let_in = np.split(result.x, 4)
-        points.append(FrontierPoint(
-            weight, float((out + over)[wet].sum()), float(let_in.sum())
-        ))
+        found = float((out + over)[wet].sum()), float(let_in.sum())
+        if not points or max(map(abs, np.subtract(found, points[-1][1:]))) > _SAME:
+            points.append(FrontierPoint(weight, *found))
     return points
