@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from typing import Any
 
 from rich.console import Console
@@ -13,11 +14,14 @@ from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
     Parser,
+    check_interrupts,
     command,
     make_number_type,
 )
+from greenroof_ros.common.progress import INTERVAL_S, RunProgress
 from greenroof_ros.experiment.clairvoyant import BLOCK_S, NoBoundError, clairvoyant_bound
-from greenroof_ros.experiment.discharge_bound import simulate_frontier
+from greenroof_ros.experiment.closed_loop import Tick
+from greenroof_ros.experiment.discharge_bound import Frontier, simulate_frontier
 from greenroof_ros.experiment.options import add_site_arguments, build_run
 from greenroof_ros.experiment.plan import PlanResult, simulate_plan
 from greenroof_ros.experiment.run import Run, count_ticks
@@ -69,9 +73,10 @@ def make_parser() -> Parser:
         usage="%(prog)s [options]",
         description="Compute a lower bound of the total deviation that any controller could "
         "reach if it knew all weather, and the result of lookahead's plan in the exact plant. "
-        "The optimum lies in between. It is the same for every controller. With --of discharge: "
-        "the minimum discharge in wet weather for each amount of mains water, at a site with a "
-        "valve on the low outlet, for the irrigation of on/off control.",
+        "The optimum lies in between. It is the same for every controller. With --of discharge, "
+        "at a site with a valve on the low outlet: a lower bound of the discharge in wet weather "
+        "for some amounts of mains water, whatever commands the valve, for the irrigation of "
+        "on/off control.",
         epilog="examples:\n"
         "  greenroof bound --start 2021-07-08T05:00\n"
         "  greenroof bound --block 1 --hours 2 --max-command 0.1\n"
@@ -102,13 +107,27 @@ def _report_failure(error: NoBoundError) -> int:
     return EXIT_FAILED
 
 
+def _show_frontier(run: Run) -> Frontier:
+    """Simulate the frontier of a run, and show the progress."""
+    shown = time.monotonic()
+    with RunProgress(run.steps, run.site.tau) as progress:
+        def watch(tick: Tick) -> None:
+            nonlocal shown
+            now = time.monotonic()
+            if now - shown > INTERVAL_S:
+                check_interrupts()
+                shown = now
+                progress.show_tick(tick.k, tick.cistern_level, tick.roof_level, tick.command)
+
+        return simulate_frontier(run, watch)
+
+
 def _print_frontier(run: Run, as_json: bool) -> None:
     """Print the minimum discharge in wet weather for each amount of mains water."""
-    frontier = simulate_frontier(run)
-    points = [point._asdict() for point in frontier.points]
+    frontier = _show_frontier(run)
     result = {
         **describe_setting(run), "wet_discharge_m3": frontier.wet_discharge_m3,
-        "mains_m3": frontier.mains_m3, "frontier": points,
+        "mains_m3": frontier.mains_m3, "frontier": [point._asdict() for point in frontier.points],
     }
     if as_json:
         print(json.dumps(result, indent=2, allow_nan=False))
@@ -116,8 +135,14 @@ def _print_frontier(run: Run, as_json: bool) -> None:
     about = "m3 in wet weather, with {:.2f} m3 of mains water".format
     rows = (
         *setting_rows(result),
-        ("on/off", f"{frontier.wet_discharge_m3:.2f}", about(frontier.mains_m3)),
-        *(("bound", f"{wet:.2f}", about(mains)) for _, wet, mains in frontier.points),
+        *(
+            ("bound", f"{point.wet_discharge_m3:.2f}", about(point.mains_m3))
+            for point in frontier.points
+        ),
+        (
+            "on/off", f"{frontier.wet_discharge_m3:.2f}",
+            f"{about(frontier.mains_m3)}; its irrigation is the bound's",
+        ),
     )
     console = Console()
     print_notes(console, result)

@@ -3,7 +3,7 @@
 The cistern keeps storm water out of the sewer only if there is room in it when the rain comes. A
 policy decides in each tick how far the valve is open (share, 0 to 1): ``closed``; ``open``, an
 orifice without a valve; ``drain``, which makes room in dry weather; and ``plan``, which makes it
-before forecast rain, and otherwise keeps the water for the roof.
+before forecast rain, and otherwise keeps what the roof will need.
 """
 
 from __future__ import annotations
@@ -49,20 +49,21 @@ _SHARE = Range(0.0, 1.0, "1")
 PARAMETERS = (
     Parameter(
         "outlet", DRAIN, "", meaning="what commands the outlet's valve. closed and open: always; "
-        "drain: opens in dry weather, down to the reserve; plan: opens before forecast rain that "
-        "would not fit, and is drain without a forecast", among=(CLOSED, OPEN, DRAIN, PLAN),
+        "drain: opens in dry weather, down to the reserve; plan: opens in dry weather before "
+        "forecast rain that would not fit, and is drain without a forecast",
+        among=(CLOSED, OPEN, DRAIN, PLAN),
     ),
     Parameter(
-        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "drain leaves this volume in the cistern; by "
-        "default ten days of irrigation at 4 mm a day, or half of a smaller cistern",
+        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "drain leaves this volume in the cistern, and so "
+        "does plan unless more rain is forecast than fits; by default ten days of irrigation at 4 mm a day, or half of a smaller cistern",
     ),
     Parameter(
         "outlet_price", 0.3, "1", 0.0, 1e3, "plan: cost of a m3 of mains water, in m3 of discharge "
         "in wet weather",
     ),
     Parameter(
-        "outlet_reach", 30.0, "days", 0.0, 365.0, "plan: water for this long is worth its price "
-        "in mains water at the end of the plan; more of it is not",
+        "outlet_reach", 20.0, "days", 0.0, 365.0, "plan: keeps what the roof needs for this long; "
+        "more than that, and more than the reserve, it lets out in dry weather",
     ),
 )
 """of every controller at a site with a valve"""
@@ -194,7 +195,7 @@ class Drain:
 
 
 class Plan:
-    r"""Opens the valve in dry weather for forecast rain that would not fit; else it keeps the water.
+    r"""Opens the valve in dry weather for forecast rain that would not fit; else it keeps water.
 
     A stochastic dynamic program over the cistern's volume v, hour by hour to the forecast's end or
     48 h. For each member of the forecast,
@@ -206,7 +207,8 @@ class Plan:
     where c is 1 in wet weather and 0 in dry weather: the cost is the discharge in wet weather (m3),
     and p per m3 of mains water. In wet weather y is v: what is let out then costs as much as the
     most that it can save. At the end, water is worth its price as long as the roof needs it within
-    the reach.
+    the reach. Beyond that it is worth nothing, so it is let out in dry weather: the room is there
+    if rain comes that no forecast has shown.
 
     Above the outlet U falls to its minimum and then rises, so that the best y is a level: the
     cistern is drained down to it as far as the valve can. The level of the first hour is the same
