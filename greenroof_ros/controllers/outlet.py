@@ -54,8 +54,9 @@ PARAMETERS = (
         among=(CLOSED, OPEN, DRAIN, PLAN),
     ),
     Parameter(
-        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "drain leaves this volume in the cistern, and so "
-        "does plan unless more rain is forecast than fits; by default ten days of irrigation at 4 mm a day, or half of a smaller cistern",
+        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "drain leaves this volume in the cistern, "
+        "and so does plan unless more rain is forecast than fits; by default ten days of "
+        "irrigation at 4 mm a day, or half of a smaller cistern",
     ),
     Parameter(
         "outlet_price", 0.3, "1", 0.0, 1e3, "plan: cost of a m3 of mains water, in m3 of discharge "
