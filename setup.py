@@ -127,6 +127,8 @@ setup(
             "pytest-xdist>=3.8,<4",  # the tests on all cores; 3.8 is the oldest that was tried
             "pytest-timeout>=2.3,<3",  # a test that hangs fails, and the others go on
             "hypothesis>=6.100",  # properties of the plant and the controllers
+            # EPA's SWMM 5.2: hydrographs of the same cistern; 0.17 is the oldest that was tried.
+            "swmm-toolkit>=0.17,<1",
             "gymnasium>=1,<2",  # whether its checks pass the environment
             "pandas>=2",  # weather in its data frames, and trajectories as such
             "pyarrow>=15",  # what polars needs for that

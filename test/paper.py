@@ -179,6 +179,8 @@ def measured_sites(draw: st.DrawFn) -> Site:
         runoff_coefficient=draw(st.just(1.0) | st.floats(0.01, 1.0)),
         low_outlet_level=low and low[0] * site.z_o,
         low_outlet_radius=low and low[1],
+        low_outlet_valve=draw(st.booleans()) if low else False,
+        drainage_to_cistern=draw(st.sampled_from([0.0, 1.0]) | st.floats(0.0, 1.0)),
         # This level ignores the low outlet, but any level serves for a balance.
         mains_level=mains and lowest + mains[0] * abs(site.z_o - lowest),
         mains_flow=mains and mains[1],
@@ -189,8 +191,10 @@ def measured_sites(draw: st.DrawFn) -> Site:
     )
 
 
-def exact_flows(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, float]:
-    """Return q_out, q_pump and q_drain (m3/s) of Eqs. (2)-(4)."""
+def exact_flows(
+    site: Site, x1: float, x2: float, u: float, valve: float = 1.0
+) -> tuple[float, float, float]:
+    """Return q_out, q_pump and q_drain (m3/s) of Eqs. (2)-(4), with the valve open to a share."""
     outlet = site.c_d * math.pi * site.r_o**2
     q_out = q_pump = q_drain = 0.0
     if x1 / site.a1 > site.z_o:
@@ -198,7 +202,7 @@ def exact_flows(site: Site, x1: float, x2: float, u: float) -> tuple[float, floa
     if site.low_outlet_level is not None and x1 / site.a1 > site.low_outlet_level:
         assert site.low_outlet_radius is not None
         low = site.c_d * math.pi * site.low_outlet_radius**2
-        q_out += low * math.sqrt(2 * site.g * (x1 / site.a1 - site.low_outlet_level))
+        q_out += valve * low * math.sqrt(2 * site.g * (x1 / site.a1 - site.low_outlet_level))
     if not (x2 / site.a2 >= site.z_veg or x1 / site.a1 < site.z_pump + site.z_H):
         q_pump = u * math.sqrt((x1 / site.a1 + site.c_hat - site.d) / _head_loss(site))
     if not x2 < site.z_cap:

@@ -9,6 +9,7 @@ in its drainage layer.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -215,7 +216,7 @@ class Plant:
             missing = rise = 0.0
             if pumped is None and command and x2 / self._a2 < self._site.z_veg:
                 missing, rise = self._find_missing(rain, evapotranspiration)
-            outflow, low, pump, mains, limited = self._step_cistern(
+            outflow, low, pump, mains, volumes, limited = self._step_cistern(
                 collected, command, pumped, outlet, missing, rise
             )
         else:
@@ -243,6 +244,10 @@ class Plant:
                 x2, self.layer, available, rain + pump, evapotranspiration
             )
             limited = limited or dry
+            if drainage and self._kept and not self._short:
+                outflow, low, mains = self._step_outlets(
+                    collected + self._kept * drainage, volumes, outlet
+                )
         return _new(Flows, (outflow, pump, drainage, evapotranspiration, limited, mains, low))
 
     def _find_missing(self, rain: float, evapotranspiration: float) -> tuple[float, float]:
@@ -266,14 +271,11 @@ class Plant:
     def _step_cistern(
         self, collected: float, command: float, pumped: float | None, outlet: float,
         missing: float, rise: float,
-    ) -> tuple[float, float, float, float, bool]:
-        """Return outflow, its part through the low outlet, pumped and mains water in a long tick.
+    ) -> tuple[float, float, float, float, list[float], bool]:
+        """Return what leaves the cistern and flows into it in a long tick.
 
         If something changes quickly, in steps of up to 10 s. In each, pumps and mains stop at their
-        levels. The outlets follow by the backward Euler method, so they take at most what stands
-        above them. Their head after a step, s^2, solves a quadratic equation,
-
-            a1 s^2 + c t s = volume above the outlet without its flow.
+        levels; then the outlets take their part.
 
         Args:
             collected: rain that flows in (m3/s).
@@ -284,7 +286,8 @@ class Plant:
             rise: by how much that falls because of rain (m3/s).
 
         Returns:
-            The four flows (m3/s), and whether the cistern held less than another program pumped.
+            Outflow, its part through the low outlet, pumped and mains water (m3/s), what is pumped
+            in each step (m3), and whether the cistern held less than another program pumped.
         """
         site, x1, tau = self._site, self.x1, self._tau
         lowest, min_run = self._a1 * site.suction_level * (1 + _ROUNDING), MIN_RUN_S
@@ -296,8 +299,8 @@ class Plant:
         quick = overflows or tau * flow > _SHORT_SHARE * site.x2_star
         steps = math.ceil(tau / _MAX_STEP_S) if quick else 1
         seconds, running, limited = tau / steps, False, False
-        outlets = (site.z_o, site.c_out), (site.min_outlet_level, outlet * site.c_low)
         out = let_out = lifted = let_in = 0.0  # m3
+        volumes = []
         for _ in range(steps):
             if pumped is None:
                 flow = command * maximum_pump_flow(site, x1) if missing > 0 else 0.0
@@ -315,19 +318,71 @@ class Plant:
             running = volume >= flow * seconds > 0
             missing -= volume + seconds * rise
             x1 += arrives + mains - volume
+            volumes.append(volume)
             lifted += volume
             let_in += mains
-            # The upper outlet first: while it flows, the lower one's head hardly changes.
-            for level, coefficient in outlets:
-                above = x1 - self._a1 * level
-                low = 0.0
-                if above > 0:
-                    drop = coefficient * seconds
-                    low = drop * 2 * above / (drop + math.sqrt(drop**2 + 4 * self._a1 * above))
-                    x1 -= low
-                    out += low
+            upper, low = self._let_out(x1, outlet, seconds)
+            x1 -= upper + low
+            out += upper + low
             let_out += low
-        return out / tau, let_out / tau, lifted / tau, let_in / tau, limited
+        return out / tau, let_out / tau, lifted / tau, let_in / tau, volumes, limited
+
+    def _step_outlets(
+        self, arriving: float, volumes: Sequence[float], outlet: float
+    ) -> tuple[float, float, float]:
+        """Return outflow, its part through the low outlet and mains water in a long tick (m3/s).
+
+        The roof's drainage depends on what is pumped, and so is known after the pumps have run;
+        what flows into the cistern can leave it in the same tick.
+
+        Args:
+            arriving: rain and drainage that flow in (m3/s).
+            volumes: what :meth:`_step_cistern` pumps in each step, or in the tick (m3).
+            outlet: share to which the valve of the low outlet is open (1).
+        """
+        x1, tau = self.x1, self._tau
+        steps = math.ceil(tau / _MAX_STEP_S)
+        if len(volumes) < steps:
+            volumes = [volumes[0] / steps] * steps
+        seconds = tau / steps
+        out = let_out = let_in = 0.0  # m3
+        for volume in volumes:
+            mains = seconds * mains_flow(self._site, x1, volume / seconds - arriving, seconds)
+            x1 += seconds * arriving + mains - volume
+            upper, low = self._let_out(x1, outlet, seconds)
+            x1 -= upper + low
+            out += upper + low
+            let_out += low
+            let_in += mains
+        return out / tau, let_out / tau, let_in / tau
+
+    def _let_out(self, x1: float, outlet: float, seconds: float) -> tuple[float, float]:
+        """Return what the upper and the low outlet take in a step (m3).
+
+        By the backward Euler method, so that they take at most what stands above them. Their head
+        after a step, s^2, solves a quadratic equation,
+
+            a1 s^2 + c t s = volume above the outlet without its flow.
+
+        The upper outlet first: while it flows, the lower one's head hardly changes.
+
+        Args:
+            x1: in the cistern, without their flow (m3).
+            outlet: share to which the valve of the low outlet is open (1).
+            seconds: duration of the step (s).
+        """
+        site, a1 = self._site, self._a1
+        upper = low = 0.0
+        above = x1 - a1 * site.z_o
+        if above > 0:
+            drop = site.c_out * seconds
+            upper = drop * 2 * above / (drop + math.sqrt(drop**2 + 4 * a1 * above))
+        if site.low_outlet_level is not None and outlet:
+            above = x1 - upper - a1 * site.low_outlet_level
+            if above > 0:
+                drop = outlet * site.c_low * seconds
+                low = drop * 2 * above / (drop + math.sqrt(drop**2 + 4 * a1 * above))
+        return upper, low
 
     def step(self, precipitation: float, flows: Flows) -> None:
         """Move on by one tick, Eq. (1).
