@@ -47,13 +47,17 @@ class Policy:
 
 
 class Cistern:
-    """The usable water of a cistern (m3), which is above the suction level, from step to step."""
+    """The usable water of a cistern (m3), which is above the suction level, from step to step.
+
+    A valve of the low outlet is closed: what it lets out makes room for rain that fills it again.
+    """
 
     def __init__(self, site: Site) -> None:
         self._site = site
         suction = site.cistern_volume(site.suction_level)
         self._capacity = site.cistern_volume(site.z_o) - suction
-        self._low = site.cistern_volume(site.min_outlet_level) - suction
+        lowest = site.min_outlet_level if site.always_drains else site.z_o
+        self._low = site.cistern_volume(lowest) - suction
         self._mains = site.cistern_volume(site.mains_level or 0.0) - suction
         self._suction = suction
 
@@ -86,7 +90,7 @@ class Cistern:
             topped_up = np.minimum(water + site.mains_flow * seconds, self._mains)
             water = np.maximum(water, topped_up)
         water = np.minimum(water, self._capacity)
-        if site.low_outlet_level is None:
+        if not site.always_drains:
             return water
         root = np.sqrt(np.maximum(water - self._low, 0.0) / site.a1)
         root = np.maximum(root - site.c_low * seconds / (2 * site.a1), 0.0)

@@ -147,12 +147,14 @@ class ControllerChoice:
             return ""
         return digest_own_code([self.path.partition(":")[0], cast(type, self.kind).__module__])
 
-    def make(self, site: Site, parameters: dict[str, float]) -> Controller:
-        """Make the controller.
+    def make(self, site: Site, parameters: dict[str, Any]) -> Controller:
+        """Make the controller; a valve that is always open is none to it.
 
         Raises:
             ConfigurationError: its solver's library cannot be imported, or its code failed.
         """
+        if parameters.get("outlet") == outlet.OPEN:
+            site = replace(site, low_outlet_valve=False)
         kind, of_valve = self.kind, {parameter.name for parameter in self._outlet}
         own = {name: value for name, value in parameters.items() if name not in of_valve}
         try:

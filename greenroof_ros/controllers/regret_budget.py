@@ -163,8 +163,9 @@ class RegretBudget:
         ours.x1, ours.x2 = x1, x2
         theirs.x1, theirs.x2 = max(0.0, x1 + self._stored), max(0.0, x2 + self._more)
         weather = precipitation, evapotranspiration
-        theirs.step(precipitation, theirs.flows(*weather, fraction))
-        ours.step(precipitation, ours.flows(*weather, command))
+        outlet = float(self._site.always_drains)
+        for plant, share in (theirs, fraction), (ours, command):
+            plant.step(precipitation, plant.flows(*weather, share, outlet=outlet))
         self._stored, self._more = theirs.x1 - ours.x1, theirs.x2 - ours.x2
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
@@ -178,7 +179,7 @@ class RegretBudget:
     def _drained(self, x1: float, x2: float) -> float:
         """Return the cost (m3 s) of losing to a low outlet what on/off has on the roof."""
         site = self._site
-        if site.low_outlet_level is None:
+        if not site.always_drains or site.low_outlet_level is None:
             return 0.0
         stays = min(x1, site.cistern_volume(site.low_outlet_level))
         usable = max(0.0, stays - site.cistern_volume(site.suction_level))

@@ -275,6 +275,11 @@ class Site:
         return self.z_o if self.low_outlet_level is None else self.low_outlet_level
 
     @cached_property
+    def always_drains(self) -> bool:
+        """Whether water always leaves through a low outlet: there is one, without a valve."""
+        return self.low_outlet_level is not None and not self.low_outlet_valve
+
+    @cached_property
     def b(self) -> float:
         """Coefficient of the maximum flow (m^2.5/s), Eq. (3e)."""
         return 1 / math.sqrt(self.pipe_resistance - self.a_hat)

@@ -47,10 +47,13 @@ def psi(y: float, epsilon: float) -> tuple[float, float]:
 
 
 def q_out(site: Site, x1: float) -> tuple[float, float]:
-    """q_out^epsilon: what leaves for the sewer (m3/s), and its slope by x1 (1/s), Eq. (7)."""
+    """q_out^epsilon: what leaves for the sewer (m3/s), and its slope by x1 (1/s), Eq. (7).
+
+    A valve is closed.
+    """
     root, slope = psi(x1 / site.a1 - site.z_o, site.epsilon)
     flow, flow_1 = site.c_out * root, site.c_out * slope / site.a1
-    if site.low_outlet_level is not None:
+    if site.always_drains and site.low_outlet_level is not None:
         root, slope = psi(x1 / site.a1 - site.low_outlet_level, site.epsilon)
         flow += site.c_low * root
         flow_1 += site.c_low * slope / site.a1

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from paper import site_with
 
+import greenroof_ros as gr
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.outlet import OutletPolicy, make_outlet
 from greenroof_ros.model.plant import low_outlet_flow
@@ -278,3 +279,22 @@ def test_reserve_by_default() -> None:
     assert by_name["outlet_reserve"] == pytest.approx(0.04 * SITE.a2)
     small = replace(SITE, a1=1.0)
     assert outlet.parameters_on(small, "drain")[1].default == 1.0
+
+
+@pytest.mark.parametrize("cistern", [(9.5, 2.9), (2.0, 2.2)])
+@pytest.mark.parametrize("controller", ["onoff", "mpc", "anticipating_onoff", "lookahead"])
+@pytest.mark.parametrize(("policy", "changes"), [
+    ("open", {"low_outlet_valve": False}),
+    ("closed", {
+        "low_outlet_valve": False, "low_outlet_level": None, "low_outlet_radius": None,
+    }),
+])
+def test_a_valve_that_never_moves_is_none(
+    controller: str, policy: str, changes: dict[str, Any], cistern: tuple[float, float]
+) -> None:
+    """Open it is an orifice and closed a wall, also to the controller of the pump."""
+    with_valve, without = (
+        gr.simulate(controller, site=site, hours=6, initial=cistern, **options)
+        for site, options in ((SITE, {"outlet": policy}), (replace(SITE, **changes), {}))
+    )
+    assert with_valve.metrics == without.metrics
