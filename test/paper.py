@@ -229,12 +229,12 @@ def _sigma(exponent: Any) -> Any:
 
 
 def smooth_rates(site: Site, x1: Any, x2: Any, u: Any, rain: Any, evaporated: Any) -> Any:
-    """Return f^epsilon of Eqs. (5)-(9) (m3/s), complex, shape (..., 2)."""
+    """Return f^epsilon of Eqs. (5)-(9) (m3/s), complex, shape (..., 2); a valve is closed."""
     # In two parts: numpy's complex division rounds twice, which shows near nu = 0.
     level = np.real(x1) / site.a1 + 1j * np.imag(x1) / site.a1
     outlet = site.c_d * math.pi * site.r_o**2
     q_out = outlet * math.sqrt(2 * site.g) * _psi(level - site.z_o, site.epsilon)
-    if site.low_outlet_level is not None:
+    if site.low_outlet_level is not None and not site.low_outlet_valve:
         assert site.low_outlet_radius is not None
         low = site.c_d * math.pi * site.low_outlet_radius**2
         q_out = q_out + low * math.sqrt(2 * site.g) * _psi(
