@@ -7,7 +7,6 @@ import hashlib
 import json
 import platform
 from collections.abc import Mapping, Sequence
-from datetime import timedelta
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -17,11 +16,10 @@ from greenroof_ros.common.files import replace_text
 from greenroof_ros.common.parameter import replace_infinity
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.storm_water import Event
+from greenroof_ros.recording.events_table import EVENTS, event_rows, format_events
 
 # The file's name in the directory of a run.
 SUMMARY = "summary.json"
-# The table of its events of rain.
-EVENTS = "events.csv"
 # The site file's name in the configuration of a run.
 SITE_FILE = "site.yaml"
 # Status of a run. It is RUNNING until the run ends, and for ever if its process was killed.
@@ -57,11 +55,7 @@ def make_summary(
         "precipitation_in_frost_mm": run.series.precipitation_in_frost,
         **metrics,
         "weekly_deviation_m3": list(weeks),
-        "events": [
-            {"start": (run.start + timedelta(hours=event.start_h)).isoformat(timespec="seconds"),
-             **replace_infinity(event._asdict())}
-            for event in events
-        ],
+        "events": event_rows(run.start, events),
         "solver": dict(solver) if solver is not None else None,
         "wall_s": wall_s,
         "times_real_time": run.steps * run.site.tau / wall_s,
@@ -143,18 +137,13 @@ def describe_setting(run: Run) -> dict[str, Any]:
 def write(summary: Mapping[str, Any], directory: Path) -> None:
     """Write a summary into the directory of its run, if possible whole or not at all.
 
-    A full disk has no room for a second file; the old file is then overwritten, so that a run can
-    still record that it ended.
+    With the summary of a run that is done comes the table of its events. A full disk has no room
+    for a second file; the old file is then overwritten, so that a run can still record that it
+    ended.
 
     Raises:
         OSError: it cannot be written.
     """
-    if summary.get("events"):
-        rows = summary["events"]
-        lines = [",".join(rows[0]), *(
-            ",".join("" if value is None else str(value) for value in row.values()) for row in rows
-        )]
-        replace_text(directory / EVENTS, "\n".join([*lines, ""]))
     path = directory / SUMMARY
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     try:
@@ -167,6 +156,8 @@ def write(summary: Mapping[str, Any], directory: Path) -> None:
         except OSError:
             # The error of a write does not name its file.
             raise OSError(error.errno, error.strerror, str(path)) from error
+    if "events" in summary:
+        replace_text(directory / EVENTS, format_events(summary["events"]))
 
 
 def find_site_file(run: Path) -> Path:

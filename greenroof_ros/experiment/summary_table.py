@@ -18,15 +18,46 @@ from greenroof_ros.model.place import format_place
 from greenroof_ros.model.sensor_and_pump import SensorAndPump
 
 _PERIOD = ("from", "until")
+# The metrics of storm water that are shown if there is any, and those that are in files alone.
+_STORM_WATER = {
+    "discharge_m3", "wet_discharge_m3", "peak_discharge_5min_l_s", "overflow_m3", "overflow_days",
+    "retention_share",
+}
+_IN_FILES = {
+    f"peak_discharge_{minutes}min_{unit}" for minutes in (5, 15, 60) for unit in ("l_s", "mm_h")
+} - _STORM_WATER
+# Storm water is collected if this share of the roof's rain or more flows into the cistern.
+_COLLECTED = 0.1
 
 
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield each metric: in capitals above its limit, left out if it is 0 as it should be."""
+    left_out = _IN_FILES if _collects_storm_water(summary) else _IN_FILES | _STORM_WATER
     for metric in METRICS:
         value = summary.get(metric.name, 0)
-        if metric.name in summary and (value or metric.max):
+        if metric.name in summary and metric.name not in left_out and (value or metric.max):
             label = metric.label.upper() if value > metric.max else metric.label
             yield label, f"{value:{metric.form}}", metric.description
+
+
+def _collects_storm_water(summary: Mapping[str, Any]) -> bool:
+    """Whether a catchment drains into the cistern, or a valve lets water out of it.
+
+    The inlet of the paper's cistern, 0.3 m2, collects next to nothing.
+    """
+    rain = summary.get("rain_cistern_m3", 0.0), summary.get("rain_roof_m3", 0.0)
+    return "outlet" in summary["parameters"] or 0 < _COLLECTED * rain[1] <= rain[0]
+
+
+def _event_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield the number of events of rain, with what happened in the largest."""
+    events = summary.get("events")
+    if events and _collects_storm_water(summary):
+        largest = max(events, key=lambda event: float(event["rain_mm"]))
+        yield "events of rain", str(len(events)), (
+            f"the largest of {largest['rain_mm']:.1f} mm, {largest['volume_reduction']:.0%} of its "
+            f"volume and {largest['peak_reduction']:.0%} of its peak kept from the sewer"
+        )
 
 
 def _limit(value: float | None) -> str:
@@ -60,6 +91,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     yield from setting_rows(summary)
     yield "controller", summary["controller"], _listed(parameters)
     yield from _metric_rows(summary)
+    yield from _event_rows(summary)
     solver = summary["solver"]
     if solver is not None:
         yield (

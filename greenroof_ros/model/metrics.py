@@ -15,6 +15,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from datetime import date, datetime
 from functools import partial
 from typing import Any
 
@@ -43,8 +44,7 @@ from greenroof_ros.model.storm_water import (
 )
 
 _HOUR_S = 3600.0
-_DAY_S = 24 * _HOUR_S
-_WEEK_S = 7 * _DAY_S
+_WEEK_S = 7 * 24 * _HOUR_S
 _WATER_DENSITY = 1000.0  # kg/m3
 _JOULES_PER_KWH = 3.6e6
 _RUNS = f"above {RUNNING_SHARE:.0%} of the maximum or of the commanded flow"
@@ -81,9 +81,11 @@ class Samples:
         layer: water volume in the drainage layer of a measured soil (m3); 0 on others.
         potential: evapotranspiration of plants that lack no water (m3/s).
         time: start of each sample, since the run's start (s).
+        start: of the run (s since 1970).
         mains: from the mains into the cistern (m3/s); 0 if there is no valve.
         low_outlet: the part of the outflow through the low outlet (m3/s); None if unknown.
         limited: 1 if a tank held less than was demanded, else 0; None if unknown.
+        discharge_known: whether outflow and drainage are known, or nobody recorded them.
         pumping_before: whether the pumps ran in the sample before the first.
         earlier_starts: times of pump starts in the hour before the first sample (s, negative).
     """
@@ -101,8 +103,10 @@ class Samples:
     potential: Values
     time: Values
     mains: Values
+    start: float = 0.0
     low_outlet: Values | None = None
     limited: Values | None = None
+    discharge_known: bool = True
     pumping_before: bool = False
     earlier_starts: Values = field(default_factory=lambda: np.empty(0))
 
@@ -247,44 +251,107 @@ def _running_share(site: Site, samples: Samples) -> Values:
     return np.asarray(running * np.minimum(share, 1.0))
 
 
-def _storm_water(site: Site, samples: Samples) -> Values:
+def _by_interval(
+    site: Site, samples: Samples, seconds: float, *amounts: Values
+) -> Values:
+    """Return the interval of each sample, counted from the run's start, and its amounts.
+
+    A tick belongs to the interval with its middle, as its time is rounded. A sample of a recorded
+    run can last longer: then it is shared out among the intervals that it spans.
+
+    Args:
+        site: with the duration of a tick.
+        samples: with their times.
+        seconds: duration of an interval (s).
+        amounts: of each sample, shape (n,).
+    """
+    half, time, duration = site.tau / 2, samples.time, samples.duration
+    first = (time + half) // seconds
+    last = np.maximum(first, (time + duration - half) // seconds)
+    if not (last > first).any():
+        return np.stack((first, *amounts))
+    pieces = (last - first + 1).astype(np.intp)
+    whole = np.repeat(np.arange(len(time)), pieces)
+    interval = first[whole] + np.arange(len(whole)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    begin = np.maximum(time[whole], interval * seconds)
+    end = np.minimum((time + duration)[whole], (interval + 1) * seconds)
+    share = np.where(pieces[whole] == 1, 1.0, np.maximum(end - begin, 0.0) / duration[whole])
+    return np.stack((interval, *(share * amount[whole] for amount in amounts)))
+
+
+def _discharge(site: Site, samples: Samples) -> Values | None:
+    """Return what reaches the sewer in each sample (m3); None if unknown."""
+    if not samples.discharge_known:
+        return None
+    flow = samples.outflow + (1 - site.drainage_to_cistern) * samples.drainage
+    return samples.duration * flow
+
+
+def _storm_water(site: Site, samples: Samples) -> Values | None:
     """Return each sample's interval, with its rain (m) and its discharge to the sewer (m3)."""
-    return np.stack((
-        (samples.time + site.tau / 2) // interval_seconds(site),
-        samples.duration * samples.precipitation,
-        samples.duration * _discharge(site, samples),
-    ))
+    discharge = _discharge(site, samples)
+    if discharge is None:
+        return None
+    rain = samples.duration * samples.precipitation
+    return _by_interval(site, samples, interval_seconds(site), rain, discharge)
 
 
-def _discharge(site: Site, samples: Samples) -> Values:
-    """Return what reaches the sewer (m3/s)."""
-    return samples.outflow + (1 - site.drainage_to_cistern) * samples.drainage
-
-
-def intervals_of(site: Site, sums: Values) -> Intervals:
+def _intervals_of(site: Site, sums: Values) -> Intervals:
     """Return the storm water of a run, from the sums of :func:`_storm_water`."""
     return Intervals(interval_seconds(site), *sums)
 
 
 def _wet_discharge(site: Site, sums: Values) -> float:
-    intervals = intervals_of(site, sums)
+    intervals = _intervals_of(site, sums)
     return _sum(0.0, intervals.discharge[find_wet_weather(site, intervals)])
 
 
-def _peak(minutes: float) -> Callable[[Site, Values], float]:
-    return lambda site, sums: 1000 * find_peak(intervals_of(site, sums), minutes)
+def _peak(site: Site, sums: Values, minutes: float) -> float:
+    """Return the peak of the discharge (L/s)."""
+    return 1000 * find_peak(_intervals_of(site, sums), minutes)
+
+
+def _peak_depth(site: Site, sums: Values, minutes: float) -> float:
+    """Return the peak of the discharge over the connected area (mm/h)."""
+    return _peak(site, sums, minutes) * _HOUR_S / connected_area(site)
 
 
 def _overflow(site: Site, samples: Samples) -> Values | None:
-    """Return each sample's day of the run, and what left through the upper outlet (m3)."""
-    if samples.low_outlet is None:
+    """Return each sample's calendar day, and what left through the upper outlet (m3)."""
+    if samples.low_outlet is None or not samples.discharge_known:
         return None
-    day = (samples.time + site.tau / 2) // _DAY_S
-    return np.stack((day, samples.duration * (samples.outflow - samples.low_outlet)))
+    return np.stack((
+        _calendar_days(site, samples), samples.duration * (samples.outflow - samples.low_outlet)
+    ))
 
 
-def _retained_share(site: Site, sums: Values) -> float | None:
-    return 1 - float(sums[0] / sums[1]) if sums[1] else None
+def _calendar_days(site: Site, samples: Samples) -> Values:
+    """Return the day of each sample on the site's clock, 0 for the day on which the run starts."""
+    middles = samples.start + samples.time + site.tau / 2
+    start, first, last = (
+        datetime.fromtimestamp(float(time), site.zone).toordinal()
+        for time in (samples.start, middles[0], middles[-1])
+    )
+    midnights = [
+        datetime.combine(date.fromordinal(day), datetime.min.time(), site.zone).timestamp()
+        for day in range(first + 1, last + 1)
+    ]
+    return np.asarray(first - start + np.searchsorted(midnights, middles, "right"), float)
+
+
+def _rain_and_discharge(site: Site, samples: Samples) -> Values | None:
+    """Return what reaches the sewer in each sample, and the rain on the connected area (m3)."""
+    discharge = _discharge(site, samples)
+    if discharge is None:
+        return None
+    return np.stack((
+        discharge, samples.duration * samples.precipitation * connected_area(site)
+    ))
+
+
+def _share_without(site: Site, sums: Values) -> float | None:
+    """Return the share of the second sum that the first does not make up (1), at least 0."""
+    return max(0.0, float(1 - sums[0] / sums[1])) if sums[1] else None
 
 
 def _pump_starts(site: Site, samples: Samples) -> Values:
@@ -336,11 +403,10 @@ def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, S
 
 def _roof_water(site: Site, samples: Samples) -> Values:
     """Return each sample's hour of the run, and its rain, pumped and drained water (m3)."""
-    hour = (samples.time + site.tau / 2) // _HOUR_S  # half a tick more: the times are rounded
-    return np.stack((
-        hour, samples.duration * samples.precipitation * site.a2, samples.duration * samples.pump,
-        samples.duration * samples.drainage,
-    ))
+    return _by_interval(
+        site, samples, _HOUR_S, samples.duration * samples.precipitation * site.a2,
+        samples.duration * samples.pump, samples.duration * samples.drainage,
+    )
 
 
 METRICS = (
@@ -404,8 +470,7 @@ METRICS = (
         lambda site, samples: None if site.mains_level is None else (
             samples.duration * np.stack((samples.mains, samples.pump))
         ),
-        _sums, ".1%",
-        finish=lambda site, sums: max(0.0, float(1 - sums[0] / sums[1])) if sums[1] else None,
+        _sums, ".1%", finish=_share_without,
     ),
     Metric(
         "final_cistern_m3", "m3", "cistern at the end", "the last x1",
@@ -424,8 +489,8 @@ METRICS = (
     Metric("outflow_m3", "m3", "outflow", "from the cistern to the sewer", _volume("outflow")),
     Metric("drainage_m3", "m3", "drainage", "off the roof", _volume("drainage")),
     Metric(
-        "discharge_m3", "m3", "discharge", "to the sewer: outflow, and drainage that is not kept",
-        lambda site, samples: samples.duration * _discharge(site, samples),
+        "discharge_m3", "m3", "discharge",
+        "to the sewer: outflow, and drainage that does not flow into the cistern", _discharge,
     ),
     Metric(
         "wet_discharge_m3", "m3", "discharge in wet weather",
@@ -436,7 +501,15 @@ METRICS = (
         Metric(
             f"peak_discharge_{minutes}min_l_s", "L/s", f"peak discharge, {minutes} min",
             f"maximum mean of the discharge over {minutes} min", _storm_water, _sums_by,
-            finish=_peak(minutes),
+            finish=partial(_peak, minutes=minutes),
+        )
+        for minutes in (5, 15, 60)
+    ),
+    *(
+        Metric(
+            f"peak_discharge_{minutes}min_mm_h", "mm/h", f"peak discharge depth, {minutes} min",
+            "the same over the connected area: the roof, and the catchment times its runoff "
+            "coefficient", _storm_water, _sums_by, finish=partial(_peak_depth, minutes=minutes),
         )
         for minutes in (5, 15, 60)
     ),
@@ -445,16 +518,13 @@ METRICS = (
         finish=lambda site, days: _sum(0.0, days[0]),
     ),
     Metric(
-        "overflow_days", "1", "days of overflow", "of the run, from its start on", _overflow,
+        "overflow_days", "1", "days of overflow", "calendar days on the site's clock", _overflow,
         _sums_by, "d", finish=lambda site, days: int(np.count_nonzero(days[0] > _NO_WATER)),
     ),
     Metric(
         "retention_share", "1", "retention",
         "share of the rain on roof and catchment that did not reach the sewer",
-        lambda site, samples: samples.duration * np.stack((
-            _discharge(site, samples), samples.precipitation * connected_area(site)
-        )),
-        _sums, ".1%", finish=_retained_share,
+        _rain_and_discharge, _sums, ".1%", finish=_share_without,
     ),
     Metric(
         "rain_m3", "m3", "rain", "into both tanks",
@@ -533,6 +603,19 @@ def totals_of(
     return {name: value for name, value in values if value is not None}
 
 
+def events_of(
+    site: Site, samples: Samples, before: Mapping[str, Any] | None = None
+) -> list[Event]:
+    """Return the events of rain of a whole run; none if its discharge is unknown.
+
+    The arguments are as for :func:`totals_of`.
+    """
+    totals = _add(before or {}, site, samples)
+    if "wet_discharge_m3" not in totals:
+        return []
+    return find_events(site, _intervals_of(site, totals["wet_discharge_m3"]))
+
+
 def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, Any]:
     """Return the combined numbers of a run with further samples; ``totals`` is empty at first."""
     result: dict[str, Any] = {}
@@ -557,14 +640,15 @@ _BLOCK_BYTES = 4096 * 8 * len(_TICK)
 class Metrics:
     """The metrics of a run in progress, tick by tick; ``metrics["pumped_m3"]`` is one of them."""
 
-    def __init__(self, site: Site, plant: Plant) -> None:
+    def __init__(self, site: Site, plant: Plant, start: float = 0.0) -> None:
         """Start with pumps stopped.
 
         Args:
             site: its parameters.
             plant: cistern and roof, always in the state of the present tick.
+            start: of the run (s since 1970).
         """
-        self._site, self._plant = site, plant
+        self._site, self._plant, self._start = site, plant, start
         self._totals: dict[str, Any] = {}
         self._weeks: Values | float = 0.0
         self._done = 0  # ticks that are in the totals
@@ -605,8 +689,8 @@ class Metrics:
 
     def events(self) -> list[Event]:
         """Return the events of rain, if the run ends in the present tick."""
-        sums = _add(self._totals, self._site, self._end())["wet_discharge_m3"]
-        return find_events(self._site, intervals_of(self._site, sums))
+        end = self._end()
+        return events_of(self._site, end, self._totals)
 
     def _end(self) -> Samples:
         """Add up all ticks, and return the state in which the run ends.
@@ -629,7 +713,7 @@ class Metrics:
         return Samples(
             duration=np.full(count, site.tau), pumping_before=self._pumping,
             earlier_starts=self._starts, time=site.tau * (first + np.arange(count, dtype=float)),
-            **columns,
+            start=self._start, discharge_known=True, **columns,
         )
 
     def _add_ticks(self) -> None:

@@ -174,6 +174,9 @@ class Site:
         "how long after rain the sewer still carries storm water, so that what reaches it counts "
         "as discharge in wet weather [assumed]", 0.0, 48.0, unit="h", default=2.0,
     )
+    event_separation: float = entry(
+        "minimum time without rain between two events of rain", 0.1, 48.0, unit="h", default=6.0,
+    )
     initial_cistern: float | None = entry(
         "volume in the cistern at the start of a run; without it, low-low of Table II",
         *_NOT_NEGATIVE, unit="m3", default=None,

@@ -1,14 +1,28 @@
 """Storm water: what reaches the sewer, when it rains and after, event by event.
 
-All figures come from the sums of intervals of five minutes, or the whole ticks that last as long.
+All figures come from sums over intervals of a minute, or of whole ticks that last longer. Within an
+interval rain and discharge are constant. What flows before and after a run is not known, and counts
+as none.
 
-**Wet weather** is a time with rain, in an hour with at least 0.1 mm, and ``wet_after`` of the site
-after it: the sewer still carries storm water then. What is let out later meets a sewer with room.
+**Peaks** are the maximum of the moving mean. Its window may begin at any time: fixed intervals of
+five minutes would miss an eighth of a storm's peak on average (Weiss 1964, Ratio of true to
+fixed-interval maximum rainfall, Journal of the Hydraulics Division 90(1), 77-82: 1.14).
 
-**Events** are separated by at least six hours without rain, the inter-event time of SWMM's
-statistics (Rossman and Huber 2016, SWMM Reference Manual Volume I, EPA/600/R-15/162A, Sec. 2.5).
-What reaches the sewer until these six hours are over belongs to the event. It is compared with the
-same area without roof and cistern, from which all rain runs off at once.
+**Wet weather** is a time with rain, if 0.1 mm fall within 60 minutes around it, and ``wet_after``
+of the site after it: the sewer still carries storm water then. What is let out later meets a sewer
+with room.
+
+**The reference** is the same area without roof and cistern, from which all rain runs off at once:
+the roof's whole area, and the catchment's times its runoff coefficient, as A_u of DWA-A 117 and
+DWA-A 138. So its runoff in mm/h is the rain, as for Johannessen, Muthanna and Braskerud (2018,
+Water 10, 671), who compare the five-minute peaks of rain and runoff.
+
+**Events** are separated by ``event_separation`` of the site without rain, six hours if it is left
+out, as usual for green roofs and in SWMM's statistics, where it is the separation time (Rossman
+2015, SWMM User's Manual Version 5.1, EPA-600/R-14/413b, Statistics Report). What reaches the sewer
+until these hours are over belongs to the event. Volume and peak that are compared with the
+reference are those in wet weather: a valve that lets water out some hours after the rain has done
+what it is for.
 """
 
 from __future__ import annotations
@@ -25,13 +39,15 @@ Values = NDArray[np.float64]
 
 WET_RAIN = 1e-4 / 3600
 """Rain of at least this rate (m/s), 0.1 mm in an hour, is wet weather."""
-DRY_HOURS = 6.0
-"""Events are separated by at least this time without rain (h)."""
 
 _HOUR_S = 3600.0
-_INTERVAL_S = 300.0
+_INTERVAL_S = 60.0
+# Peaks are means over these minutes.
+_PEAK_MIN = 5.0
 # More than the rounding errors of an interval's sums (m3), and no water that matters.
 _NOTHING = 1e-9
+# Sums that are equal but for rounding: the first of them is the peak.
+_ROUNDING = 1 - 1e-9
 
 
 class Intervals(NamedTuple):
@@ -55,23 +71,30 @@ class Event(NamedTuple):
     rain_mm: float
     """depth"""
     max_rain_5min_mm_h: float
-    """of the wettest five minutes"""
+    """mean of the wettest five minutes, which is also the peak of the reference"""
     max_rain_60min_mm_h: float
-    """of the wettest 60 minutes"""
+    """mean of the wettest 60 minutes"""
     discharge_m3: float
-    """what reached the sewer"""
+    """what reached the sewer until the dry hours after it were over"""
+    wet_discharge_m3: float
+    """of that, what did so in wet weather"""
     peak_l_s: float
-    """of it in the five minutes with the most"""
+    """maximum mean of that over five minutes"""
+    peak_mm_h: float
+    """the same over the connected area"""
     volume_reduction: float
-    """share of the area's runoff without roof and cistern that did not reach the sewer (1)"""
+    """share of the reference's volume that did not reach the sewer in wet weather (1); below 0 if
+    more did, from water that was in store"""
     peak_reduction: float
-    """the same of the peak (1)"""
-    peak_delay_min: float
-    """how much later than without them the peak came (min); NaN if nothing reached the sewer"""
+    """the same of the reference's peak (1)"""
+    peak_delay_min: float | None
+    """how much later than the reference's the peak began (min); None if there was none"""
+    complete: bool
+    """whether the run had begun before its first rain, and went on until it was over"""
 
 
 def interval_seconds(site: Site) -> float:
-    """Return the duration of an interval (s): five minutes, up to a whole number of ticks."""
+    """Return the duration of an interval (s): a minute, up to a whole number of ticks."""
     return site.tau * math.ceil(_INTERVAL_S / site.tau - 1e-9)
 
 
@@ -82,56 +105,70 @@ def connected_area(site: Site) -> float:
 
 def find_wet_weather(site: Site, intervals: Intervals) -> NDArray[np.bool_]:
     """Return which intervals are in wet weather, shape (n,)."""
-    per_hour = max(1, round(_HOUR_S / intervals.seconds))
-    rains, count = intervals.rain > 0, len(intervals.rain)
-    hour = np.arange(count) // per_hour
-    fallen = np.bincount(hour, intervals.rain)
-    rains &= fallen[hour] >= per_hour * intervals.seconds * WET_RAIN * (1 - 1e-9)
-    after = round(site.wet_after * _HOUR_S / intervals.seconds)
-    last = np.maximum.accumulate(np.where(rains, np.arange(count), -after - 1))
-    return np.asarray(np.arange(count) - last <= after)
+    seconds, rain = intervals.seconds, intervals.rain
+    size, places = max(1, round(_HOUR_S / seconds)), np.arange(len(rain))
+    # Which hours have enough, whenever they begin; and how many of these have an interval.
+    fallen = np.append(0.0, np.cumsum(np.pad(rain, size - 1)))
+    enough = fallen[size:] - fallen[:-size] >= size * seconds * WET_RAIN * _ROUNDING
+    hours = np.append(0, np.cumsum(enough))
+    rains = (rain > 0) & (hours[size:] > hours[:-size])
+    after = round(site.wet_after * _HOUR_S / seconds)
+    last = np.maximum.accumulate(np.where(rains, places, -after - 1))
+    return np.asarray(places - last <= after)
 
 
 def find_peak(intervals: Intervals, minutes: float) -> float:
-    """Return the maximum mean discharge over some minutes (m3/s); over an interval if longer."""
-    return _find_maximum(intervals.discharge, intervals.seconds, minutes)[0] / intervals.seconds
+    """Return the maximum mean of the discharge over some minutes (m3/s)."""
+    return _find_maximum(intervals.discharge, intervals.seconds, minutes)[0]
 
 
-def _find_maximum(values: Values, seconds: float, minutes: float) -> tuple[float, int]:
-    """Return the maximum of the moving mean, and the first interval of its window."""
-    size = min(len(values), max(1, round(minutes * 60 / seconds)))
-    sums = np.convolve(values, np.ones(size), "valid")
-    first = int(sums.argmax())
-    return float(sums[first]) / size, first
-
-
-def find_events(site: Site, intervals: Intervals, dry_hours: float = DRY_HOURS) -> list[Event]:
-    """Return the events of a run in the order of time; traces below 0.1 mm are none.
+def _find_maximum(values: Values, seconds: float, minutes: float) -> tuple[float, float]:
+    """Return the maximum of the moving mean, per second, and when its first window begins (s).
 
     Args:
-        site: of the run.
-        intervals: of the run.
-        dry_hours: minimum time without rain between two events (h).
+        values: sums of intervals.
+        seconds: duration of an interval (s).
+        minutes: width of the window.
     """
-    seconds, area = intervals.seconds, connected_area(site)
-    wet, dry = np.flatnonzero(intervals.rain > 0), round(dry_hours * _HOUR_S / seconds)
-    firsts = wet[np.diff(wet, prepend=-np.inf) > dry]
-    lasts = wet[np.diff(wet, append=np.inf) > dry]
+    window, edges = 60 * minutes, seconds * np.arange(len(values) + 1.0)
+    total = np.append(0.0, np.cumsum(values))
+    # The mean of constant pieces is largest where the window begins or ends with one of them.
+    starts = np.concatenate((edges - window, edges))
+    sums = np.interp(starts + window, edges, total) - np.interp(starts, edges, total)
+    maximum = float(sums.max())
+    return maximum / window, float(starts[sums >= maximum * _ROUNDING].min())
+
+
+def find_events(site: Site, intervals: Intervals) -> list[Event]:
+    """Return the events of a run in the order of time; traces below 0.1 mm are none."""
+    seconds, rain, area = intervals.seconds, intervals.rain, connected_area(site)
+    dry = max(1, round(site.event_separation * _HOUR_S / seconds))
+    rains = np.flatnonzero(rain > 0)
+    firsts = rains[np.diff(rains, prepend=-np.inf) > dry]
+    lasts = rains[np.diff(rains, append=np.inf) > dry]
+    wet = np.where(find_wet_weather(site, intervals), intervals.discharge, 0.0)
     events = []
     for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
-        rain = intervals.rain[first : last + 1 + dry]  # no rain falls after the event
-        discharge = intervals.discharge[first : last + 1 + dry]
-        depth, volume = float(rain.sum()), float(discharge.sum())
-        if depth < _HOUR_S * WET_RAIN:
+        until = last + 1 + dry  # no rain falls after the event
+        fallen, discharge = rain[first:until], wet[first:until]
+        depth, volume = float(fallen.sum()), float(discharge.sum())
+        if depth < _HOUR_S * WET_RAIN * _ROUNDING:
             continue
-        heaviest, at = _find_maximum(rain, seconds, 5.0)
-        peak, later = _find_maximum(discharge, seconds, 5.0)
+        heaviest, at = _find_maximum(fallen, seconds, _PEAK_MIN)
+        peak, later = _find_maximum(discharge, seconds, _PEAK_MIN)
         events.append(Event(
-            first * seconds / _HOUR_S, (last + 1 - first) * seconds / _HOUR_S, 1000 * depth,
-            1000 * heaviest * _HOUR_S / seconds,
-            1000 * _find_maximum(rain, seconds, 60.0)[0] * _HOUR_S / seconds,
-            volume, 1000 * peak / seconds,
-            1 - volume / (depth * area), 1 - peak / (heaviest * area),
-            (later - at) * seconds / 60 if volume > _NOTHING else np.nan,
+            start_h=first * seconds / _HOUR_S,
+            hours=(last + 1 - first) * seconds / _HOUR_S,
+            rain_mm=1000 * depth,
+            max_rain_5min_mm_h=1000 * _HOUR_S * heaviest,
+            max_rain_60min_mm_h=1000 * _HOUR_S * _find_maximum(fallen, seconds, 60.0)[0],
+            discharge_m3=float(intervals.discharge[first:until].sum()),
+            wet_discharge_m3=volume,
+            peak_l_s=1000 * peak,
+            peak_mm_h=1000 * _HOUR_S * peak / area,
+            volume_reduction=1 - volume / (depth * area),
+            peak_reduction=1 - peak / (heaviest * area),
+            peak_delay_min=(later - at) / 60 if volume > _NOTHING else None,
+            complete=first > 0 and until <= len(rain),
         ))
     return events

@@ -37,7 +37,7 @@ class VirtualSite:
             sensor_and_pump: how level sensor and pumps differ from the paper's.
         """
         self.plant = Plant(site, x1, x2)
-        self.metrics = Metrics(site, self.plant)
+        self.metrics = Metrics(site, self.plant, start_ns / 1e9)
         self.tick = 0
         self.frost = 0.0
         self._start_ns, self._tick_ns = start_ns, round(site.tau * 1e9)

@@ -67,6 +67,8 @@ class RecordedTrajectory(NamedTuple):
 
     trajectory: Trajectory
     notes: tuple[str, ...] = ()
+    unknown: frozenset[str] = frozenset()
+    """attributes of the trajectory that are 0 because the bag has nothing of them"""
 
 
 class _Series(NamedTuple):
@@ -138,7 +140,10 @@ def load_bag(
         notes.append(_describe_gaps(samples, gaps, zone))
     time = (samples - samples[0]) / 1e9
     start = from_epoch_ns(int(samples[0])).astimezone(zone)
-    return RecordedTrajectory(Trajectory(start=start, time=time, **columns), tuple(notes))
+    return RecordedTrajectory(
+        Trajectory(start=start, time=time, **columns), tuple(notes),
+        frozenset(name for topic, name in of_site.items() if topic not in series),
+    )
 
 
 def _keep_one_time(

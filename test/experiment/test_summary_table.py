@@ -22,7 +22,7 @@ def test_no_raw_data() -> None:
         pass
     metrics = simulation.metrics
     result = summary.make_summary(
-        run, metrics.results(), metrics.weekly_deviations(), wall_s=1.0,
+        run, metrics.results(), metrics.weekly_deviations(), metrics.events(), wall_s=1.0,
         solver={"mean_s": 1e-5, "p99_s": 1e-5, "max_s": 1e-5, "solves": 9, "fallbacks": 1},
         messages={"/pump/flow": 361, "/clock": 361},
         refused={"/pump/flow": 37, "/roof/level": 2},

@@ -81,7 +81,7 @@ def test_sums_by_hand() -> None:
     }
     assert {name: results[name] for name in expected} == pytest.approx(expected, rel=1e-6)
     assert {name for name, value in results.items() if type(value) is int} == {
-        "limited_steps", "pump_starts", "busiest_hour_starts", "excess_starts"
+        "limited_steps", "pump_starts", "busiest_hour_starts", "excess_starts", "overflow_days",
     }
     # There is no valve, and no layer.
     assert not {"mains_m3", "demand_met_share", "final_layer_m3"} & results.keys()

@@ -127,9 +127,10 @@ class Result:
     def events(self) -> polars.DataFrame:
         """The events of rain, a row for each, and what of it reached the sewer.
 
-        Events are separated by six hours without rain. ``volume_reduction`` and ``peak_reduction``
-        compare with the same area without roof and cistern; the columns are the fields of
-        :class:`greenroof_ros.model.storm_water.Event`, and ``start``.
+        Events are separated by ``event_separation`` of the site without rain, by default six hours.
+        ``volume_reduction`` and ``peak_reduction`` are of the discharge in wet weather, compared
+        with the same area without roof and cistern. The columns are ``start``, in the time zone of
+        :attr:`trajectory`, and the fields of :class:`greenroof_ros.model.storm_water.Event`.
 
         Raises:
             ConfigurationError: polars is not installed.
@@ -142,7 +143,8 @@ class Result:
         refuse_forked_polars()
         with require_extra("study"):
             import polars
-        events, zone = self.summary["events"], zone_name(self.run.start)
+        events = self.summary["events"]
+        zone = self.run.site.time_zone or zone_name(self.run.start)
         starts = polars.Series(
             [datetime.fromisoformat(event["start"]) for event in events],
             dtype=polars.Datetime("us", "UTC"),
@@ -150,7 +152,9 @@ class Result:
         return polars.DataFrame({
             "start": starts.dt.convert_time_zone(zone),
             **{name: [event[name] for event in events] for name in Event._fields},
-        }, schema_overrides=dict.fromkeys(Event._fields, polars.Float64))
+        }, schema_overrides={
+            **dict.fromkeys(Event._fields, polars.Float64), "complete": polars.Boolean,
+        })
 
     def plot(self) -> altair.VConcatChart:
         """Return a chart: rain, levels of roof and cistern, and the pump, over time.
@@ -186,7 +190,7 @@ class Result:
             >>> with tempfile.TemporaryDirectory() as directory:
             ...     path = gr.simulate("onoff", hours=1).save(directory)
             ...     sorted(file.name for file in path.iterdir())
-            ['configuration', 'summary.json', 'trajectory.parquet']
+            ['configuration', 'events.csv', 'summary.json', 'trajectory.parquet']
         """
         content = self.ticks.to_parquet()
         with rename_keys({"--output": "directory"}):

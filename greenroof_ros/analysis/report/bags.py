@@ -5,6 +5,7 @@ A run directory has a bag; of a simulation in one process it has the trajectory,
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from datetime import datetime, timezone, tzinfo
 from functools import partial
 from pathlib import Path
@@ -18,12 +19,13 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.times import to_people
 from greenroof_ros.experiment.summary import find_site_file
-from greenroof_ros.model.metrics import Samples, totals_of
+from greenroof_ros.model.metrics import Samples, events_of, totals_of
 from greenroof_ros.model.plant import mains_flow
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.recording.bag_reader import load_bag
 from greenroof_ros.recording.bag_writer import METADATA, name_recovered_bag
+from greenroof_ros.recording.events_table import event_rows
 from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.recording.trajectory import CSV, TRAJECTORY, Trajectory
 
@@ -95,7 +97,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
     zone = _zone(row, site if file else None)
     closed, repair = _closed_and_repair(bag, run if run.is_dir() else run.parent)
     kept = next((path / name for name in (TRAJECTORY, CSV) if (path / name).is_file()), None)
-    trajectory = None
+    trajectory, unknown, events = None, frozenset[str](), about.events
     if closed is not None:
         if closed == name_recovered_bag(bag):
             notes.append(f"{closed.name} is what greenroof recover found whole")
@@ -103,7 +105,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
                 notes.append(f"more was recorded since: {repair}")
         if zone is None:
             notes.append("times are in UTC: no configuration gives the offset")
-        trajectory, further = load_bag(
+        trajectory, further, unknown = load_bag(
             closed, site, zone or timezone.utc, own=about.own, external_pump=about.external_pump,
             repair=repair,
         )
@@ -122,7 +124,10 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
             "a bag (with metadata.yaml) or an .mcap file", file=path,
         )
     if trajectory is not None:
-        row = complete_row(row, site, trajectory)
+        samples = make_samples(site, trajectory, unknown)
+        row = complete_row(row, site, trajectory, samples)
+        if events is None:
+            events = event_rows(trajectory.start, events_of(site, samples))
         zone = trajectory.start.tzinfo
     row["window"] = ", ".join([
         row["site"], row["weather"] if about.own else name,
@@ -145,7 +150,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
         notes.append(f"the alarms next to the bag are damaged, and not used: {error}")
         alarms = []
     return ReportedRun(
-        site=site, row=row, notes=notes, alarms=alarms, kept=trajectory
+        site=site, row=row, notes=notes, alarms=alarms, kept=trajectory, kept_events=events or (),
     )
 
 
@@ -162,7 +167,7 @@ def _moment(seconds: float, zone: tzinfo | None) -> str:
     return to_people(datetime.fromtimestamp(seconds, zone or timezone.utc).replace(microsecond=0))
 
 
-def complete_row(known: Row, site: Site, trajectory: Trajectory) -> Row:
+def complete_row(known: Row, site: Site, trajectory: Trajectory, samples: Samples) -> Row:
     """Return a run's row: the results that are known, and the others from its trajectory.
 
     Sums are Euler's: a value holds from its sample to the next, over the difference of their times.
@@ -172,20 +177,29 @@ def complete_row(known: Row, site: Site, trajectory: Trajectory) -> Row:
     pumped = trajectory.pump_flow[:-1] * np.diff(trajectory.time)
     return {
         "cistern_m3": float(trajectory.cistern[0]), "roof_m3": float(trajectory.roof[0]),
-        **totals_of(site, make_samples(site, trajectory)), **known,
+        **totals_of(site, samples), **known,
         "start": trajectory.start.isoformat(),
         "hours": float(trajectory.time[-1] - trajectory.time[0]) / 3600,
         "frost_pumped_m3": float(pumped[frost].sum()),
     }
 
 
-def make_samples(site: Site, trajectory: Trajectory) -> Samples:
+def make_samples(
+    site: Site, trajectory: Trajectory, unknown: Collection[str] = ()
+) -> Samples:
     """Return a whole run as samples. Whether a tank's flows were limited is unknown.
 
     The drainage layer of a measured soil is computed from percolation; it begins with the site's
     ``initial_layer``.
+
+    Args:
+        site: its parameters.
+        trajectory: of the run.
+        unknown: attributes of the trajectory that are 0 because nobody recorded them.
     """
     dt = np.append(np.diff(trajectory.time), site.tau)
+    # The run ends in the state of the last sample, which begins no new minute, hour or day.
+    time = np.append(trajectory.time[:-1], max(0.0, trajectory.time[-1] - site.tau))
     values = {
         "pump": trajectory.pump_flow, "potential": trajectory.evapotranspiration,
         **{
@@ -197,7 +211,7 @@ def make_samples(site: Site, trajectory: Trajectory) -> Samples:
     values["mains"] = np.fromiter(
         map(partial(mains_flow, site), trajectory.cistern, drawn, dt), float
     )
-    if trajectory.low_outlet is not None:
+    if trajectory.low_outlet is not None and "low_outlet" not in unknown:
         values["low_outlet"] = trajectory.low_outlet
     elif site.low_outlet_level is None:
         values["low_outlet"] = np.zeros_like(dt)
@@ -209,5 +223,7 @@ def make_samples(site: Site, trajectory: Trajectory) -> Samples:
     )
     return Samples(
         **flows, duration=dt, cistern=trajectory.cistern, roof=trajectory.roof,
-        evapotranspiration=evaporated, layer=layer, time=trajectory.time,
+        evapotranspiration=evaporated, layer=layer, time=time,
+        start=trajectory.start.timestamp(),
+        discharge_known=not {"outflow", "drainage"} & {*unknown},
     )

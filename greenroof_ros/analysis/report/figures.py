@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import altair as alt
@@ -26,12 +26,13 @@ from greenroof_ros.analysis.report.trajectories import (
     figures_over_time,
     select_curves,
 )
+from greenroof_ros.recording.events_table import EventRow
 
 # More lines than this in one panel: each controller has its own figures.
 _MAX_LINES = len(COLOURS)
 
 # The names of all figures begin with one of these; numbers and a controller can follow.
-_KINDS = ("deviation", "water", "flows")
+_KINDS = ("deviation", "events", "water", "flows")
 
 
 def is_figure(name: str) -> bool:
@@ -50,6 +51,7 @@ def make_figures(report: Report) -> Iterator[Figure]:
         for name, cases in windows.items():
             yield draw_deviation(cases, name)
     for number, place in enumerate(report.places(), start=1):
+        yield from _of_events(place, f"{number}")
         yield from _over_time(place, f"{number}")
 
 
@@ -70,6 +72,83 @@ def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
     else:
         for controller, own in lines.items():
             yield from figures_over_time(own, f"{name}-{controller}", f", {controller}, {title}")
+
+
+def _of_events(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
+    """Yield the figures of a place's events of rain, if there are any."""
+    window, initial = place[0].place
+    title = f"from {initial}: {window}"
+    events: dict[str, dict[str, list[EventRow]]] = {}
+    for case in place:
+        whole = [event for run in case.runs for event in run.events() if event["complete"]]
+        if whole:
+            events.setdefault(case.row["controller"], {})[case.label] = whole
+    together = {label: whole for own in events.values() for label, whole in own.items()}
+    if 0 < len(together) <= _MAX_LINES:
+        yield draw_events(together, f"events-{name}", f" {title}")
+    else:
+        for controller, own in events.items():
+            yield draw_events(own, f"events-{name}-{controller}", f", {controller}, {title}")
+
+
+# --- events of rain -------------------------------------------------------------------------------
+
+_REDUCTIONS = {
+    "volume_reduction": "volume kept from the sewer", "peak_reduction": "peak kept from the sewer",
+}
+# A valve can let more out of the store than a small event brings: the axis ends here.
+_MIN_REDUCTION = -1.0
+
+
+def draw_events(events: Mapping[str, Sequence[EventRow]], name: str, title: str) -> Figure:
+    """Return the reduction of volume and peak of each event over its depth.
+
+    Args:
+        events: of each case, by its label.
+        name: of the figure.
+        title: what its title ends with.
+    """
+    rows = [
+        {
+            "case": label, "start": event["start"], "depth": round_value(event["rain_mm"]),
+            **{key: round_value(event[key]) for key in _REDUCTIONS},
+        }
+        for label, own in events.items() for event in own
+    ]
+    cases = list(events)
+    legend = alt.Legend(symbolSize=60, symbolType="circle") if cases else None
+    base = alt.Chart(alt.NamedData(name)).encode(
+        x=alt.X("depth:Q", title="rain of the event (mm)", scale=value_scale(
+            row["depth"] for row in rows
+        )),
+        color=alt.Color(
+            "case:N", title=None, scale=cycle_choices(COLOURS, cases), legend=legend
+        ),
+        tooltip=make_tooltips(
+            "case:N", "start:N", ("depth:Q", "rain (mm)"),
+            *((f"{key}:Q", text) for key, text in _REDUCTIONS.items()),
+        ),
+    )
+    panels = [
+        Panel(base.mark_point(filled=True, opacity=0.6, size=30).encode(y=alt.Y(
+            f"{key}:Q", title=None, axis=alt.Axis(format="%"), scale=alt.Scale(
+                domain=[_lowest(event[key] for own in events.values() for event in own), 1.0],
+                clamp=True,
+            ),
+        )), text, 220)
+        for key, text in _REDUCTIONS.items()
+    ]
+    return Figure(
+        name, f"Events of rain{title}",
+        "Each point is an event; of the runoff of the same area without roof and cistern, in wet "
+        "weather. Events that the run cuts are left out; values below -100 % are drawn there",
+        tuple(panels), 2, {name: rows},
+    )
+
+
+def _lowest(reductions: Iterable[float]) -> float:
+    """Return where the axis of some reductions begins: at 0 if none is below."""
+    return max(_MIN_REDUCTION, min([0.0, *reductions]))
 
 
 # --- results by case ------------------------------------------------------------------------------

@@ -14,13 +14,17 @@ from greenroof_ros.analysis.report.intervals import Deviations, SeasonComparison
 from greenroof_ros.analysis.report.run import ReportedRun, Row
 from greenroof_ros.analysis.report.sources import Sources
 from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.controllers.outlet import CLOSED
 from greenroof_ros.model.metrics import METRICS
 
 Item = TypeVar("Item")
 
 TOTAL = "total_deviation_m3"
 FLOWS = {
-    "cistern": {"rain_cistern_m3": 1, "mains_m3": 1, "pumped_m3": -1, "outflow_m3": -1},
+    "cistern": {
+        "rain_cistern_m3": 1, "drainage_kept_m3": 1, "mains_m3": 1, "pumped_m3": -1,
+        "outflow_m3": -1,
+    },
     "roof": {"rain_roof_m3": 1, "pumped_m3": 1, "evapotranspiration_m3": -1, "drainage_m3": -1},
 }
 """the flows of each tank's water balance, each with its sign"""
@@ -127,6 +131,7 @@ def _means(years: Sequence[Sequence[Row]]) -> Row:
 _AVERAGED = (
     *(metric.name for metric in METRICS), "bound_m3", "frost_hours", "frost_pumped_m3",
     "cistern_change_m3", "cistern_residual_m3", "roof_change_m3", "roof_residual_m3",
+    "drainage_kept_m3",
 )
 
 
@@ -137,7 +142,10 @@ def _derived(run: ReportedRun) -> Row:
     simulation. On a site it is all that was not measured.
     """
     row, site = {**run.row, "mains_m3": run.row.get("mains_m3") or 0.0}, run.site
-    derived: Row = {}
+    row["drainage_kept_m3"], derived = 0.0, Row()
+    if site.drainage_to_cistern:
+        kept = _sum(row, {"drainage_m3": site.drainage_to_cistern})
+        derived["drainage_kept_m3"] = row["drainage_kept_m3"] = kept
     for tank, flows in FLOWS.items():
         change = _sum(row, {f"final_{tank}_m3": 1, f"{tank}_m3": -1})
         if tank == "roof" and change is not None and row.get("final_layer_m3") is not None:
@@ -150,34 +158,36 @@ def _derived(run: ReportedRun) -> Row:
     return derived
 
 
-def _sum(row: Row, terms: Mapping[str, int]) -> float | None:
-    """Return a sum of results; None if one of them is missing."""
+def _sum(row: Row, terms: Mapping[str, float]) -> float | None:
+    """Return a sum of results, each times a factor; None if one of them is missing."""
     if any(row.get(name) is None for name in terms):
         return None
-    return float(sum(sign * row[name] for name, sign in terms.items()))
+    return float(sum(factor * row[name] for name, factor in terms.items()))
 
 
 def _compare(place: Sequence[CaseRuns]) -> None:
     """Compare the cases of a place with the on/off controller that fills to the target.
 
-    That is the paper's. Of several with different shares of the flow it is the one in the most
-    years with the smallest mean deviation. The deviation is compared if they are seasons, the mains
-    water if both ran in the same years.
+    That is the paper's, with the valve of the low outlet closed if there is one and it ran so. Of
+    several with different shares of the flow it is the one in the most years with the smallest mean
+    deviation. The deviation is compared if they are seasons, volumes if both ran in the same years.
     """
     (level,) = (known.default for known in OnOff.parameters if known.name == "level")
     plain = [
         case for case in place if case.row["controller"] == "onoff"
         and float(case.row.get("parameter:level") or level) == level
     ]
+    closed = [case for case in plain if case.row.get("parameter:outlet") == CLOSED]
     if plain:
-        other = min(plain, key=lambda case: (-len(case.runs), case.row[TOTAL]))
+        other = min(closed or plain, key=lambda case: (-len(case.runs), case.row[TOTAL]))
         for case in place:
             if case is other:
                 continue
             if case.deviations.weeks:
                 case.relative = compare(case.deviations, other.deviations)
             if case.deviations.totals.keys() == other.deviations.totals.keys():
-                case.row["mains_below_onoff_m3"] = _sum(
-                    {"mains": case.row["mains_m3"], "onoff": other.row["mains_m3"]},
-                    {"onoff": 1, "mains": -1},
-                )
+                for volume in ("mains", "wet_discharge"):
+                    case.row[f"{volume}_below_onoff_m3"] = _sum(
+                        {"own": case.row[f"{volume}_m3"], "onoff": other.row[f"{volume}_m3"]},
+                        {"onoff": 1, "own": -1},
+                    )

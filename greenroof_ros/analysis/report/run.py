@@ -18,6 +18,7 @@ from greenroof_ros.experiment import summary
 from greenroof_ros.forecast.choice import OPTIONS
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import Site
+from greenroof_ros.recording.events_table import EventRow, check_event, read_events
 from greenroof_ros.recording.results_table import parameter_columns, summary_columns
 from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
 
@@ -36,6 +37,7 @@ class ReportedRun:
         notes: what a reader should know about it.
         alarms: recorded ones, each a row for a table.
         kept: its trajectory, or the file with it; None if none was kept.
+        kept_events: its events of rain, or the file with them.
     """
 
     site: Site
@@ -43,6 +45,7 @@ class ReportedRun:
     notes: Sequence[str] = ()
     alarms: Sequence[dict[str, str]] = ()
     kept: Trajectory | Path | None = None
+    kept_events: Sequence[EventRow] | Path = ()
 
     @property
     def name(self) -> str:
@@ -56,6 +59,15 @@ class ReportedRun:
             ConfigurationError: the file is damaged.
         """
         return load_trajectory(self.kept) if isinstance(self.kept, Path) else self.kept
+
+    def events(self) -> Sequence[EventRow]:
+        """Return its events of rain.
+
+        Raises:
+            ConfigurationError: the file is damaged.
+        """
+        events = self.kept_events
+        return read_events(events) if isinstance(events, Path) else events
 
 
 def load_trajectory(path: Path) -> Trajectory:
@@ -83,6 +95,7 @@ class About:
         external_pump: whether a pump driver reported its pump flow.
         ending: how an unfinished run ended, as a sentence without subject and full stop.
         notes: what a reader should know about it.
+        events: of rain; None if it has no results.
     """
 
     row: Row = field(default_factory=lambda: {
@@ -93,6 +106,7 @@ class About:
     external_pump: bool = False
     ending: str = ""
     notes: tuple[str, ...] = ()
+    events: Sequence[EventRow] | None = None
 
 
 def read_about(run: Path) -> About:
@@ -148,6 +162,7 @@ def _understood(content: Mapping[str, Any], run: Path) -> About:
         external_pump=not live and _external_pump(run),
         ending="" if status == summary.DONE else _ending(content),
         notes=tuple(_changes(content)),
+        events=list(map(check_event, content["events"])) if "events" in content else None,
     )
 
 

@@ -19,6 +19,7 @@ from greenroof_ros.common.files import file_digest, read_text
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.sensor_and_pump import PARAMETERS
 from greenroof_ros.model.site import read_site
+from greenroof_ros.recording.events_table import EVENTS
 from greenroof_ros.recording.results_table import (
     find_differing_keys,
     format_exactly,
@@ -160,13 +161,15 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
     configuration, sites = path / "configuration", set[str]()
     read = cache(read_site)  # hundreds of runs can share a file
     for row in _read_results(path / "results.csv"):
-        trajectory = path / "runs" / row["run"] / TRAJECTORY
+        directory = path / "runs" / row["run"]
+        trajectory, events = directory / TRAJECTORY, directory / EVENTS
         row |= {"run": prefix + row["run"], "window": prefix + row["window"]}
         if row["status"] == "done":
             sites.add(row["site"])
             sources.runs.append(ReportedRun(
                 site=read(configuration / row["site"]), row=row,
                 kept=trajectory if trajectory.exists() else None,
+                kept_events=events if events.exists() else (),
             ))
         else:
             sources.failed.append({

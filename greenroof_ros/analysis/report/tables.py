@@ -33,6 +33,8 @@ _RESULTS = {
     },
     "ratio": _Result("over the minimum possible (1)", ".4f"),
     "mains_below_onoff_m3": _Result("mains water below on/off's (m³)"),
+    "wet_discharge_below_onoff_m3": _Result("discharge in wet weather below on/off's (m³)"),
+    "drainage_kept_m3": _Result("drainage from the roof (m³)"),
     "frost_hours": _Result("frost (h)", ".2f"),
     "frost_pumped_m3": _Result("pumped in frost (m³)", max_possible=0),
     "cistern_change_m3": _Result("change in the cistern (m³)"),
@@ -54,9 +56,14 @@ _TABLES = {
         "beyond_hours", "limited_steps", "busiest_hour_starts", "excess_starts", "pump_hours",
         "hydraulic_energy_kwh", "mains_m3", "mains_below_onoff_m3", "demand_met_share",
     ),
+    "Storm water": (
+        "discharge_m3", "wet_discharge_m3", "wet_discharge_below_onoff_m3",
+        "peak_discharge_5min_l_s", "peak_discharge_60min_l_s", "peak_discharge_5min_mm_h",
+        "peak_discharge_60min_mm_h", "overflow_m3", "overflow_days", "retention_share",
+    ),
     "Water balance of the cistern": (
-        "rain_cistern_m3", "mains_m3", "pumped_m3", "outflow_m3", "cistern_change_m3",
-        "cistern_residual_m3", "final_cistern_m3",
+        "rain_cistern_m3", "drainage_kept_m3", "mains_m3", "pumped_m3", "outflow_m3",
+        "cistern_change_m3", "cistern_residual_m3", "final_cistern_m3",
     ),
     "Water balance of the roof": (
         "rain_roof_m3", "pumped_m3", "evapotranspiration_m3", "drainage_m3", "roof_change_m3",

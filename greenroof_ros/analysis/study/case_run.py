@@ -11,6 +11,7 @@ from greenroof_ros.analysis.study.case import Case
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import Simulation, record
+from greenroof_ros.recording.events_table import EVENTS, format_events
 from greenroof_ros.recording.results_table import summary_columns
 from greenroof_ros.recording.trajectory import TRAJECTORY
 
@@ -55,7 +56,9 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
     else:
         every = run.count_ticks_between(trajectory_every)
         files[TRAJECTORY] = record(run, simulation.ticks(), every).to_parquet()
-    return Outcome(summary_columns(simulation.summary()), files)
+    results = simulation.summary()
+    files[EVENTS] = format_events(results["events"]).encode()
+    return Outcome(summary_columns(results), files)
 
 
 def bound_case(directory: Path, case: Case) -> float:

@@ -9,7 +9,7 @@ import pytest
 from inputs import trajectory_of
 from paper import PAPER_SITE, paper_run, site_file
 
-from greenroof_ros.analysis.report.bags import complete_row
+from greenroof_ros.analysis.report.bags import complete_row, make_samples
 from greenroof_ros.experiment.closed_loop import Simulation, record
 
 TARGET = 68.8 * 0.0457
@@ -17,12 +17,13 @@ TARGET = 68.8 * 0.0457
 
 def test_samples_of_a_real_site() -> None:
     """Samples at 0, 10, 40 and 100 s, deviations of 1, 2, 3 and 4 m3, by hand."""
-    row = complete_row({}, PAPER_SITE, trajectory_of(
+    trajectory = trajectory_of(
         [0, 10, 40, 100], cistern=[10, 9, 8, 7], roof=TARGET + np.array([1, 2, 3, 4]),
         precipitation=[1e-5, 0, 2e-5, 9], evapotranspiration=[1e-3, 2e-3, 0, 9],
         command=[0, 1.5, 0.5, 9], pump_flow=[0, 0.01, 0.002, 9], outflow=[1e-3, 0, 5e-4, 9],
         drainage=[0, 1e-4, 0, 9], frost=[0, 1, 0, 1],
-    ))
+    )
+    row = complete_row({}, PAPER_SITE, trajectory, make_samples(PAPER_SITE, trajectory))
     # The last sample counts for tau = 1 s in the deviation, and nowhere else.
     expected = {
         "total_deviation_m3": 10 + 60 + 180 + 4, "rain_roof_m3": 68.8 * (1e-4 + 1.2e-3),
@@ -39,7 +40,8 @@ def check_tally(*options: str) -> dict[str, float]:
     """Check a run of on/off against its own tally, and return the tally."""
     run = paper_run("--controller", "onoff", *options)
     simulation = Simulation(run)
-    row = complete_row({}, run.site, record(run, simulation.ticks()))
+    trajectory = record(run, simulation.ticks())
+    row = complete_row({}, run.site, trajectory, make_samples(run.site, trajectory))
     results = simulation.metrics.results()
     if results["limited_steps"]:
         # The losses of a limited roof are derived differently from the trajectory.

@@ -1,0 +1,92 @@
+"""The table of a run's events of rain: rows for ``summary.json``, and the file ``events.csv``."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import read_text
+from greenroof_ros.model.storm_water import Event
+
+EVENTS = "events.csv"
+"""The file's name in the directory of a run."""
+
+EventRow = dict[str, Any]
+"""an event: ``start``, with its offset from UTC, and the fields of an :class:`.Event`"""
+
+_COLUMNS = ("start", *Event._fields)
+_MAY_BE_NONE = ("peak_delay_min",)
+
+
+def event_rows(start: datetime, events: Iterable[Event]) -> list[EventRow]:
+    """Return the events of a run that began at a time with a fixed offset from UTC."""
+    return [
+        {
+            "start": (start + timedelta(hours=event.start_h)).isoformat(timespec="seconds"),
+            **event._asdict(),
+        }
+        for event in events
+    ]
+
+
+def format_events(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the content of ``events.csv``: numbers with all their digits, true and false."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    writer.writerows(
+        [
+            cell if isinstance(cell, str) else "" if cell is None else json.dumps(cell)
+            for cell in map(row.get, _COLUMNS)
+        ]
+        for row in rows
+    )
+    return text.getvalue()
+
+
+def read_events(file: Path) -> list[EventRow]:
+    """Read ``events.csv``.
+
+    Raises:
+        ConfigurationError: it is damaged, or another file.
+    """
+    rows = list[EventRow]()
+    table = csv.DictReader(io.StringIO(read_text(file)), restkey="", restval="?")
+    if tuple(table.fieldnames or ()) != _COLUMNS:
+        raise ConfigurationError(
+            f"must have the columns {', '.join(_COLUMNS)}; repeat the run", file=file, line=1
+        )
+    for cells in table:
+        try:
+            rows.append(check_event({
+                name: cell if name == "start" else json.loads(cell) if cell else None
+                for name, cell in cells.items()
+            }))
+        except (TypeError, ValueError) as error:
+            raise ConfigurationError(
+                "is not an event of rain; repeat the run", file=file, line=table.line_num
+            ) from error
+    return rows
+
+
+def check_event(row: EventRow) -> EventRow:
+    """Return a row from a file, which can have any content.
+
+    Raises:
+        TypeError, ValueError: it is not an event: a time, finite numbers, true or false. Only what
+            can be unknown may be missing.
+    """
+    if row.keys() != set(_COLUMNS):
+        raise ValueError
+    datetime.fromisoformat(row["start"])
+    known = {name for name in Event._fields if row[name] is not None or name not in _MAY_BE_NONE}
+    if not all(math.isfinite(row[name]) for name in known):
+        raise ValueError
+    return row
