@@ -46,6 +46,7 @@ from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import read_site, site_parameters
+from greenroof_ros.model.storm_water import Event
 
 _BLOCK = re.compile(
     r"(?<=<!-- table: )(?P<name>[a-z_ ]+)(?P<gap> -->\n)(?P<table>.*?)(?=<!-- end of table -->)",
@@ -220,6 +221,14 @@ def _declared(parameter: Parameter, kind: str) -> tuple[str, str]:
 def metrics() -> str:
     """Return the metrics of a run, whose names end in their units."""
     return entries((f"`{entry.name}`", entry.label, entry.meaning) for entry in METRICS)
+
+
+def events() -> str:
+    """Return the columns of the table of events."""
+    return entries(
+        (f"`{name}`", "", text)
+        for name, text in (("start", "time of the first rain"), *_attributes(Event))
+    )
 
 
 def site() -> str:
@@ -439,6 +448,13 @@ def plausible_values() -> str:
     )
 
 
+def _attributes(kind: type) -> list[tuple[str, str]]:
+    """Return the attributes in a class's docstring, a line each, with their meanings."""
+    described = inspect.cleandoc(kind.__doc__ or "").partition("Attributes:\n")[2]
+    pairs = (line.strip().partition(": ") for line in described.splitlines())
+    return [(name, _json_words(text)) for name, _, text in pairs]
+
+
 def _json_words(text: str) -> str:
     """Return what a docstring states about an attribute, as of a key in JSON."""
     for before, after in (("``", "`"), (r"\bNone\b", "`null`"), (r"; from :mod:`[^`]*`", "")):
@@ -448,10 +464,8 @@ def _json_words(text: str) -> str:
 
 def alarm() -> str:
     """Return the keys of an alarm."""
-    described = inspect.cleandoc(Alarm.__doc__ or "").partition("Attributes:\n")[2]
-    pairs = (line.strip().partition(": ") for line in described.splitlines())
     return markdown(("key", "meaning"), (
-        (f"`{name}`", _json_words(text)) for name, _, text in pairs
+        (f"`{name}`", text) for name, text in _attributes(Alarm)
     ))
 
 
@@ -608,6 +622,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "quality of service": quality,
     "controllers": controllers,
     "metrics": metrics,
+    "events": events,
     "site": site,
     "pump settings": pump_settings,
     "interlocks": interlocks,

@@ -92,8 +92,8 @@ def make_parser() -> Parser:
     )
     trajectories.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep only the table, for thousands of runs; a report then has no figures of weather, "
-        "commands and volumes",
+        help="keep only the table and the events of rain, for thousands of runs; a report then has "
+        "no figures of weather, commands and volumes",
     )
     return parser
 

@@ -62,35 +62,37 @@ class Intervals(NamedTuple):
 
 
 class Event(NamedTuple):
-    """An event of rain, and what of it reached the sewer."""
+    """An event of rain, and what of it reached the sewer.
+
+    Attributes:
+        start_h: first rain, since the run's start (h).
+        hours: from the first rain to the last (h).
+        rain_mm: depth.
+        max_rain_5min_mm_h: mean of the wettest five minutes, which is the reference's peak.
+        max_rain_60min_mm_h: mean of the wettest 60 minutes.
+        discharge_m3: what reached the sewer until the dry hours after it were over.
+        wet_discharge_m3: the part of that in wet weather.
+        peak_l_s: maximum mean of that part over five minutes.
+        peak_mm_h: the same over the connected area.
+        volume_reduction: share of the reference's volume that did not come in wet weather (1).
+        peak_reduction: the same of the reference's peak (1).
+        peak_delay_min: how much later than the reference's the peak begins; None without discharge.
+        complete: whether the run begins before its first rain, and ends after its dry hours.
+    """
 
     start_h: float
-    """since the run's start (h)"""
     hours: float
-    """from the first rain to the last (h)"""
     rain_mm: float
-    """depth"""
     max_rain_5min_mm_h: float
-    """mean of the wettest five minutes, which is also the peak of the reference"""
     max_rain_60min_mm_h: float
-    """mean of the wettest 60 minutes"""
     discharge_m3: float
-    """what reached the sewer until the dry hours after it were over"""
     wet_discharge_m3: float
-    """of that, what did so in wet weather"""
     peak_l_s: float
-    """maximum mean of that over five minutes"""
     peak_mm_h: float
-    """the same over the connected area"""
     volume_reduction: float
-    """share of the reference's volume that did not reach the sewer in wet weather (1); below 0 if
-    more did, from water that was in store"""
     peak_reduction: float
-    """the same of the reference's peak (1)"""
     peak_delay_min: float | None
-    """how much later than the reference's the peak began (min); None if there was none"""
     complete: bool
-    """whether the run had begun before its first rain, and went on until it was over"""
 
 
 def interval_seconds(site: Site) -> float:

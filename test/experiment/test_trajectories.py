@@ -97,7 +97,8 @@ def test_results_do_not_depend_on_it(tmp_path: Path) -> None:
     case = read_grid(tmp_path / "grid.yaml")[-1]
     write_inputs(collect_contents([case]), tmp_path)
     outcomes = [run_case(tmp_path, case, every) for every in (None, 0.0, 100.0)]
-    assert outcomes[0].files == {}
+    assert outcomes[0].files.keys() == {"events.csv"}
+    assert len({outcome.files["events.csv"] for outcome in outcomes}) == 1
     assert outcomes[1].results == outcomes[0].results == outcomes[2].results
     for outcome, samples in zip(outcomes[1:], (361, 5), strict=True):
         (tmp_path / "file").write_bytes(outcome.files["trajectory.parquet"])

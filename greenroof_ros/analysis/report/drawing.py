@@ -18,6 +18,7 @@ from greenroof_ros.common.files import add_path_to_errors
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
 # For readers who cannot see colours. The numbers of dashes and colours have no common factor.
 _DASHES = ([1, 0], [8, 3], [2, 2], [10, 3, 2, 3], [5, 2, 1, 2, 1, 2])
+_SHAPES = ("circle", "square", "triangle-up", "diamond", "cross")
 _PANEL_WIDTH = 400
 # Panels that share a file need parameters of different names.
 _NUMBERS = itertools.count()
@@ -109,6 +110,19 @@ def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
         ),
         "strokeDash": alt.StrokeDash(
             f"{name}:N", title=None, scale=cycle_choices(_DASHES, values), legend=legend
+        ),
+    }
+
+
+def distinguish_points(name: str, values: list[str]) -> dict[str, Any]:
+    """Distinguish the points of a field by colour and by shape; see :func:`cycle_choices`."""
+    legend = alt.Legend(symbolSize=60) if values else None
+    return {
+        "color": alt.Color(
+            f"{name}:N", title=None, scale=cycle_choices(COLOURS, values), legend=legend
+        ),
+        "shape": alt.Shape(
+            f"{name}:N", title=None, scale=cycle_choices(_SHAPES, values), legend=legend
         ),
     }
 

@@ -16,6 +16,7 @@ from greenroof_ros.analysis.report.drawing import (
     Panel,
     Rows,
     cycle_choices,
+    distinguish_points,
     make_tooltips,
     round_value,
     value_scale,
@@ -115,15 +116,11 @@ def draw_events(events: Mapping[str, Sequence[EventRow]], name: str, title: str)
         }
         for label, own in events.items() for event in own
     ]
-    cases = list(events)
-    legend = alt.Legend(symbolSize=60, symbolType="circle") if cases else None
     base = alt.Chart(alt.NamedData(name)).encode(
         x=alt.X("depth:Q", title="rain of the event (mm)", scale=value_scale(
             row["depth"] for row in rows
         )),
-        color=alt.Color(
-            "case:N", title=None, scale=cycle_choices(COLOURS, cases), legend=legend
-        ),
+        **distinguish_points("case", list(events)),
         tooltip=make_tooltips(
             "case:N", "start:N", ("depth:Q", "rain (mm)"),
             *((f"{key}:Q", text) for key, text in _REDUCTIONS.items()),

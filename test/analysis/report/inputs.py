@@ -220,7 +220,10 @@ def ended_run(
     """Write a run directory as bringup leaves it, by default 720 ticks of MPC, without metrics."""
     example = example or simulate("mpc", "0.001", "low-low")
     ticks = known.get("last_tick") or example.run.steps
-    columns = {name: getattr(example.trajectory, name)[: ticks + 1] for name in NAMES}
+    columns = {
+        name: values[: ticks + 1] for name in NAMES
+        if (values := getattr(example.trajectory, name)) is not None
+    }
     write_bag(directory / "bag", messages_of(Trajectory(start=START, **columns)))
     (directory / "configuration" / "weather").mkdir(parents=True)
     for name in ("site.yaml", "weather/toronto_2021-07.csv"):

@@ -13,7 +13,9 @@ from paper import PAPER_SITE
 
 from greenroof_ros.analysis.calibration.page import draw_quantity
 from greenroof_ros.analysis.report.drawing import Figure, value_scale
+from greenroof_ros.analysis.report.figures import draw_events
 from greenroof_ros.analysis.report.groups import TOTAL
+from greenroof_ros.analysis.report.page import payload
 from greenroof_ros.analysis.report.trajectories import (
     MAX_POINTS,
     figures_over_time,
@@ -62,6 +64,22 @@ def test_figures_of_any_values(tmp_path: Path, values: list[float]) -> None:
         width, height = size(tmp_path, figure)
         assert width > 400 and height > 200
     assert len(overlay_simulations({"mpc": (PAPER_SITE, trajectory)}).vconcat) == 4
+
+
+@pytest.mark.parametrize("values", VALUES.values(), ids=VALUES.keys())
+def test_events_of_any_values(tmp_path: Path, values: list[float]) -> None:
+    """Also depth or reductions alone may be all the same, and a reduction far below 0."""
+    event = dict.fromkeys(("rain_mm", "volume_reduction", "peak_reduction"), 1.0)
+    for name in event:
+        rows = [{**event, "start": START.isoformat(), name: value} for value in values]
+        for own in ({"a": rows}, {"a": rows, "b": [{**row, name: -30.0} for row in rows]}, {}):
+            figure = draw_events(own, "events-1", "")
+            width, height = size(tmp_path, figure)
+            assert width > 800 and height > 200
+            for panel in figure.panels:
+                low, high = panel.chart.to_dict()["encoding"]["y"]["scale"]["domain"]
+                assert -1.0 <= low <= 0.0 and high == 1.0
+            payload([figure])
 
 
 @pytest.mark.parametrize("value", ["", "0.0"])

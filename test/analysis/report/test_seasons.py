@@ -215,7 +215,7 @@ def test_a_study_of_seasons(tmp_path: Path) -> None:
     run_here(tmp_path / "record", SEASONS_GRID)
     report = report_of(tmp_path / "record" / "out")
     figures = figures_of(report)
-    assert list(figures) == ["deviation-1"]
+    assert list(figures) == ["deviation-1", "events-1"]
     for name, figure in figures.items():
         figure.save(tmp_path)
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
