@@ -161,18 +161,22 @@ class Fixed:
 class Drain:
     """Opens the valve in dry weather, until the cistern is down to a reserve.
 
-    Weather is dry ``wet_after`` hours after the last rain of 0.1 mm/h or more: what is let out then
-    meets a sewer without storm water.
+    Weather is dry ``wet_after`` hours after the last rain of 0.1 mm/h or more, or of less within an
+    hour of such rain: what is let out then meets a sewer without storm water.
     """
 
     def __init__(self, site: Site, reserve: float) -> None:
         """Set the site, and what is left in the cistern (m3)."""
         self._site, self.reserve = site, reserve
         self._without_rain_s = 0.0  # until the end of the present tick
+        self._only_drizzle_s = math.inf  # likewise: without rain of 0.1 mm/h or more
 
     def observe(self, rain: float) -> None:
         """Count the time without rain; call it once a tick, with the present rain (m/s)."""
-        self._without_rain_s = 0.0 if rain >= _MIN_RAIN else self._without_rain_s + self._site.tau
+        tau = self._site.tau
+        self._only_drizzle_s = 0.0 if rain >= _MIN_RAIN else self._only_drizzle_s + tau
+        rains = rain > 0 and self._only_drizzle_s < _HOUR_S
+        self._without_rain_s = 0.0 if rains else self._without_rain_s + tau
 
     @property
     def wet_hours(self) -> float:

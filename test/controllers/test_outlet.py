@@ -59,11 +59,20 @@ def test_what_is_fixed(name: str, share: float) -> None:
 def test_drain_opens_two_hours_after_rain() -> None:
     """Rain below 0.1 mm/h is none; the run begins as if it had just rained."""
     drain = policy(outlet="drain")
-    let_pass(drain, 60, 5.0)
     let_pass(drain, 120, 0.09)
     assert command(drain, 9.0, [0.0] * 8) == 1.0
     let_pass(drain, 1, 0.11)
     let_pass(drain, 119)
+    assert command(drain, 9.0, [0.0] * 8) == 0.0
+    assert command(drain, 9.0, [0.0] * 8) == 1.0
+
+
+def test_drizzle_after_rain_is_rain_for_an_hour() -> None:
+    """0.05 mm/h count for 59 minutes after rain; the 120 minutes begin then."""
+    drain = policy(outlet="drain")
+    let_pass(drain, 1, 5.0)
+    let_pass(drain, 100, 0.05)
+    let_pass(drain, 78)
     assert command(drain, 9.0, [0.0] * 8) == 0.0
     assert command(drain, 9.0, [0.0] * 8) == 1.0
 
