@@ -157,7 +157,7 @@ class Result:
         })
 
     def plot(self) -> altair.VConcatChart:
-        """Return a chart: rain, levels of roof and cistern, and the pump, over time.
+        """Return a chart: rain, levels of roof and cistern, the pump, and any water to the sewer.
 
         A notebook shows it as a picture; ``.save("run.png")`` writes it, also as .svg, or as .html
         (``inline=True`` for a page that needs no internet). Long runs are drawn with the smallest

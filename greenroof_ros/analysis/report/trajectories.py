@@ -57,8 +57,10 @@ class Drawn(NamedTuple):
 def select_curves(site: Site, trajectory: Trajectory) -> Drawn:
     """Return a run with the curves that are drawn."""
     curves = {}
+    drained = (1 - site.drainage_to_cistern) * trajectory.drainage
+    computed = {"discharge": trajectory.outflow + drained}
     for name in (*_QUANTITIES, "precipitation"):
-        values = getattr(trajectory, name)
+        values = computed[name] if name in computed else getattr(trajectory, name)
         if name not in ("cistern", "roof"):
             # The run ends at the last sample: its flows never held, so draw the values before it.
             values = np.append(values[:-1], values[-2:-1])
@@ -117,6 +119,7 @@ _QUANTITIES = {
     }),
     "pump_flow": _Quantity("Pump flow", "pump flow (L/s)", min_power=-2),
     "outflow": _Quantity("Outflow to the sewer", "outflow (L/s)"),
+    "discharge": _Quantity("To the sewer", "to the sewer (L/s)"),
 }
 _FIGURES = {
     "water": ("Water", ("roof", "cistern")),
@@ -168,6 +171,8 @@ class Picture(alt.VConcatChart):
 def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatChart:
     """Return the chart of simulations: rain, roof level, cistern and pump, with a line for each.
 
+    If any water reaches the sewer, it has a panel, too.
+
     Args:
         simulations: sites and trajectories, by the names of the lines. The rain is the longest's.
 
@@ -191,8 +196,11 @@ def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> a
     legend = alt.Legend(symbolType="stroke", symbolSize=600, columns=4)
     for channel in series.values():
         channel.legend = legend if len(runs) > 1 else None
-    for quantity in ("roof", "cistern", "pump_flow"):
-        axis = x if quantity == "pump_flow" else x.title(None)
+    quantities = ["roof", "cistern", "pump_flow"]
+    if any(flow > 0 for run in runs.values() for _, flow in run.curves["discharge"]):
+        quantities.append("discharge")
+    for quantity in quantities:
+        axis = x if quantity == quantities[-1] else x.title(None)
         lines, references, _ = _lines(quantity, runs, axis)
         charts.append(alt.layer(*references, lines.encode(**series)).properties(
             width=_WIDTH, height=_HEIGHT

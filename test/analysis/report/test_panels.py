@@ -63,7 +63,8 @@ def test_figures_of_any_values(tmp_path: Path, values: list[float]) -> None:
     for figure in figures:
         width, height = size(tmp_path, figure)
         assert width > 400 and height > 200
-    assert len(overlay_simulations({"mpc": (PAPER_SITE, trajectory)}).vconcat) == 4
+    panels = overlay_simulations({"mpc": (PAPER_SITE, trajectory)}).vconcat
+    assert len(panels) == 4 + any(value > 0 for value in values)  # water reaches the sewer
 
 
 @pytest.mark.parametrize("values", VALUES.values(), ids=VALUES.keys())
