@@ -244,11 +244,16 @@ class Plant:
                 x2, self.layer, available, rain + pump, evapotranspiration
             )
             limited = limited or dry
-            if drainage and self._kept and not self._short:
+            filled = self.x1 + tau * (collected + mains + self._kept * drainage)
+            if self._kept and not self._short and (mains or filled > self._fits(outlet)):
                 outflow, low, mains = self._step_outlets(
                     collected + self._kept * drainage, volumes, outlet
                 )
         return _new(Flows, (outflow, pump, drainage, evapotranspiration, limited, mains, low))
+
+    def _fits(self, outlet: float) -> float:
+        """Return the volume in the cistern above which water leaves for the sewer (m3)."""
+        return self._a1 * (self._site.min_outlet_level if outlet else self._site.z_o)
 
     def _find_missing(self, rain: float, evapotranspiration: float) -> tuple[float, float]:
         """Return what must be pumped until the roof is at its target in a long tick.
@@ -295,7 +300,7 @@ class Plant:
         if pumped is not None:
             flow, missing, lowest, min_run = pumped, math.inf, 0.0, 0.0
         filled = max(x1, self._a1 * (site.mains_level or 0.0)) + tau * collected
-        overflows = filled > self._a1 * (site.min_outlet_level if outlet else site.z_o)
+        overflows = filled > self._fits(outlet)
         quick = overflows or tau * flow > _SHORT_SHARE * site.x2_star
         steps = math.ceil(tau / _MAX_STEP_S) if quick else 1
         seconds, running, limited = tau / steps, False, False
