@@ -3,12 +3,38 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
+import pytest
 from paper import paper_run
 from rich.console import Console
 
 from greenroof_ros.experiment import summary, summary_table
 from greenroof_ros.experiment.closed_loop import Simulation
+
+
+@pytest.mark.parametrize(("changed", "shown"), [
+    ({}, False), ({"rain_cistern_m3": 0.5, "rain_roof_m3": 5.0}, True),
+    ({"rain_cistern_m3": 0.4, "rain_roof_m3": 5.0}, False),
+    ({"rain_cistern_m3": 0.0, "rain_roof_m3": 0.0}, False),
+    ({"rain_cistern_m3": 0.0, "rain_roof_m3": 0.0, "parameters": {"outlet": "drain"}}, True),
+])
+def test_storm_water_is_shown_where_it_is_collected(
+    changed: dict[str, Any], shown: bool
+) -> None:
+    """By a catchment, or a valve; not in the paper's twelve hours. One peak is enough."""
+    simulation = Simulation(paper_run("--controller", "onoff", "--hours", "2"))
+    for _ in simulation.ticks():
+        pass
+    rows = list(summary_table.rows({**simulation.summary(), **changed}))
+    words = {word for word, *_ in rows}
+    assert {"outflow", "pumped", "rain kept"} <= words
+    storm = {
+        "discharge", "discharge in wet weather", "peak discharge, 5 min", "overflow",
+        "days of overflow", "retention", "events of rain",
+    }
+    assert words & storm == (storm if shown else set())
+    assert sum("peak" in word for word in words) == shown
 
 
 def test_no_raw_data() -> None:

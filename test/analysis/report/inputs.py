@@ -30,6 +30,7 @@ from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.experiment.run import Run
+from greenroof_ros.model.storm_water import Event
 from greenroof_ros.recording.trajectory import Trajectory
 
 START = datetime.fromisoformat("2021-07-07T02:00-05:00")
@@ -59,6 +60,7 @@ class Simulated(NamedTuple):
     trajectory: Trajectory
     row: dict[str, Any]
     run: Run
+    events: list[Event]
 
 
 @cache
@@ -76,7 +78,7 @@ def simulate(controller: str, option: str, initial: str, hours: str = "0.2") -> 
         "controller": controller, "initial": initial, "cistern_m3": run.x1, "roof_m3": run.x2,
         f"parameter:{key}": option, "status": "done", "error": "", **simulation.metrics.results(),
         "frost_hours": 0.0,
-    }, run)
+    }, run, simulation.metrics.events())
 
 
 def write_study(

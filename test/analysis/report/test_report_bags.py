@@ -43,6 +43,7 @@ from greenroof_ros.analysis.report.tables import make_notes, make_tables
 from greenroof_ros.commands.recover import recover
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.model.site import format_site, read_site
+from greenroof_ros.recording.events_table import event_rows
 from greenroof_ros.recording.trajectory import Trajectory, read_trajectory
 
 TOTAL = "total_deviation_m3"
@@ -252,7 +253,42 @@ def test_the_limits_are_the_sites(tmp_path: Path) -> None:
         refusal(loaded, wrong, match=rf"{topic}.*2021-07-07T.*is a unit wrong")
 
 
+@pytest.mark.parametrize(("recorded", "known"), [
+    ((), False), (("cistern_outflow",), False), (("roof_drainage",), False),
+    (("cistern_outflow", "roof_drainage"), True),
+])
+def test_discharge_that_nobody_recorded(
+    tmp_path: Path, recorded: tuple[str, ...], known: bool
+) -> None:
+    """A live site has no flow meter in its outlet: then nothing is known, not that nothing came."""
+    run = read_run(small_bag(tmp_path / "bag", **{name: [1e-3] * 3 for name in recorded}))
+    found = {name for name in run.row if "discharge" in name or "overflow" in name}
+    assert len(found) == (10 if known else 0)
+    if known:
+        assert run.row["discharge_m3"] == pytest.approx(4e-3)
+    assert not run.events()
+
+
 # --- run directories -----------------------------------------------------------------------------
+
+
+def test_events_of_a_run_directory(tmp_path: Path) -> None:
+    """Its summary's, unless they are no events; of a run that did not end, its trajectory's."""
+    example = simulate("onoff", "0.5", "low-low", "1.6")
+    events = json.loads(json.dumps(event_rows(START, example.events)))
+    (rain,) = events
+    assert not rain["complete"] and 0 < rain["rain_mm"] < 5
+    done = {"example": example, "events": [{**rain, "rain_mm": 9.0}]}
+    assert read_run(ended_run(tmp_path / "done", **done)).events() == done["events"]
+    interrupted = read_run(ended_run(tmp_path / "cut", "interrupted", example))
+    assert interrupted.events() == [
+        {**rain, **{name: pytest.approx(rain[name]) for name in rain if "rain" in name}}
+    ]
+    file = tmp_path / "done" / "summary.json"
+    content = json.loads(file.read_text())
+    for wrong in ("rain", None, [{"rain_mm": 1.0}], [{**rain, "rain_mm": None}]):
+        file.write_text(json.dumps({**content, "events": wrong}))
+        assert any("damaged or foreign" in note for note in read_run(tmp_path / "done").notes)
 
 
 def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:

@@ -193,6 +193,32 @@ def test_reference_is_plain_onoff(tmp_path: Path) -> None:
     assert few == ["onoff 0.1 1.0: 5"]
 
 
+def test_storm_water_is_compared_with_a_closed_valve(tmp_path: Path) -> None:
+    """Although on/off that drains has less deviation: 30 and 10 m3 in wet weather, 5 less mains."""
+    closed, drain, mpc = (
+        [
+            {**row, "parameter:outlet": outlet, "wet_discharge_m3": wet, "mains_m3": mains,
+             "case": f"{controller} {outlet}"}
+            for row in rows(controller, None, {year: total + more for year, total in ONOFF.items()})
+        ]
+        for controller, outlet, more, wet, mains in (
+            ("onoff", "closed", 15, 30.0, 2.0), ("onoff", "drain", 0, 10.0, 7.0),
+            ("mpc", "drain", 0, 12.0, 4.0),
+        )
+    )
+    below = "wet_discharge_below_onoff_m3", "mains_below_onoff_m3"
+    report = study_of(tmp_path / "a", *closed, *drain, *mpc)
+    assert {
+        case.label: tuple(case.row.get(name) for name in below) for case in report.cases
+    } == {"onoff closed": (None, None), "onoff drain": (20.0, -5.0), "mpc drain": (18.0, -2.0)}
+    assert [
+        row["discharge in wet weather below on/off's (m³)"]
+        for row in make_tables(report)["Storm water"]
+    ] == ["none", "20", "18"]
+    report = study_of(tmp_path / "b", *drain, *mpc)
+    assert case_of(report, "mpc").row["wet_discharge_below_onoff_m3"] == -2.0
+
+
 # --- from the grid to the figures ----------------------------------------------------------------
 
 SEASONS_GRID = """
