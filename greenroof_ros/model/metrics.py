@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import date, datetime
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,15 +136,44 @@ def _sums(before: Values | float, values: Values) -> Values:
     return np.asarray(np.cumsum(np.column_stack((first, values)), axis=1)[:, -1])
 
 
-def _sums_by(before: Values | float, values: Values) -> Values:
-    """Add up each row except the first, which has the hour or week of each sample."""
+class _Sums(NamedTuple):
+    """Sums by minute, hour, day or week, each a row of some arrays."""
+
+    earlier: tuple[Values, ...]
+    """those that no further sample belongs to; they are not copied any more"""
+    first: int
+    """place of the first of the others"""
+    open: Values
+
+    def whole(self) -> Values:
+        """Return all of them, shape (m, n)."""
+        return np.concatenate((*self.earlier, self.open), axis=1)
+
+
+# Sums are set aside when there are so many.
+_MANY = 4096
+
+
+def _sums_by(before: _Sums | float, values: Values) -> _Sums:
+    """Add up each row except the first, which has the minute, hour, day or week of each sample."""
     places = values[0].astype(np.intp)
-    earlier = before if isinstance(before, np.ndarray) else np.empty((len(values) - 1, 0))
-    sums = np.zeros((len(earlier), max(earlier.shape[1], int(places.max()) + 1)))
-    sums[:, : earlier.shape[1]] = earlier
+    if not isinstance(before, _Sums):
+        before = _Sums((), 0, np.empty((len(values) - 1, 0)))
+    earlier, first, known = before
+    over = int(places[0]) - first
+    if min(over, known.shape[1]) >= _MANY:
+        over = min(over, known.shape[1])
+        earlier, first, known = (*earlier, known[:, :over]), first + over, known[:, over:]
+    sums = np.zeros((len(known), max(known.shape[1], int(places.max()) + 1 - first)))
+    sums[:, : known.shape[1]] = known
     for row, amounts in zip(sums, values[1:], strict=True):
-        np.add.at(row, places, amounts)  # sequentially, like _sum
-    return sums
+        np.add.at(row, places - first, amounts)  # sequentially, like _sum
+    return _Sums(earlier, first, sums)
+
+
+def _whole(total: Any) -> Any:
+    """Return a combined number as a metric needs it."""
+    return total.whole() if isinstance(total, _Sums) else total
 
 
 # --- the metric from the combined number ---------------------------------------------------------
@@ -597,7 +626,7 @@ def totals_of(
     """
     totals = _add(before or {}, site, samples)
     values = (
-        (metric.name, metric.finish(site, totals[metric.name]))
+        (metric.name, metric.finish(site, _whole(totals[metric.name])))
         for metric in METRICS if metric.name in totals
     )
     return {name: value for name, value in values if value is not None}
@@ -613,7 +642,7 @@ def events_of(
     totals = _add(before or {}, site, samples)
     if "wet_discharge_m3" not in totals:
         return []
-    return find_events(site, _intervals_of(site, totals["wet_discharge_m3"]))
+    return find_events(site, _intervals_of(site, _whole(totals["wet_discharge_m3"])))
 
 
 def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, Any]:
@@ -650,7 +679,7 @@ class Metrics:
         """
         self._site, self._plant, self._start = site, plant, start
         self._totals: dict[str, Any] = {}
-        self._weeks: Values | float = 0.0
+        self._weeks: _Sums | float = 0.0
         self._done = 0  # ticks that are in the totals
         self._ticks = bytearray()
         self._pumping = False
@@ -685,7 +714,7 @@ class Metrics:
         A bad fortnight does not show in a season's sum. The last week can be short; it includes the
         last tick of all, so that the weeks add up to the total.
         """
-        return [float(week) for week in self._weekly(self._end())[0]]
+        return [float(week) for week in self._weekly(self._end()).whole()[0]]
 
     def events(self) -> list[Event]:
         """Return the events of rain, if the run ends in the present tick."""
@@ -726,7 +755,7 @@ class Metrics:
         self._starts = starts[starts > -_HOUR_S]
         self._ticks = bytearray()
 
-    def _weekly(self, samples: Samples) -> Values:
-        """Return the deviation of each week, further samples included, shape (1, weeks)."""
+    def _weekly(self, samples: Samples) -> _Sums:
+        """Return the deviation of each week, further samples included."""
         week = (samples.time + self._site.tau / 2) // _WEEK_S
         return _sums_by(self._weeks, np.stack((week, _deviation(self._site, samples))))

@@ -269,3 +269,20 @@ def test_every_bit_regardless_of_the_blocks(monkeypatch: pytest.MonkeyPatch) -> 
         assert results[-1] == (metrics.results(), metrics.weekly_deviations())
     assert results[0] == results[1] == results[2]
     assert all(0 < results[0][0][name] < 1 for name in KEPT)
+
+
+def test_a_long_run_is_not_copied(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is set aside counts: the same bits of every metric and event, however little is kept."""
+    site = site_with(tau=60.0)
+    ticks = [
+        (x1, x2, command, rain * (k % 700 < 90), flows)
+        for k, (x1, x2, command, rain, flows) in enumerate(drawn(2001, seed=3))
+    ]
+    results = []
+    for many, ticks_each in ((4096, 4096), (1, 1), (5, 7), (100, 64)):
+        monkeypatch.setattr(metrics_module, "_MANY", many)
+        size = ticks_each * 8 * len(metrics_module._TICK)
+        monkeypatch.setattr(metrics_module, "_BLOCK_BYTES", size)
+        metrics = metrics_of(site, ticks)
+        results.append((metrics.results(), metrics.events(), metrics.weekly_deviations()))
+    assert results[0][1] and all(result == results[0] for result in results)
