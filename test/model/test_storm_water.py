@@ -70,6 +70,24 @@ def test_wet_weather_does_not_depend_on_the_runs_start() -> None:
         assert wet(6, rain) == []
 
 
+@given(
+    st.lists(st.sampled_from([0.0, 0.0, 0.0, 0.01, 0.03, 0.06, 0.2]), min_size=1, max_size=60),
+    st.integers(0, 30),
+)
+def test_wet_weather_one_by_one(depths: list[float], after: int) -> None:
+    """Five minutes count if any twelve in a row with them have 0.1 mm; so do those after it."""
+    rains = [
+        depth > 0 and any(
+            sum(depths[max(0, first):first + 12]) > 0.0999 for first in range(at - 11, at + 1)
+        )
+        for at, depth in enumerate(depths)
+    ]
+    expected = [any(rains[max(0, at - after):at + 1]) for at in range(len(depths))]
+    site = replace(SITE, wet_after=after / 12)
+    run = Intervals(300.0, np.array(depths) / 1000, np.zeros(len(depths)))
+    assert find_wet_weather(site, run).tolist() == expected
+
+
 def test_hourly_rain_is_wet_for_its_hours() -> None:
     run = Intervals(3600.0, np.array([0, 0.1, 0, 0, 0, 0.09, 0.0]) / 1000, np.zeros(7))
     assert find_wet_weather(SITE, run).tolist() == [False, True, True, True, False, False, False]
