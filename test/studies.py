@@ -12,7 +12,7 @@ from pathlib import Path
 
 from commands import Forked, run_command
 
-from greenroof_ros.analysis.study.case_run import bound_case, run_case
+from greenroof_ros.analysis.study.case_run import bound_case, bound_discharge, run_case
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.study.store import StudyStore
 from greenroof_ros.common.files import shared_directory
@@ -64,6 +64,9 @@ def run_here(directory: Path, text: str) -> StudyStore:
         store.write_outcome(case, run_case(inputs, case, store.trajectory_every))
         if case.bound_block != 0 and case.bound_identity not in store.bounds:
             store.write_bound(case, bound_case(inputs, case))
+        identity = case.discharge_bound_identity
+        if identity and identity not in store.discharge_bounds:
+            store.write_discharge_bound(case, bound_discharge(inputs, case))
     store.write_table()
     return store
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, TypeAlias
 
 from rich.console import Console
 from rich.table import Column, Table
 
 from greenroof_ros.analysis.study.case import Case, collect_contents
-from greenroof_ros.analysis.study.case_run import bound_case, run_case
+from greenroof_ros.analysis.study.case_run import bound_case, bound_discharge, run_case
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.analysis.study.store import StudyStore
@@ -31,6 +31,9 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.progress import ProgressBar
+
+_Bound: TypeAlias = tuple[Callable[[Path, Case], Any], Case, Callable[[Case, Any], None]]
+"""What computes a bound, for which case, and what stores it."""
 
 _REFRESH_S = 0.5
 _NOTES = {
@@ -126,9 +129,14 @@ def main() -> int:
     }
     if store.outcomes:
         print(f"{len(store.outcomes)} of {len(cases)} runs are stored already", file=sys.stderr)
+    unbounded_discharges = {
+        identity: case for case in cases
+        if (identity := case.discharge_bound_identity)
+        and identity not in store.discharge_bounds
+    }
     signals: Signals | None = None
     try:
-        if open_cases or unbounded:
+        if open_cases or unbounded or unbounded_discharges:
             files = collect_contents(cases)
             if arguments.scheduler is None:
                 cores = len(os.sched_getaffinity(0))
@@ -139,7 +147,14 @@ def main() -> int:
                 those = cluster(arguments.scheduler, files)
             with those as workers:
                 signals = Signals()  # from now on a signal ends the study between two results
-                _run(store, open_cases, list(unbounded.values()), workers, signals)
+                bounds: list[_Bound] = [
+                    *((bound_case, case, store.write_bound) for case in unbounded.values()),
+                    *(
+                        (bound_discharge, case, store.write_discharge_bound)
+                        for case in unbounded_discharges.values()
+                    ),
+                ]
+                _run(store, open_cases, bounds, workers, signals)
     except (BrokenExecutor, InterruptedRun) as error:
         # A signal to all processes, as of a batch system, also ends the workers.
         received = None if signals is None else signals.received
@@ -158,10 +173,10 @@ def main() -> int:
 
 
 def _run(
-    store: StudyStore, cases: Sequence[Case], unbounded: Sequence[Case], workers: Workers,
+    store: StudyStore, cases: Sequence[Case], bounds: Sequence[_Bound], workers: Workers,
     signals: Signals,
 ) -> None:
-    """Run some cases and compute bounds for others; store each result when it arrives."""
+    """Run some cases and compute some bounds; store each result when it arrives."""
     names = Names(store.cases)
     # The longest first, or at the end one core may have a long run while the others are idle.
     ordered = sorted(
@@ -171,11 +186,11 @@ def _run(
             -case.hours,
         ),
     )
-    pending: dict[Future[Any], tuple[Case, bool]] = {
-        workers.submit(bound_case, case): (case, False) for case in unbounded
+    pending: dict[Future[Any], tuple[Case, Callable[[Case, Any], None] | None]] = {
+        workers.submit(bound, case): (case, write) for bound, case, write in bounds
     }
     for case in ordered:
-        pending[workers.submit(run_case, case, store.trajectory_every)] = case, True
+        pending[workers.submit(run_case, case, store.trajectory_every)] = case, None
     tasks, runs = len(pending), 0
     with ProgressBar() as progress:
         while pending:
@@ -184,7 +199,8 @@ def _run(
             done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
             broken: Exception | None = None
             for future in done:
-                case, is_run = pending.pop(future)
+                case, write_bound = pending.pop(future)
+                is_run = write_bound is None
                 try:
                     result = workers.result(future)
                 except (BrokenExecutor, CancelledError) as error:
@@ -198,7 +214,7 @@ def _run(
                     name += f", {case.inputs.initial}, run {case.identity}"
                     print(f"{what}: {name}: {reason}", file=sys.stderr)
                 else:
-                    (store.write_outcome if is_run else store.write_bound)(case, result)
+                    (write_bound or store.write_outcome)(case, result)
                 runs += is_run
             if broken is not None:
                 raise broken

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 CLOSED, OPEN, DRAIN, PLAN = "closed", "open", "drain", "plan"
 HORIZON_H = 48
 """How far a plan looks ahead (h)."""
+PRICE = 0.3
+"""Usual cost of a m3 of mains water, in m3 of discharge in wet weather (1)."""
 
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
 # Nodes of the cistern's volume in a plan.
@@ -59,8 +61,8 @@ PARAMETERS = (
         "irrigation at 4 mm a day, or half of a smaller cistern",
     ),
     Parameter(
-        "outlet_price", 0.3, "1", 0.0, 1e3, "plan: cost of a m3 of mains water, in m3 of discharge "
-        "in wet weather",
+        "outlet_price", PRICE, "1", 0.0, 1e3, "plan: cost of a m3 of mains water, in m3 of "
+        "discharge in wet weather",
     ),
     Parameter(
         "outlet_reach", 20.0, "days", 0.0, 365.0, "plan: keeps what the roof needs for this long; "

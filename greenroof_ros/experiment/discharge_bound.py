@@ -56,6 +56,13 @@ class Frontier(NamedTuple):
     mains_m3: float
     """the run's mains water"""
 
+    def at(self, weight: float) -> FrontierPoint:
+        """Return the point for a weight of mains water, one of :data:`WEIGHTS`."""
+        return max(
+            (point for point in self.points if point.weight <= weight),
+            key=lambda point: point.weight,
+        )
+
 
 class Steps(NamedTuple):
     """Steps of a run of up to an hour, each in wet or in dry weather; arrays have shape (n,)."""
@@ -90,33 +97,39 @@ def simulate_frontier(run: Run, watch: Callable[[Tick], object] | None = None) -
         raise ConfigurationError(
             "needs a valve that lets storm water out (low_outlet_valve: true)", key="site"
         )
+    seconds = interval_seconds(site)
+    ticks = round(seconds / tau)  # of an interval
     simulation, closed, rows = Simulation(run), Plant(site, run.x1, run.x2), array("d")
+    rain = pumped = drainage = most_pumped = 0.0
     for tick in simulation.ticks():
         if watch is not None:
             watch(tick)
-        rows.extend((closed.x1, tick.precipitation, tick.flows.pump, tick.flows.drainage))
+        if tick.k % ticks == 0 or tick.k == run.steps:
+            rows.extend((tick.k * tau, closed.x1, tau * rain, tau * pumped, tau * drainage))
+            rain = pumped = drainage = 0.0
+        flows = tick.flows
+        rain, pumped, drainage = (
+            rain + tick.precipitation, pumped + flows.pump, drainage + flows.drainage
+        )
+        most_pumped = max(most_pumped, tau * flows.pump)
         closed.step(tick.precipitation, closed.flows(
-            tick.precipitation, tick.evapotranspiration, 0.0, tick.flows.pump, outlet=0.0
+            tick.precipitation, tick.evapotranspiration, 0.0, flows.pump, outlet=0.0
         ))
-    highest, rain, pumped, drainage = np.frombuffer(rows).reshape(-1, 4).T
-    seconds = interval_seconds(site)
-    firsts = np.arange(0, run.steps, round(seconds / tau))
-    depths = tau * np.add.reduceat(rain[:-1], firsts)
+    times, highest, *sums = np.frombuffer(rows).reshape(-1, 5).T
+    depths = sums[0][1:]
     wet = find_wet_weather(site, Intervals(seconds, depths, depths))
     begins = np.arange(len(wet)) % max(1, round(_HOUR_S / seconds)) == 0
     begins |= np.diff(wet, prepend=wet[0])
-    firsts, wet = firsts[begins], wet[begins]
+    firsts = np.flatnonzero(begins)
+    fallen, to_roof, drained = (np.add.reduceat(values[1:], firsts) for values in sums)
+    kept, ends = site.drainage_to_cistern * drained, [*firsts, len(wet)]
     # The last tick that pumps begins at the suction level or above.
-    lowest = min(run.x1, site.cistern_volume(site.suction_level)) - tau * float(pumped.max())
-    rain, pumped, drainage = (
-        tau * np.add.reduceat(flow[:-1], firsts) for flow in (rain, pumped, drainage)
-    )
-    kept = site.drainage_to_cistern * drainage
+    lowest = min(run.x1, site.cistern_volume(site.suction_level)) - most_pumped
     steps = Steps(
-        tau * np.diff(firsts, append=run.steps), wet, rain * site.effective_catchment + kept,
-        pumped, highest[[*firsts, run.steps]], lowest,
+        np.diff(times[ends]), wet[firsts], fallen * site.effective_catchment + kept, to_roof,
+        highest[ends], lowest,
     )
-    of_roof = float((drainage - kept)[wet].sum())
+    of_roof = float((drained - kept)[steps.wet].sum())
     points = [
         point._replace(wet_discharge_m3=of_roof + point.wet_discharge_m3)
         for point in find_frontier(site, run.x1, steps)

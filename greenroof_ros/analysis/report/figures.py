@@ -33,7 +33,7 @@ from greenroof_ros.recording.events_table import EventRow
 _MAX_LINES = len(COLOURS)
 
 # The names of all figures begin with one of these; numbers and a controller can follow.
-_KINDS = ("deviation", "events", "water", "flows")
+_KINDS = ("deviation", "discharge", "events", "water", "flows")
 
 
 def is_figure(name: str) -> bool:
@@ -51,6 +51,7 @@ def make_figures(report: Report) -> Iterator[Figure]:
     if len(report.cases) > 1:
         for name, cases in windows.items():
             yield draw_deviation(cases, name)
+            yield from _of_discharge(cases, name)
     for number, place in enumerate(report.places(), start=1):
         yield from _of_events(place, f"{number}")
         yield from _over_time(place, f"{number}")
@@ -90,6 +91,53 @@ def _of_events(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
     else:
         for controller, own in events.items():
             yield draw_events(own, f"events-{name}-{controller}", f", {controller}, {title}")
+
+
+# --- discharge and mains water --------------------------------------------------------------------
+
+_MAINS, _WET = "mains water (m³)", "discharge in wet weather (m³)"
+
+
+def _of_discharge(cases: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
+    """Yield the figure of a window's discharge over its mains water, at a site with a valve."""
+    here = [case for case in cases if case.row.get("parameter:outlet")]
+    if len(here) > 1:
+        yield draw_discharge(here, f"discharge-{name}")
+
+
+def draw_discharge(cases: Sequence[CaseRuns], name: str) -> Figure:
+    """Return the discharge in wet weather over the mains water, a panel for each initial state."""
+    panels, data = list[Panel](), dict[str, Rows]()
+    for initial in dict.fromkeys(case.place[1] for case in cases):
+        here = [case for case in cases if case.place[1] == initial]
+        bounds = list(dict.fromkeys(
+            (case.row["bound_mains_m3"], case.row["bound_wet_discharge_m3"]) for case in here
+            if case.row.get("bound_wet_discharge_m3") is not None
+        ))
+        points = [
+            *(("minimum possible", *bound) for bound in bounds[:1]),
+            *((
+                case.label, case.row.get("mains_m3") or 0.0, case.row["wet_discharge_m3"],
+            ) for case in here if case.row.get("wet_discharge_m3") is not None),
+        ]
+        dataset = f"{name}-{len(panels) + 1}"
+        data[dataset] = [
+            {"case": label, "mains": round_value(mains), "wet": round_value(wet)}
+            for label, mains, wet in points
+        ]
+        zero = alt.Scale(type="linear", zero=True)
+        chart = alt.Chart(alt.NamedData(dataset)).encode(
+            x=alt.X("mains:Q", title=_MAINS, scale=zero),
+            y=alt.Y("wet:Q", title=_WET, scale=zero),
+            tooltip=make_tooltips("case:N", ("mains:Q", _MAINS), ("wet:Q", _WET)),
+            **distinguish_points("case", [label for label, *_ in points]),
+        ).mark_point(filled=True, opacity=1, size=60)
+        panels.append(Panel(chart, f"from {initial}", 260))
+    return Figure(
+        name, f"What keeps storm water out of the sewer: {cases[0].place[0]}",
+        "Minimum possible: for the irrigation of on/off control, with all weather known",
+        tuple(panels), min(len(panels), 2), data,
+    )
 
 
 # --- events of rain -------------------------------------------------------------------------------

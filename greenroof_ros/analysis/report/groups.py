@@ -129,7 +129,8 @@ def _means(years: Sequence[Sequence[Row]]) -> Row:
 
 
 _AVERAGED = (
-    *(metric.name for metric in METRICS), "bound_m3", "frost_hours", "frost_pumped_m3",
+    *(metric.name for metric in METRICS), "bound_m3", "bound_wet_discharge_m3", "bound_mains_m3",
+    "frost_hours", "frost_pumped_m3",
     "cistern_change_m3", "cistern_residual_m3", "roof_change_m3", "roof_residual_m3",
     "drainage_kept_m3",
 )

@@ -33,7 +33,7 @@ _NEEDED = {
 }
 _NUMBERS = (
     "hours", "cistern_m3", "roof_m3", "fallbacks", "filled_hours", "frost_hours", "bound_m3",
-    *PARAMETERS, *(metric.name for metric in METRICS),
+    "bound_wet_discharge_m3", "bound_mains_m3", *PARAMETERS, *(metric.name for metric in METRICS),
 )
 
 

@@ -102,11 +102,20 @@ class Case:
     @property
     def bound_identity(self) -> str:
         """Identity of the inputs that do not depend on the controller, and of the bound's block."""
-        alike = replace(self, forecast_files={}, inputs=replace(
+        return f"{self.plain.identity}-{format_exactly(self.bound_block)}"
+
+    @property
+    def discharge_bound_identity(self) -> str:
+        """Identity of the inputs that do not depend on the controller; empty without a valve."""
+        return self.plain.identity if "outlet" in self.inputs.parameters else ""
+
+    @property
+    def plain(self) -> Case:
+        """The case with on/off control, no forecast, and an exact sensor and pump."""
+        return replace(self, forecast_files={}, inputs=replace(
             self.inputs, controller=find_controller("onoff"), parameters={},
             forecast=ForecastChoice(), sensor_and_pump=SensorAndPump(),
-        )).identity
-        return f"{alike}-{format_exactly(self.bound_block)}"
+        ))
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the table that describe the case.

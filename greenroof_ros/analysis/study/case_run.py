@@ -9,8 +9,10 @@ from typing import Any
 
 from greenroof_ros.analysis.study.case import Case
 from greenroof_ros.common.files import add_path_to_errors
+from greenroof_ros.controllers.outlet import PRICE
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import Simulation, record
+from greenroof_ros.experiment.discharge_bound import simulate_frontier
 from greenroof_ros.recording.events_table import EVENTS, format_events
 from greenroof_ros.recording.results_table import summary_columns
 from greenroof_ros.recording.trajectory import TRAJECTORY
@@ -68,3 +70,15 @@ def bound_case(directory: Path, case: Case) -> float:
     """
     run = case.find_inputs(directory).build()
     return clairvoyant_bound(run, case.bound_block)
+
+
+def bound_discharge(directory: Path, case: Case) -> dict[str, float]:
+    """Return the columns of the minimum discharge in wet weather, for on/off control's irrigation.
+
+    Of the frontier it is the point where mains water costs as much as ``plan`` assumes.
+    """
+    frontier = simulate_frontier(case.plain.find_inputs(directory).build())
+    point = frontier.at(PRICE)
+    return {
+        "bound_wet_discharge_m3": point.wet_discharge_m3, "bound_mains_m3": point.mains_m3,
+    }

@@ -39,6 +39,8 @@ class StudyStore:
         outcomes: of finished runs, without their files, by identity.
         failures: reasons of failed runs, by identity; runs in neither were not run.
         bounds: minimum possible total deviations (m3) that are known, by bound_identity.
+        discharge_bounds: columns of the minimum discharges that are known, by
+            discharge_bound_identity.
     """
 
     def __init__(
@@ -69,6 +71,7 @@ class StudyStore:
         self.cases, self.trajectory_every = cases, trajectory_every
         self._runs = directory / "runs"
         self._bounds = directory / "bounds.json"
+        self._discharge_bounds = directory / "discharge_bounds.json"
         identity = {
             "trajectory_every": trajectory_every,
             "versions": {**versions(), "skill": repr(read_skill(REAL))},
@@ -87,6 +90,7 @@ class StudyStore:
             if content:
                 self.outcomes[case.identity] = Outcome(**content, files={})
         self.bounds: dict[str, float] = _read(self._bounds)
+        self.discharge_bounds: dict[str, dict[str, float]] = _read(self._discharge_bounds)
 
     def _open(self, grid: Path, identity: dict[str, Any]) -> None:
         configuration = self.directory / "configuration"
@@ -160,6 +164,11 @@ class StudyStore:
         self.bounds[case.bound_identity] = bound
         replace_text(self._bounds, _with_digest(self.bounds))
 
+    def write_discharge_bound(self, case: Case, columns: dict[str, float]) -> None:
+        """Store the columns of the minimum discharge of a case."""
+        self.discharge_bounds[case.discharge_bound_identity] = columns
+        replace_text(self._discharge_bounds, _with_digest(self.discharge_bounds))
+
     def write_table(self) -> list[dict[str, Any]]:
         """Write ``results.csv``, and return its rows."""
         parameters = dict.fromkeys(name for case in self.cases for name in case.inputs.parameters)
@@ -182,6 +191,7 @@ class StudyStore:
                 "bound_m3": bound,
                 "ratio_to_bound": results["total_deviation_m3"] / bound if results and bound
                 else None,
+                **self.discharge_bounds.get(case.discharge_bound_identity, {}),
             })
         text = io.StringIO()
         columns = list(dict.fromkeys(column for row in rows for column in row))

@@ -17,6 +17,9 @@ from places import DATA
 from refusals import refusal
 from studies import CONFIG, GRID, WEATHER, edit_grid, grid, record, run_here
 
+from greenroof_ros.analysis.report.figures import make_figures
+from greenroof_ros.analysis.report.groups import Report
+from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.study.case import collect_contents
 from greenroof_ros.analysis.study.case_run import bound_case, run_case, write_inputs
 from greenroof_ros.analysis.study.grid import read_grid
@@ -341,3 +344,28 @@ def test_gaps_of_a_window(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     for row in rows:
         assert (row["gaps"], row["evapotranspiration"], row["rain_m3"]) == ("fill", "fao56", 0)
         assert "precipitation: 2022-07-21T11:00-05:00" in row["filled"]
+
+
+def test_minimum_discharge_of_a_site_with_a_valve(tmp_path: Path) -> None:
+    """It is one for all controllers of a site and weather, no run has less, and a figure has it."""
+    text = f"""
+site: {{file: {CONFIG / "site_valve.yaml"}, tau: 300.0, M: 1}}
+weather: {{file: {WEATHER}, start: 2021-07-07T02:00, hours: 24, evapotranspiration: published}}
+initial: {{name: full, cistern: 9.9, roof: 2.6}}
+bound_block: 0
+controllers:
+  onoff: {{outlet: [closed, drain]}}
+  anticipating_onoff: {{outlet: plan}}
+"""
+    done = run_here(tmp_path, text)
+    assert len(done.discharge_bounds) == 1
+    for row in done.write_table():
+        assert 0 <= row["bound_wet_discharge_m3"] <= row["wet_discharge_m3"] + 1e-6
+        assert row["bound_mains_m3"] == pytest.approx(0.0, abs=1e-6)
+    names = [figure.name for figure in make_figures(Report(find_runs([done.directory])))]
+    assert "discharge-1" in names
+
+
+def test_no_minimum_discharge_without_a_valve(tmp_path: Path) -> None:
+    (case, *_) = read_grid(tmp_path / grid(tmp_path))
+    assert case.discharge_bound_identity == ""
