@@ -1,4 +1,4 @@
-"""The README's pictures: the storm of its lines, and both pictures for the width of a phone.
+"""The README's pictures, also for the width of a phone, and the how-to's storm with a valve.
 
 A phone shows a picture in 368 px, in which the text of the wide ones is too small.
 """
@@ -9,8 +9,10 @@ import re
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 README = Path(__file__).resolve().parent.parent / "README.md"
+HOW_TO = README.parent / "doc" / "howto" / "keep-storm-water-out.md"
 STATIC = README.parent / "doc" / "_static"
 # Width of a panel of the storm on a phone (px).
 _PANEL = 290
@@ -33,16 +35,23 @@ def stacked(picture: str) -> str:
     )
 
 
+def run_block(page: Path, until: str) -> dict[str, Any]:
+    """Run a page's first block of Python up to a text, and return its names."""
+    block = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"),
+                       re.DOTALL | re.MULTILINE)[0]
+    names: dict[str, Any] = {}
+    with redirect_stdout(StringIO()):
+        exec(block.partition(until)[0], names)  # noqa: S102
+    return names
+
+
 def draw() -> None:
-    """Draw the pictures; the storm is simulated again, which takes some ten seconds."""
+    """Draw the pictures; the storms are simulated again, which takes some twenty seconds."""
     wide = (STATIC / "roof-and-graph.svg").read_text(encoding="utf-8")
     (STATIC / "roof-and-graph-narrow.svg").write_text(stacked(wide), encoding="utf-8")
-    blocks = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"),
-                        re.DOTALL | re.MULTILINE)
-    names: dict[str, object] = {}
-    with redirect_stdout(StringIO()):
-        exec(blocks[0].partition("storm.plot()")[0], names)  # noqa: S102
-    chart = names["storm"].plot()  # type: ignore[attr-defined]
+    names = run_block(HOW_TO, "gr.compare(runs)")
+    names["gr"].compare(names["runs"]).plot().save(STATIC / "storm-valve.png", scale_factor=2)
+    chart = run_block(README, "storm.plot()")["storm"].plot()
     chart.save(STATIC / "storm.svg")
     for panel in chart.vconcat:
         panel.width = _PANEL
