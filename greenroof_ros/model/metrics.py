@@ -34,6 +34,7 @@ from greenroof_ros.model.plant import (
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 from greenroof_ros.model.storm_water import (
+    MIN_DEPTH,
     Event,
     Intervals,
     connected_area,
@@ -50,8 +51,6 @@ _JOULES_PER_KWH = 3.6e6
 _RUNS = f"above {RUNNING_SHARE:.0%} of the maximum or of the commanded flow"
 # A roof drains water that came within this many hours; as many hours without rain end an event.
 _DRAINS_H = 6
-# An overflow of less is none (m3).
-_NO_WATER = 1e-6
 # Sums of rain are rounded: 20 mm must not be treated as more than 20 mm.
 _ROUNDING_MM = 1e-6
 
@@ -354,6 +353,10 @@ def _overflow(site: Site, samples: Samples) -> Values | None:
     ))
 
 
+def _overflow_days(site: Site, days: Values) -> int:
+    return int(np.count_nonzero(days[0] >= MIN_DEPTH * connected_area(site)))
+
+
 def _calendar_days(site: Site, samples: Samples) -> Values:
     """Return the day of each sample on the site's clock, 0 for the day on which the run starts."""
     middles = samples.start + samples.time + site.tau / 2
@@ -547,8 +550,9 @@ METRICS = (
         finish=lambda site, days: _sum(0.0, days[0]),
     ),
     Metric(
-        "overflow_days", "1", "days of overflow", "calendar days on the site's clock", _overflow,
-        _sums_by, "d", finish=lambda site, days: int(np.count_nonzero(days[0] > _NO_WATER)),
+        "overflow_days", "1", "days of overflow",
+        "calendar days on the site's clock, with 0.1 mm or more over the connected area", _overflow,
+        _sums_by, "d", finish=_overflow_days,
     ),
     Metric(
         "retention_share", "1", "retention",

@@ -37,7 +37,9 @@ from greenroof_ros.model.site import Site
 
 Values = NDArray[np.float64]
 
-WET_RAIN = 1e-4 / 3600
+MIN_DEPTH = 1e-4
+"""Less than this depth (m), 0.1 mm, a rain gauge does not show: it is no event and no overflow."""
+WET_RAIN = MIN_DEPTH / 3600
 """Rain of at least this rate (m/s), 0.1 mm in an hour, is wet weather."""
 
 _HOUR_S = 3600.0
@@ -154,7 +156,7 @@ def find_events(site: Site, intervals: Intervals) -> list[Event]:
         until = last + 1 + dry  # no rain falls after the event
         fallen, discharge = rain[first:until], wet[first:until]
         depth, volume = float(fallen.sum()), float(discharge.sum())
-        if depth < _HOUR_S * WET_RAIN * _ROUNDING:
+        if depth < MIN_DEPTH * _ROUNDING:
             continue
         heaviest, at = _find_maximum(fallen, seconds, _PEAK_MIN)
         peak, later = _find_maximum(discharge, seconds, _PEAK_MIN)

@@ -332,6 +332,15 @@ def test_overflow_days_are_calendar_days(
     assert results["overflow_m3"] == pytest.approx(0.36 * len(hours))
 
 
+def test_the_last_drops_are_no_overflow() -> None:
+    """0.1 mm over 100 m2 are 10 l: 9.9 l on the first day do not count, 10.1 l on the next do."""
+    ticks = [(0.0, STILL._replace(outflow=1e-3 * litres / 600)) for litres in (9.9, 10.1)]
+    (first, other), dry = ticks, [(0.0, STILL)] * 143
+    site = site_with(a_in=50.0, a2=50.0, tau=600.0)
+    assert metrics_of(site, [first, *dry]).results()["overflow_days"] == 0
+    assert metrics_of(site, [first, *dry, other, *dry]).results()["overflow_days"] == 1
+
+
 def samples(time: list[float], **values: object) -> Samples:
     """Return samples at these times, the last a second long; all 0 but the given values."""
     zero = np.zeros(len(time))
