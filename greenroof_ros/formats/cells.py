@@ -70,6 +70,7 @@ _NO_TEXT = f" ,;\t\x1a{_LINE_END}"
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(\d+(?:e[-+]?\d+)?)$", re.ASCII | re.IGNORECASE)
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+", re.ASCII)
+_A_HUNDRED = 100.0
 _HUNDREDS = re.compile(r"[-+]?[1-9]\d{2}", re.ASCII)
 # Digits in groups, also by spaces that are narrow or do not break.
 _GROUPS = re.compile(r"[-+]?\d{1,3}([ '_.,\u2019\u00a0\u202f]\d{2,3})+([.,]\d+)?", re.ASCII)
@@ -378,15 +379,26 @@ class Given(NamedTuple):
     """of the column"""
     values: NDArray[np.float64]
     """of the rows with a number"""
+    step_h: float = 1.0
+    """time between rows (h)"""
 
 
 # A running total rises, or stays the same for this many rows for each rise if the rises are few,
-# and for this many if they are not. In rain as many hours have less than the hour before as more.
+# and for this many if they are not. In rain as many hours have less than the hour before as more,
+# and so many wet rows are not each wetter than the one before by chance.
 _MIN_RISES, _MANY_RISES, _SAME_OF_FEW, _SAME_OF_MANY = 3, 10, 5.0, 0.5
-# It falls rarely, when it is set to 0 in rain. A smaller share of its range is noise.
-_MAX_FALLS, _NOISE = 0.25, 0.02
+# It falls rarely, when it is set to 0, more rarely in rain; rain falls about as often as it rises. A
+# smaller share of its range is noise.
+_MAX_FALLS, _MAX_FALLS_IN_RAIN, _NOISE = 0.4, 0.15, 0.02
+# Sliding sums are found in so many wet spells; a difference below this share of the minimum amount
+# is rounding.
+_MIN_SPELLS, _NEARLY_DRY = 10, 0.5
 # A sum is rounded.
 _NEARLY_SUM = 1e-3
+# Temperature sensors end at -40 degC or below and at 50 or above. Air does not jump this far (K)
+# from one row to the next: in the hours of twelve years at Toronto its temperature moved by 10 K at
+# most, its dew point by 14.
+_MAX_COLD, _MIN_HOT, _APART, _MIN_TEMPERATURES = -30.0, 49.0, 20.0, 24
 # Fractions of a saturated sensor are a little above 1.
 _MAX_FRACTION = 1.05
 
@@ -395,18 +407,34 @@ def find_running_total(given: Given) -> str:
     """Find water that is added up from row to row, also if it begins again each day."""
     if not given.quantity.is_water or not given.values.size:
         return ""
-    wet = given.values > 0
-    changes = np.diff(given.values)[wet[:-1] & wet[1:]]
+    wet, changes = given.values > 0, np.diff(given.values)
     noise = _NOISE * float(np.ptp(given.values))
     rises, falls = np.count_nonzero(changes > noise), np.count_nonzero(changes < -noise)
-    same = len(changes) - rises - falls
+    changes = changes[wet[:-1] & wet[1:]]
+    same = np.count_nonzero(np.abs(changes) <= noise)
     share = _SAME_OF_MANY if rises >= _MANY_RISES else _SAME_OF_FEW
-    if rises < _MIN_RISES or falls > _MAX_FALLS * rises or same < share * rises:
+    in_rain = np.count_nonzero(changes < -noise)
+    if rises < _MIN_RISES or same < share * rises or (
+        falls > _MAX_FALLS * rises or in_rain > _MAX_FALLS_IN_RAIN * rises
+    ):
         return ""
     return (
         f"is a running total: it rises {rises} times, stays the same in {same} rows and falls "
         f"{falls} times; write into each row what came in its own time, the difference from the "
         "row before"
+    )
+
+
+def find_event_total(given: Given) -> str:
+    """Find water that only rises from one wet row to the next."""
+    wet = given.values > 0
+    changes = np.diff(given.values)[wet[:-1] & wet[1:]]
+    rises = np.count_nonzero(changes > 0)
+    if not given.quantity.is_water or rises < _MANY_RISES or (changes < 0).any():
+        return ""
+    return (
+        f"rises {rises} times from one wet row to the next, and never falls: is it a total since "
+        "the event began?"
     )
 
 
@@ -427,8 +455,80 @@ def find_sum(given: Given) -> str:
     return "has the sum of the other values in its last row: leave that row out"
 
 
-COLUMN_RULES = (find_running_total, find_fraction, find_sum)
+def find_sliding_sum(given: Given) -> str:
+    """Find sums of the last n rows, as the rain of the last hour every ten minutes.
+
+    Rain is not seen again in later rows. But such sums have each drop for n rows, so no wet spell
+    is shorter, and rain that is taken apart again, S(t) - S(t-1) + r(t-n), is never negative. Rows
+    that repeat a value, or are interpolated, change in every n-th row only.
+    """
+    if not given.quantity.is_water or not given.values.size:
+        return ""
+    sums = given.values
+    begins = 1 + np.flatnonzero((sums[:-1] <= 0) & (sums[1:] > 0))
+    ends = 1 + np.flatnonzero((sums[:-1] > 0) & (sums[1:] <= 0))
+    ends = ends[ends > begins[0]] if begins.size else ends
+    begins = begins[: len(ends)]
+    if len(begins) < _MIN_SPELLS:
+        return ""
+    # Of a rate, the sum of an hour is a mean.
+    fewest = 2 if "/" not in given.unit else math.floor(1 / given.step_h) + 1
+    nearly = _NEARLY_DRY * float(sums[sums > 0].min())
+    spells = [
+        np.diff(sums[begin - 1 : end + 1])
+        for begin, end in zip(begins.tolist(), ends.tolist(), strict=True)
+    ]
+    rows = next((
+        rows for rows in range(int((ends - begins).min()), fewest - 1, -1)
+        if _is_sum_of_rows(spells, rows, nearly)
+    ), 0)
+    if not rows:
+        return ""
+    return (
+        f"has each rain for {rows} rows or more: is each value the sum of the last {rows} rows? "
+        "Write into each row what came in its own time"
+    )
+
+
+def _find_end_of_scale(given: Given) -> float | None:
+    """Return a temperature that is far below or above all others; None if there is none.
+
+    Air passes through all temperatures between two of them within a row or two, so what is never
+    reached on the way is no temperature.
+    """
+    values = np.unique(given.values)
+    if given.quantity.unit != "degC" or len(given.values) < _MIN_TEMPERATURES or len(values) < 3:
+        return None
+    for end, gap in ((values[0], values[1] - values[0]), (values[-1], values[-1] - values[-2])):
+        if gap >= _APART and not _MAX_COLD < end < _MIN_HOT:
+            return float(end)
+    return None
+
+
+def _is_sum_of_rows(spells: Iterable[NDArray[np.float64]], rows: int, nearly: float) -> bool:
+    """Return whether each value can be the sum of the rain of so many rows.
+
+    Args:
+        spells: from the row before each wet spell to the one after it, the differences of rows.
+        rows: their number.
+        nearly: amount that is as good as 0.
+    """
+    wet_at, changed_at = set[int](), set[int]()  # rows since the begin of their spell
+    for spell in spells:
+        whole = np.zeros(-(-len(spell) // rows) * rows)
+        whole[: len(spell)] = spell
+        rain = whole.reshape(-1, rows).cumsum(axis=0).ravel()[: len(spell)]
+        if (rain < -nearly).any():
+            return False
+        wet_at.update(np.flatnonzero(rain > nearly).tolist())
+        changed_at.update((1 + np.flatnonzero(np.abs(np.diff(rain)) > nearly)).tolist())
+    return math.gcd(*wet_at) == 1 == math.gcd(*changed_at)
+
+
+COLUMN_RULES = (find_running_total, find_fraction, find_sum, find_sliding_sum)
 """What a whole column cannot be: each rule returns why it is refused, or nothing."""
+COLUMN_DOUBTS = (find_event_total,)
+"""What it is hardly: each rule returns a note, or nothing."""
 
 
 class Column:
@@ -462,8 +562,12 @@ class Column:
         self.unit = unit or Unit(QUANTITIES[quantity].unit)
         self._quantity = find_plausible(quantity, step_h, self.unit)
         self._optional = quantity != PRECIPITATION if optional is None else optional
+        self._step_h = step_h
         self._cell = cell or (lambda row: table.cell(row, name))
         self._values, self._given = array("d"), array("d")
+        # The first number like 1.019; whether others have other decimals, or are 100 and more.
+        self._grouped: Row | None = None
+        self._has_decimals = self._has_hundreds = False
         self._odd: dict[str, list[Row]] = {NEAR: [], CODE: [], WRONG: []}
 
     def add(self, row: Row) -> None:
@@ -474,6 +578,12 @@ class Column:
         self._given.append(math.nan if what == CODE else cell.value)
         if math.isnan(cell.number) and _GROUPS.fullmatch(cell.text):
             raise self._table.refuse(f"has marks between its digits. {_PLAIN}", self._name, row)
+        if "." not in cell.text:
+            self._has_hundreds = self._has_hundreds or abs(cell.number) >= _A_HUNDRED
+        elif _THOUSANDS.fullmatch(cell.text):
+            self._grouped = self._grouped or row
+        else:
+            self._has_decimals = True
         if what:
             self._odd[what].append(row)
 
@@ -489,11 +599,21 @@ class Column:
             ConfigurationError: too few of the values are plausible, or :data:`COLUMN_RULES` refuse
                 them.
         """
+        if self._grouped and self._has_hundreds and not self._has_decimals:
+            raise self._table.refuse(
+                "is a number between numbers of 100 and more without decimals: is its mark between "
+                f"thousands? {_PLAIN}", self._name, self._grouped,
+            )
         numbers = np.array(self._given)
-        given = Given(self._quantity, self.unit.name, numbers[~np.isnan(numbers)])
+        given = Given(
+            self._quantity, self.unit.name, numbers[~np.isnan(numbers)], self._step_h
+        )
         for rule in self._rules:
             if why := rule(given):
                 raise self._table.refuse(why, self._name)
+        for doubt in COLUMN_DOUBTS if self._rules else ():
+            if note := doubt(given):
+                self._table.notes.append(f"{self._table.file.name}: {self._name} {note}")
         values = np.array(self._values)
         known = values[~np.isnan(values)]
         near, codes, wrong = self._odd.values()
@@ -501,6 +621,14 @@ class Column:
             not known.size and (wrong or (codes and not self._optional))
         ):
             raise self._refuse((wrong or codes)[0])
+        if (end := _find_end_of_scale(given)) is not None:
+            ends = np.isclose(values, end, rtol=0, atol=1e-9)
+            values[ends] = math.nan
+            self._table.notes.append(
+                f"{self._table.file.name}: {self._name} of {end:g} degC in "
+                f"{np.count_nonzero(ends)} rows is {_APART:g} K from all others, as the end of a "
+                "sensor's scale, and is treated as missing"
+            )
         unit, low, high, *_ = self._quantity
         self._note(near, f"is set to the end of its range, {low:g} to {high:g} {unit}")
         self._note(sorted(codes + wrong), "is no plausible value, and is treated as missing")

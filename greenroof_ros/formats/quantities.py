@@ -64,7 +64,7 @@ QUANTITIES: dict[str, Quantity] = {
     EVAPOTRANSPIRATION: Quantity("mm/day", 0.0, 50.0, 2.5, ("mm/h", "mm")),
     TEMPERATURE: Quantity("degC", -90.0, 60.0),
     DEW_POINT: Quantity("degC", -90.0, 60.0),
-    "wind speed": Quantity("km/h", 0.0, 500.0, 1.0),
+    "wind speed": Quantity("km/h", 0.0, 500.0, 1.0, ("m/s",)),
     "station pressure": Quantity("kPa", 50.0, 110.0),
     RADIATION: Quantity("W/m2", 0.0, 1500.0, 15.0),
     HUMIDITY: Quantity("%", 0.0, 100.0, 5.0, ("1",)),
@@ -86,7 +86,7 @@ ROOF = (
 # in 1956 (WMO).
 _MAX_SHORT_WATER = 1900.0
 # How many of a unit equal one of ours, of units that are no amounts of water.
-_PER_OURS = {"cm": 100.0, "mm": 1000.0, "%": 100.0, "1": 0.01}
+_PER_OURS = {"cm": 100.0, "mm": 1000.0, "%": 100.0, "1": 0.01, "m/s": 1 / 3.6}
 _HOURS = {"s": 1 / 3600, "h": 1.0, "day": 24.0}
 
 

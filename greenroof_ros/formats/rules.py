@@ -87,6 +87,7 @@ def check_hours(records: Records, site: Site, hours: range) -> list[str]:
         np.nan_to_num(given) / 24, nothing, None, None, records.values.get(TEMPERATURE),
         reference_column=f"{records.method} {EVAPOTRANSPIRATION}" * (given is not nothing),
         dew_point=records.values.get(DEW_POINT), radiation=records.values.get(RADIATION),
+        wind=records.values.get("wind speed"),
     )
     return check_steps(record.select(steps), site)
 
@@ -148,8 +149,6 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
 # rates.
 _MAX_MEAN_WET, _FEW_WET = 8.0, 20
 _MIN_WETTEST, _MANY_WET = 1.0, 100
-# So many wet rows are not each wetter than the one before by chance.
-_MANY_RISES = 10
 # Reference evapotranspiration is between these shares of what the sun's energy outside of the
 # atmosphere could evaporate, in so many days with so much of it (mm) [assumed]; in mm/h in a column
 # of mm/day it would be a twenty-fourth.
@@ -193,13 +192,6 @@ def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
         if every > 1:
             yield f"rain {what} only every {every} h: is each value the total of {every} hours?"
             break
-    changes = np.diff(rain)[(rain[:-1] > 0) & (rain[1:] > 0)]
-    rises = np.count_nonzero(changes > 0)
-    if rises >= _MANY_RISES and not (changes < 0).any():
-        yield (
-            f"rain rises {rises} times from one wet row to the next, and never falls: is it a "
-            "total since the event began?"
-        )
 
 
 def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
@@ -232,6 +224,44 @@ def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
         if value < low or value > high:
             bound = f"more than {high:.3g}" if value > high else f"less than {low:.3g}"
             yield f"{column} is {value:.3g} {what}; {bound} is rare: is the unit right?"
+
+
+# No air has its dew point above its temperature, by more than errors of sensors (K) in so many of
+# its hours; at saturation, vapour pressure in hPa is 2 or more above the temperature in degC. In kPa
+# it stays between 0 and 4.5 up to a dew point of 31 degC. A dew point does not in so many hours: in
+# ten days of twelve years at Toronto it moved by 4.3 K or more, and never only between 0 and 5.
+_MAX_SATURATED, _VAPOUR_KPA, _DEW_HOURS = 0.05, 4.5, 240
+# No town has a median wind of this (km/h) in so many hours [assumed]; at Toronto it is at most 34
+# in ten days. The numbers of a wind in km/h are 3.6 times those in m/s.
+_WINDIEST, _WIND_HOURS = 43.0, 240
+
+
+def find_unlike_air(record: StepRecord, _site: Site) -> Iterator[str]:
+    """Find vapour pressure in place of the dew point, and wind in another unit."""
+    if record.dew_point is not None:
+        dew_point = record.dew_point[~np.isnan(record.dew_point)]
+        if record.temperature is not None:
+            saturated = np.count_nonzero(record.dew_point > record.temperature + _MAX_ABOVE)
+            if saturated > _MAX_SATURATED * dew_point.size:
+                yield (
+                    f"{DEW_POINT} is more than {_MAX_ABOVE:g} K above the temperature in "
+                    f"{saturated} rows: is it vapour pressure, or of another place?"
+                )
+        if len(dew_point) * record.step_s >= _DEW_HOURS * HOUR_S and (
+            dew_point.min() >= 0 and dew_point.max() <= _VAPOUR_KPA
+        ):
+            yield (
+                f"{DEW_POINT} stays between {dew_point.min():.3g} and {dew_point.max():.3g} degC: "
+                "is it vapour pressure?"
+            )
+    if record.wind is not None:
+        hours = np.count_nonzero(~np.isnan(record.wind)) * record.step_s / HOUR_S
+        median = _find_median(record.wind)
+        if hours >= _WIND_HOURS and median > _WINDIEST:
+            yield (
+                f"wind speed is {median:.3g} km/h in the median; more than {_WINDIEST:g} is rare: "
+                "is the unit right?"
+            )
 
 
 def _find_median(series: Values) -> float:
@@ -463,6 +493,7 @@ RULES = (
     Rule(find_much_rain),
     Rule(find_wrong_rain),
     Rule(find_unlike_sun),
+    Rule(find_unlike_air),
     Rule(find_imbalance),
     Rule(find_shifted_clock),
     Rule(find_stuck_sensor),

@@ -42,6 +42,7 @@ class StepRecord:
         all_rain: rain also in steps that :meth:`select` left out; None before.
         dew_point: of the air (degC); None if not measured.
         radiation: of the sun (W/m2); None if not measured.
+        wind: km/h; None if not measured.
     """
 
     source: Path
@@ -61,6 +62,7 @@ class StepRecord:
     all_rain: Values | None = None
     dew_point: Values | None = None
     radiation: Values | None = None
+    wind: Values | None = None
 
     @property
     def steps(self) -> int:

@@ -14,6 +14,7 @@ import pytest
 from places import CONFIG
 from refusals import refusal
 
+from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.rules import check_hours
 from greenroof_ros.model.site import read_site
@@ -180,6 +181,80 @@ def test_rain_that_rises_is_no_running_total(tmp_path: Path) -> None:
         assert rain_of(tmp_path, write_rows(96, rain=lambda row, r=rain: r[row % len(r)]))
 
 
+def test_a_total_that_only_rises(tmp_path: Path) -> None:
+    """Since the event began, or in each row: noted, since a storm may rise so, too."""
+    for step_s, rain in ((HOUR, lambda row: EVENTS[row]), (600, lambda row: 0.2 + row / 10)):
+        (note,) = (
+            note for note in read(tmp_path, write_rows(144, step_s, rain)).notes
+            if "total since the event began" in note
+        )
+        assert note.startswith("gauge.csv: rain [mm] rises ")
+
+
+def slide(rain: list[float], rows: int) -> Callable[[int], float]:
+    """Return sums of the last rows."""
+    return lambda row: round(sum(rain[max(0, row - rows + 1) : row + 1]), 3)
+
+
+@pytest.mark.parametrize(("step_s", "rows", "unit"), [
+    (600, 6, "mm"), (300, 12, "mm"), (HOUR, 3, "mm/h"), (HOUR, 24, "mm"), (600, 36, "mm/h"),
+])
+def test_sums_of_the_last_rows_are_refused(
+    tmp_path: Path, step_s: int, rows: int, unit: str
+) -> None:
+    """Of an hour every ten or five minutes, and of three hours or a day every hour or so."""
+    random = np.random.default_rng(7)
+    rain = [
+        float(round(0.2 * wet * tips, 1)) for wet, tips in zip(
+            np.repeat(random.random(180) < 0.1, 3 * rows), random.poisson(0.3, 540 * rows),
+            strict=True,
+        )
+    ]
+    text = write_rows(540 * rows, step_s, slide(rain, rows), header=f"time,rain [{unit}]\n")
+    assert f"each rain for {rows} rows or more" in refusal(read, tmp_path, text)
+
+
+def test_rain_that_lasts_is_no_sum_of_the_last_rows(tmp_path: Path) -> None:
+    """A mean of the last hour has the right depth; models repeat three hours, or interpolate."""
+    random = np.random.default_rng(8)
+    three_hours = np.round(np.where(random.random(400) < 0.3, random.gamma(1.0, 2.0, 400), 0.0), 1)
+    between = np.interp(np.arange(1198), 3 * np.arange(400), three_hours)
+    for rain in (three_hours.repeat(3), between, three_hours):
+        read(tmp_path, write_rows(len(rain), rain=lambda row, r=rain: r[row]))
+    hourly = slide(three_hours.tolist(), 6)
+    read(tmp_path, write_rows(400, 600, hourly, header="time,rain [mm/h]\n"))
+
+
+def test_a_gauge_that_tips_in_drizzle_is_no_running_total(tmp_path: Path) -> None:
+    """Such a drizzle, at Neubrandenburg, was refused: it rises often, and falls to 0."""
+    tip = 0.066
+    rain = [
+        tip * count for count in (
+            *(0, 1, 1, 1, 1, 0, 1, 1, 0, 2, 1, 1, 0, 1, 1, 1, 3, 1, 0, 1, 1, 0, 0, 1, 0, 1, 1, 0),
+            *(3, 6, 10, 0, 1, 1, 1, 0, 1, 1, 0, 2, 1, 1, 1, 0, 0, 0, 1, 0),
+        )
+    ]
+    records = read(tmp_path, write_rows(len(rain), 300, lambda row: round(rain[row], 3)))
+    assert records.values["precipitation"].sum() == pytest.approx(sum(rain))
+
+
+@pytest.mark.parametrize(("lowest", "code", "is_missing"), [
+    (-12, "-40", True), (-12, "-50.0", True), (20, "60", True), (-24, "-40", False),
+    (-12, "-33", True), (20, "38", False),
+])
+def test_the_end_of_a_thermometers_scale(
+    tmp_path: Path, lowest: float, code: str, is_missing: bool
+) -> None:
+    """Where no temperature on the way to it occurs."""
+    text = write_rows(
+        240, rain=lambda row: f"0,{code if 40 <= row < 46 else lowest + 5 * shine(row):.6}",
+        header="time,rain [mm],temperature [degC]\n",
+    )
+    records = read(tmp_path, text)
+    assert np.isnan(records.values["temperature"][40:46]).all() == is_missing
+    assert any("end of a sensor's scale" in note for note in records.notes) == is_missing
+
+
 @pytest.mark.parametrize("text", ["T", "traces", "Tr.", "0.0T", "<0.1", "< 0.05", '"<0,1"'])
 def test_a_trace_is_nothing(tmp_path: Path, text: str) -> None:
     """Less than 0.1 mm is a trace (WMO-No. 8, Guide to Instruments, 6.1.2, Units and scales)."""
@@ -295,13 +370,43 @@ def test_points_between_thousands(
         read(tmp_path, text)
 
 
+@pytest.mark.parametrize(("cells", "is_refused"), [
+    (("987", "1.019"), True), (('"987"', '"1,019"'), True), (("95", "1.019"), False),
+    (("987", "1.019", "0.5"), False), (("987.0", "1.019"), False),
+])
+def test_a_point_between_thousands_of_one_column(
+    tmp_path: Path, cells: tuple[str, ...], is_refused: bool
+) -> None:
+    """Although the numbers of another have decimals: a column has them in all its numbers."""
+    mark = '"0,2"' if "," in cells[1] else "0.2"
+    text = write_rows(
+        24, rain=lambda row: f"{mark},{cells[row % len(cells)]}",
+        header="time,rain [mm],solar radiation [W/m2]\n",
+    )
+    if is_refused:
+        assert "is its mark between thousands?" in refusal(read, tmp_path, text)
+    else:
+        read(tmp_path, text)
+
+
 HOT, SUN = "temperature [degC]", "solar radiation [W/m2]"
+DEW, WIND = "dew point [degC]", "wind speed [km/h]"
 SUSPICIOUS: dict[str, tuple[str, Callable[[int], object], str]] = {
     "right": ("", lambda row: RAIN[row], ""),
     "tips": ("", lambda row: round(RAIN[row] / 0.2), "is it a number of tips"),
     "a day's total": ("", lambda row: DAILY[row // 24] * (row % 24 == 0), "only every 24 h"),
     "six hours'": ("", lambda row: round(sum(RAIN[row // 6 * 6:][:6]), 1), "only every 6 h"),
-    "an event's": ("", lambda row: EVENTS[row], "total since the event began"),
+    "km/h": (WIND, lambda row: f"{RAIN[row]},{15 + 10 * shine(row):.0f}", ""),
+    "km/h as m/s": ("wind speed [m/s]", lambda row: f"{RAIN[row]},{15 + 10 * shine(row):.0f}",
+                    "more than 43 is rare: is the unit right?"),
+    "degC of dew": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 + 5 * shine(row)},"
+                    f"{9 + row // 72 % 3}", ""),
+    "hPa of vapour": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 - 9 * shine(row)},13.1",
+                      "is it vapour pressure, or of another place?"),
+    "kPa of vapour": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 + 5 * shine(row)},"
+                      f"{1.2 + row // 72 % 3 / 10}", "is it vapour pressure?"),
+    "kPa in frost": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{-6 + 5 * shine(row)},0.3{row % 9}",
+                     "dew point: is "),
     "W/m2": (SUN, lambda row: f"{RAIN[row]},{700 * shine(row):.0f}", ""),
     "J/cm2": (SUN, lambda row: f"{RAIN[row]},{252 * shine(row):.0f}", "is the unit right?"),
     "MJ/m2": (SUN, lambda row: f"{RAIN[row]},{2.52 * shine(row):.2f}", "is the unit right?"),
@@ -327,7 +432,10 @@ def test_columns_that_are_suspicious(tmp_path: Path, name: str) -> None:
     columns, values, sentence = SUSPICIOUS[name]
     header = ",".join(filter(None, ("time,rain [mm]", columns)))
     records = read(tmp_path, write_rows(720, rain=values, header=f"{header}\n"))
-    found = check_hours(records, SITE, range(12))
+    try:
+        found = check_hours(records, SITE, range(12))
+    except ConfigurationError as error:
+        found = [str(error)]
     assert [sentence in each for each in found] == [True] * bool(sentence), found
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from builtin_interfaces.msg import Time
 from commands import Forked, run_command
 from graphs import Process, environment, summary_of, udp_addresses_of, wait_for
 from places import CONFIG
@@ -19,6 +20,7 @@ from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import Parameter
 from ros_rig import Observer
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
 START = 1_625_641_200  # 2021-07-07T02:00-05:00 in seconds since 1970
@@ -70,6 +72,19 @@ def test_middleware_that_locks_up_at_the_end(domain: int, tmp_path: Path, when: 
     wait_for(lambda: udp_addresses_of(process.pid), 60, "the start of the node")
     process.send_signal(signal.SIGINT)
     assert process.wait(300) == -signal.SIGALRM
+
+
+def test_a_start_without_an_offset_is_of_the_sites_clock(
+    tmp_path: Path, observer: Observer
+) -> None:
+    """02:00 in Toronto in July, with daylight saving time, is an hour before 02:00-05:00."""
+    site = tmp_path / "site.yaml"
+    site.write_text(f"extends: {CONFIG / 'site.yaml'}\ntime_zone: America/Toronto\n")
+    rain = observer.collect("/weather/precipitation")
+    clock = observer.publisher("/clock")
+    observer.start("nodes.weather", site_file=site, start="2021-07-07T02:00")
+    clock.publish(Clock(clock=Time(sec=START - 3600)))
+    observer.until(lambda: rain, 60, "the weather of tick 0")
 
 
 def test_who_sets_and_commands(domain: int, tmp_path: Path, observer: Observer) -> None:
