@@ -387,12 +387,12 @@ class Given(NamedTuple):
 # and for this many if they are not. In rain as many hours have less than the hour before as more,
 # and so many wet rows are not each wetter than the one before by chance.
 _MIN_RISES, _MANY_RISES, _SAME_OF_FEW, _SAME_OF_MANY = 3, 10, 5.0, 0.5
-# It falls rarely, when it is set to 0, more rarely in rain; rain falls about as often as it rises. A
-# smaller share of its range is noise.
+# It falls rarely, when it is set to 0, more rarely in rain; rain falls about as often as it rises.
+# A smaller share of its range is noise.
 _MAX_FALLS, _MAX_FALLS_IN_RAIN, _NOISE = 0.4, 0.15, 0.02
-# Sliding sums are found in so many wet spells; a difference below this share of the minimum amount
-# is rounding.
-_MIN_SPELLS, _NEARLY_DRY = 10, 0.5
+# Sliding sums are found in so many wet spells that differ; a change below this share of the minimum
+# amount is rounding.
+_MIN_SPELLS, _NEARLY_DRY = 8, 0.5
 # A sum is rounded.
 _NEARLY_SUM = 1e-3
 # Temperature sensors end at -40 degC or below and at 50 or above. Air does not jump this far (K)
@@ -467,17 +467,17 @@ def find_sliding_sum(given: Given) -> str:
     sums = given.values
     begins = 1 + np.flatnonzero((sums[:-1] <= 0) & (sums[1:] > 0))
     ends = 1 + np.flatnonzero((sums[:-1] > 0) & (sums[1:] <= 0))
-    ends = ends[ends > begins[0]] if begins.size else ends
+    ends = ends[ends > begins[0]] if begins.size else begins
     begins = begins[: len(ends)]
-    if len(begins) < _MIN_SPELLS:
-        return ""
     # Of a rate, the sum of an hour is a mean.
     fewest = 2 if "/" not in given.unit else math.floor(1 / given.step_h) + 1
-    nearly = _NEARLY_DRY * float(sums[sums > 0].min())
-    spells = [
-        np.diff(sums[begin - 1 : end + 1])
+    spells = {
+        tuple(np.diff(sums[begin - 1 : end + 1]).tolist())
         for begin, end in zip(begins.tolist(), ends.tolist(), strict=True)
-    ]
+    }
+    if len(spells) < _MIN_SPELLS:
+        return ""
+    nearly = _NEARLY_DRY * float(sums[sums > 0].min())
     rows = next((
         rows for rows in range(int((ends - begins).min()), fewest - 1, -1)
         if _is_sum_of_rows(spells, rows, nearly)
@@ -505,7 +505,7 @@ def _find_end_of_scale(given: Given) -> float | None:
     return None
 
 
-def _is_sum_of_rows(spells: Iterable[NDArray[np.float64]], rows: int, nearly: float) -> bool:
+def _is_sum_of_rows(spells: Iterable[tuple[float, ...]], rows: int, nearly: float) -> bool:
     """Return whether each value can be the sum of the rain of so many rows.
 
     Args:

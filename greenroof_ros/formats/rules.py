@@ -227,9 +227,9 @@ def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
 
 
 # No air has its dew point above its temperature, by more than errors of sensors (K) in so many of
-# its hours; at saturation, vapour pressure in hPa is 2 or more above the temperature in degC. In kPa
-# it stays between 0 and 4.5 up to a dew point of 31 degC. A dew point does not in so many hours: in
-# ten days of twelve years at Toronto it moved by 4.3 K or more, and never only between 0 and 5.
+# its hours; at saturation, vapour pressure in hPa is 2 or more above the temperature in degC. In
+# kPa it stays between 0 and 4.5 up to a dew point of 31 degC. A dew point does not in so many
+# hours: in ten days of twelve years at Toronto it moved by 4.3 K or more.
 _MAX_SATURATED, _VAPOUR_KPA, _DEW_HOURS = 0.05, 4.5, 240
 # No town has a median wind of this (km/h) in so many hours [assumed]; at Toronto it is at most 34
 # in ten days. The numbers of a wind in km/h are 3.6 times those in m/s.
