@@ -409,6 +409,8 @@ def find_running_total(given: Given) -> str:
         return ""
     wet, changes = given.values > 0, np.diff(given.values)
     noise = _NOISE * float(np.ptp(given.values))
+    if np.gcd.reduce(np.diff(np.flatnonzero(changes))) > 1:
+        return ""  # of longer rows, each repeated in shorter ones
     rises, falls = np.count_nonzero(changes > noise), np.count_nonzero(changes < -noise)
     changes = changes[wet[:-1] & wet[1:]]
     same = np.count_nonzero(np.abs(changes) <= noise)

@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.cells import HOUR
-from greenroof_ros.formats.quantities import DEW_POINT, HUMIDITY, TEMPERATURE
+from greenroof_ros.formats.quantities import DEW_POINT, HUMIDITY, PRECIPITATION, TEMPERATURE
 
+ENOUGH = 0.75
+"""Minimum share of an hour whose rain must be known; another quantity needs one value."""
 _MINUTE = timedelta(minutes=1)
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -35,8 +38,8 @@ class Records:
         left_out: what could not be used as it is, in sentences that name it.
         places: latitude and longitude (degrees) of each file that gives them, by file.
         wind_height: height at which the wind was measured (m); None if it is in the site file.
-        minutes: rain of each minute (mm/h), shape (hours, 60), NaN if it is not known better than
-            by the hour; None if no file has rows of less than an hour.
+        minutes: rain of each minute (mm/h), shape (hours, 60), NaN where no row of less than an
+            hour has it; None if there are none. The precipitation of their hours is their mean.
     """
 
     files: tuple[Path, ...]
@@ -57,6 +60,14 @@ class Records:
         return len(next(iter(self.values.values())))
 
     @property
+    def parts_of_hours(self) -> NDArray[np.bool_]:
+        """Whether only a part of an hour's minutes is known, shape (hours,)."""
+        if self.minutes is None:
+            return np.zeros(self.hours, dtype=bool)
+        known = np.count_nonzero(~np.isnan(self.minutes), axis=1)
+        return (known > 0) & (known < self.minutes.shape[1])
+
+    @property
     def source(self) -> str:
         """Name of all files, for messages and tables."""
         return name_files(self.files)
@@ -70,6 +81,14 @@ class Records:
             f"{' and '.join(self.shifted)} in the files are for the hour before their time, and "
             "were moved back an hour", *self.left_out,
         )
+
+
+def average_minutes(minutes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean rain of each hour's minutes; NaN with less than 0.75 of them."""
+    count = np.count_nonzero(~np.isnan(minutes), axis=1)
+    # Tenths of a millimetre do not add up exactly in binary numbers.
+    means = np.round(np.nansum(minutes, axis=1) / np.maximum(count, 1), 9)
+    return np.where(count >= ENOUGH * minutes.shape[1], means, np.nan)
 
 
 def add_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
@@ -146,9 +165,13 @@ def join_records(parts: Sequence[Records]) -> Records:
     """Join the records of several files.
 
     They are sorted by time. A value that no file has is missing (NaN). If several files have it,
-    they must agree. If hours of a file do not begin with hours of the first, each of its values is
-    the mean of the two hours in which it lies; values of other files then go before. Files with
-    other quantities than the first, as of services with a file for each, are joined by quantities.
+    they must agree, except in an hour of which a file has a part: others then go before, and the
+    They are sorted by time. A value that no file has is missing (NaN). If several files have it,
+    they must agree, except in an hour of which a file has a part: others then go before, and the
+    rain is that of all minutes. If hours of a file do not begin with hours of the first, each of
+    its values is the mean of the two hours in which it lies; values of other files then go before.
+    Files with other quantities than the first, as of services with a file for each, are joined by
+    quantities.
 
     Raises:
         ConfigurationError: two files have different values for an hour, different quantities,
@@ -169,18 +192,19 @@ def join_records(parts: Sequence[Records]) -> Records:
     begins = [(part.first - first.first) // HOUR for part in parts]
     hours = max(begin + part.hours for begin, part in zip(begins, parts, strict=True))
     values = {quantity: np.full(hours, np.nan) for quantity in first.values}
-    for begin, part in zip(begins, parts, strict=True):
+    wholes = [~part.parts_of_hours for part in parts]
+    for begin, part, whole in zip(begins, parts, wholes, strict=True):
         for quantity, series in part.values.items():
             joined = values[quantity][begin : begin + part.hours]
-            known = ~np.isnan(series)
+            known = whole & ~np.isnan(series)
             if part.source in [other.source for other in moved]:
                 known &= np.isnan(joined)
             unequal = np.flatnonzero(known & ~np.isnan(joined) & (joined != series))
             if unequal.size:
                 hour = int(unequal[0])
                 other = next(
-                    part for at, part in zip(begins, parts, strict=True)
-                    if 0 <= begin + hour - at < part.hours
+                    part for at, part, whole in zip(begins, parts, wholes, strict=True)
+                    if 0 <= begin + hour - at < part.hours and whole[begin + hour - at]
                     and not np.isnan(part.values[quantity][begin + hour - at])
                 )
                 raise ConfigurationError(
@@ -190,7 +214,15 @@ def join_records(parts: Sequence[Records]) -> Records:
                     value=float(series[hour]),
                 )
             joined[known] = series[known]
+    for begin, part in zip(begins, parts, strict=True):
+        for quantity, series in part.values.items():
+            joined = values[quantity][begin : begin + part.hours]
+            np.copyto(joined, series, where=np.isnan(joined))
     minutes = _join_minutes(hours, zip(begins, parts, strict=True))
+    if minutes is not None:
+        means = average_minutes(minutes)
+        np.copyto(values[PRECIPITATION], means, where=~np.isnan(means))
+        minutes[np.isnan(means) & ~np.isnan(values[PRECIPITATION])] = np.nan
     parts = sorted(parts, key=lambda part: part.first)
     files = tuple(file for part in parts for file in part.files)
     left_out = tuple(note for part in parts for note in part.left_out)
@@ -203,14 +235,27 @@ def join_records(parts: Sequence[Records]) -> Records:
 def _join_minutes(
     hours: int, parts: Iterable[tuple[int, Records]]
 ) -> NDArray[np.float64] | None:
-    """Return the rain of each minute of parts, each with its first hour; None if none has it."""
+    """Return the rain of each minute of parts, each with its first hour; None if none has it.
+
+    Raises:
+        ConfigurationError: two parts differ in a minute.
+    """
     joined = None
     for begin, part in parts:
         if part.minutes is not None:
             if joined is None:
                 joined = np.full((hours, part.minutes.shape[1]), np.nan)
             place = joined[begin : begin + part.hours]
-            place[...] = np.where(np.isnan(place), part.minutes, place)
+            unequal = np.argwhere(np.abs(place - part.minutes) > _ROUNDING)
+            if unequal.size:
+                hour, minute = (int(index) for index in unequal[0])
+                raise ConfigurationError(
+                    f"must be {place[hour, minute]:g} mm/h, as in another of the files, or they "
+                    "must not overlap", file=part.source, value=float(part.minutes[hour, minute]),
+                    key=f"{PRECIPITATION} at "
+                    + to_minutes(part.first + hour * HOUR + minute * _MINUTE),
+                )
+            np.copyto(place, part.minutes, where=np.isnan(place))
     return joined
 
 
@@ -264,16 +309,23 @@ def _check_same_kind(first: Records, part: Records) -> None:
 def _shift_to_hours_of(first: Records, part: Records) -> Records:
     """Return records on hours that begin with another's, as local hours at UTC-3:30 do not."""
     late = (part.first - first.first) % HOUR
-    share, minutes = late / HOUR, part.minutes
-    if minutes is not None:
-        gone = minutes.shape[1] - late // _MINUTE
-        minutes = minutes.ravel()[gone : gone - minutes.shape[1]].reshape(-1, minutes.shape[1])
+    share, values = late / HOUR, part.values
+    minutes, begin = part.minutes, part.first - late + HOUR
+    if minutes is not None:  # the rain of the first and last hour counts as far as it goes
+        begin -= HOUR
+        edge = late // _MINUTE, 60 - late // _MINUTE
+        minutes = np.pad(minutes.ravel(), edge, constant_values=np.nan).reshape(-1, 60)
+        values = {
+            name: np.pad(series, 1, constant_values=np.nan) for name, series in values.items()
+        }
+    values = {
+        quantity: share * series[:-1] + (1 - share) * series[1:]
+        for quantity, series in values.items()
+    }
+    if minutes is not None and PRECIPITATION in values:
+        values[PRECIPITATION] = average_minutes(minutes)
     return replace(
-        part, first=part.first - late + HOUR, minutes=minutes,
-        values={
-            quantity: share * series[:-1] + (1 - share) * series[1:]
-            for quantity, series in part.values.items()
-        },
+        part, first=begin, minutes=minutes, values=values,
         left_out=(*part.left_out, (
             f"{part.source}: its hours begin {late // _MINUTE} min after the hours of "
             f"{first.source}; each value is the mean of the two hours in which it lies"

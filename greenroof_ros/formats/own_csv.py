@@ -43,7 +43,7 @@ from greenroof_ros.formats.forecasts import (
     join_members,
     mend_forecast,
 )
-from greenroof_ros.formats.hourly import Records, add_dew_point
+from greenroof_ros.formats.hourly import ENOUGH, Records, add_dew_point, average_minutes
 from greenroof_ros.formats.other_services import explain_file
 from greenroof_ros.formats.quantities import (
     EVAPOTRANSPIRATION,
@@ -70,8 +70,6 @@ _FORECAST = {
 _MAX_BYTES, _CHUNK = 16_000_000, 1_000_000
 _LEVELS = ("level", "cistern level")
 _COLUMN = re.compile(r"([^\[\]]+?)\s*\[([^\[\]]*)\]")
-# Minimum share of an hour's rows to know its rain; another quantity needs one value.
-_ENOUGH = 0.75
 _SYNONYMS = {"rain": PRECIPITATION}
 _MEMBERS = Range(0.0, MAX_MEMBERS - 1.0, "(whole)")
 _OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEMPERATURE]}
@@ -274,14 +272,9 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
     minute by minute. Rain of an hour with less than 0.75 of its rows is missing.
 
     Raises:
-        ConfigurationError: the file has no precipitation, or its step is no whole number of hours;
-            or see :func:`read_rows`.
+        ConfigurationError: its step is more than an hour; or see :func:`read_rows`.
     """
     rows = read_rows(file, site, _WEATHER, stamped)
-    if PRECIPITATION not in rows.columns:
-        raise rows.table.refuse(
-            f"there must be a column '{_FORECAST[PRECIPITATION]}' or 'rain [mm]'"
-        )
     steps, first, values, minutes = rows.steps, rows.first, rows.values, None
     notes = rows.table.notes
     durations_h = np.unique(steps.durations) / 3600
@@ -299,21 +292,22 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
         of_rows = np.floor(begin_h + hours_since).astype(np.intp)
         first += int(of_rows[0]) * HOUR
         of_rows -= of_rows[0]
-        weights_h = np.minimum(steps.durations / 3600, 1.0)
-        minutes = _spread_over_minutes(
-            values[PRECIPITATION], (rows.first - first).total_seconds(), steps, int(of_rows[-1]) + 1
-        )
+        begins = _round_begins((rows.first - first).total_seconds(), steps)
+        end_h = math.ceil((begins[-1] + steps.durations[-1]) / 3600)
+        hours = np.arange(max(int(of_rows[-1]) + 1, end_h))
         values = {
-            name: _average_hours(
-                series, of_rows, weights_h, _ENOUGH if name == PRECIPITATION else 0.0
-            )
+            name: _average_hours(series, of_rows, steps.durations, len(hours))
             for name, series in values.items()
         }
-        hours = np.arange(of_rows[-1] + 1)
+        if PRECIPITATION in values:
+            minutes = _spread_over_minutes(
+                rows.values[PRECIPITATION], begins, steps.durations, len(hours)
+            )
+            values[PRECIPITATION] = average_minutes(minutes)
         notes.append(
             f"{file.name}: rows are {' and '.join(duration(3600 * each) for each in durations_h)} "
             "apart; rain is kept minute by minute, and each hour has the mean of its rows, of rain "
-            f"if at least {_ENOUGH:g} of them are there"
+            f"if at least {ENOUGH:g} of them are there"
         )
     if steps.changes:
         notes.append(
@@ -339,20 +333,28 @@ def _round_first(first: datetime, steps: RowSteps) -> datetime:
     return whole + timedelta(minutes=5) * round((begin - whole) / timedelta(minutes=5))
 
 
-def _spread_over_minutes(rain: Values, first_s: float, steps: RowSteps, hours: int) -> Values:
+def _round_begins(first_s: float, steps: RowSteps) -> Values:
+    """Return the starts of rows since the first hour (s), of whole minutes to the minute.
+
+    Args:
+        first_s: start of the first row since the first hour (s).
+        steps: of the rows.
+    """
+    begins = np.asarray(first_s - steps.late + steps.steps * steps.step_s)
+    return begins if steps.step_s % 60 else 60 * np.round(begins / 60)
+
+
+def _spread_over_minutes(rain: Values, begins: Values, durations: Values, hours: int) -> Values:
     """Return the mean rain of each minute, NaN where no row is, shape (hours, 60).
 
     Args:
         rain: of the rows (mm/h), NaN if missing.
-        first_s: start of the first row since the first hour (s).
-        steps: of the rows.
+        begins: starts of the rows since the first hour (s).
+        durations: of the rows (s).
         hours: their number.
     """
-    begins = first_s - steps.late + steps.steps * steps.step_s
-    if steps.step_s >= 60:
-        begins = 60 * np.round(begins / 60)  # clocks are not right to the second
     known = ~np.isnan(rain)
-    edges = np.stack((begins, begins + steps.durations), axis=1)[known].ravel()
+    edges = np.stack((begins, begins + durations), axis=1)[known].ravel()
     edges = np.maximum.accumulate(edges)
     minutes = 60 * np.arange(60 * hours + 1)
     amounts, seconds = np.zeros((2, len(edges)))
@@ -366,26 +368,38 @@ def _spread_over_minutes(rain: Values, first_s: float, steps: RowSteps, hours: i
 
 
 def _average_hours(
-    series: Values, hours: NDArray[np.intp], weights: Values, min_share: float
+    series: Values, hours: NDArray[np.intp], weights: Values, count: int
 ) -> Values:
-    """Return the mean of each hour's rows; NaN if there are too few.
+    """Return the mean of each hour's rows, shape (count,); NaN if there are none.
 
     Args:
         series: values of the rows, NaN if missing.
         hours: of the rows.
-        weights: duration of the rows (h), at most an hour.
-        min_share: of the hour whose values must be there.
+        weights: of the rows.
+        count: number of hours.
     """
     known = ~np.isnan(series)
-    share = np.bincount(hours, weights * known)
-    total = np.bincount(hours, weights * np.nan_to_num(series))
-    # Tenths of a millimetre do not add up exactly in binary numbers.
-    means = np.round(total / np.where(share > 0, share, 1.0), 9)
-    return np.where((share > 0) & (share >= min_share - 1e-6), means, np.nan)
+    series, hours, weights = series[known], hours[known], weights[known]
+    total, weight = (np.bincount(hours, each, count) for each in (weights * series, weights))
+    lowest, highest = np.full((2, count), [[math.inf], [-math.inf]])
+    np.minimum.at(lowest, hours, series)
+    np.maximum.at(highest, hours, series)
+    # Tenths do not add up exactly in binary numbers; the mean of equal values is their value.
+    means = np.round(total / np.where(weight > 0, weight, 1.0), 9)
+    return np.where(weight > 0, np.where(lowest == highest, lowest, means), np.nan)
+
+
+def _find_longest_step(minutes: Values) -> int:
+    """Return the longest rows (min) that hold the rain of each minute, shape (hours, 60)."""
+    changes = np.diff(np.nan_to_num(minutes, nan=-1.0), axis=1).any(axis=0)
+    return math.gcd(minutes.shape[1], *(1 + np.flatnonzero(changes)).tolist())
 
 
 def write_records(records: Records, about: str) -> str:
     """Return records as the text of a file, which :func:`read_records` reads bit for bit.
+
+    With rain by the minute, rows are the longest that hold it; other values are in the first row of
+    their hour.
 
     Args:
         records: hours of one place; gaps are empty cells.
@@ -412,10 +426,15 @@ def write_records(records: Records, about: str) -> str:
     ]
     table, step = np.array(list(records.values.values())), HOUR
     if records.minutes is not None:
-        step = timedelta(minutes=1)
-        table = np.repeat(table, 60, axis=1)
-        rain, known = list(records.values).index(PRECIPITATION), ~np.isnan(records.minutes)
-        table[rain, known.ravel()] = records.minutes[known]
+        rain = np.where(
+            np.isnan(records.minutes), records.values[PRECIPITATION][:, None], records.minutes
+        )
+        step_min = _find_longest_step(rain)
+        step = timedelta(minutes=step_min)
+        rows = np.full((*table.shape, 60 // step_min), math.nan)
+        rows[..., 0] = table
+        rows[list(records.values).index(PRECIPITATION)] = rain[:, ::step_min]
+        table = rows.reshape(len(table), -1)
     for row, values in enumerate(table.T.tolist()):
         cells = ("" if math.isnan(value) else repr(value) for value in values)
         lines.append(",".join([(records.first + row * step).isoformat(), *cells]))

@@ -77,7 +77,8 @@ def read_measured(
     joined = join_records([read_records(file, site, stamped) for file in files])
     if PRECIPITATION not in joined.values:
         raise ConfigurationError(
-            f"has no {PRECIPITATION}; add the file that has it", file=joined.source
+            f"has no {PRECIPITATION}, as in a column 'precipitation [mm/h]' or 'rain [mm]'; add "
+            "the file that has it", file=joined.source,
         )
     return drop_empty(_drop_partial_hours(joined))
 
@@ -117,9 +118,14 @@ def complete_records(
         quantity: bridge_gaps(series, MAX_GAP_H.get(quantity, 0))
         for quantity, series in measured.values.items()
     }
+    minutes = measured.minutes
     if gaps == FILL:
         values = fill_long_gaps(values)
-    records = replace(measured, values=values, filled={
+        if minutes is not None:  # what is known of an hour counts
+            lost = np.isnan(measured.values[PRECIPITATION])
+            minutes = np.where(lost[:, None], np.nan_to_num(minutes), minutes)
+            values[PRECIPITATION][lost] = minutes[lost].mean(axis=1)
+    records = replace(measured, values=values, minutes=minutes, filled={
         quantity: np.isnan(measured.values[quantity]) & ~np.isnan(series)
         for quantity, series in values.items()
     })
@@ -217,16 +223,21 @@ def compute_evapotranspiration(
 
 
 def _drop_partial_hours(records: Records) -> Records:
-    """Leave out the first and last hour if a shift has left them with some quantities only.
+    """Leave out the first and last hour if they lack minutes of rain, or quantities by a shift.
 
     Done after joining, because the next file completes the last hour of the one before.
     """
-    if not records.shifted:
-        return records
-    moved = [name in records.shifted for name in records.values]
+    moved = np.array([name in records.shifted for name in records.values])
     known = ~np.isnan([series[[0, -1]] for series in records.values.values()])
-    begin = int(not all(moved) and not known[~np.array(moved), 0].any())
-    end = None if known[moved, 1].any() else -1
+    rain = list(records.values).index(PRECIPITATION)
+    partial = records.parts_of_hours[[0, -1]] & ~known[rain]
+    if records.minutes is not None:
+        partial |= ~known.any(axis=0)
+    if moved.any():
+        partial |= ~known[~moved, 0].any() & ~moved.all(), ~known[moved, 1].any()
+    begin, end = int(partial[0]), records.hours - int(partial[1])
+    if end - begin in (0, records.hours):
+        return records
     return replace(
         records,
         first=records.first + begin * HOUR,

@@ -1,12 +1,13 @@
 """The weather of a run: hourly records, and their values tick by tick.
 
 A run may last years, so no array has an entry per tick: a tick's value is looked up in its hour,
-and rain that is known by the minute in its minute. Only if ticks are longer than that, each has
-the mean of its minutes.
+and rain that is known by the minute in its minute. Only where ticks are not parts of minutes, each
+has the mean of its own time.
 """
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -85,24 +86,24 @@ class _Clock(NamedTuple):
     step_ns: int = _HOUR_NS
     """duration of an hour, or of another step"""
 
-    def hour(self, tick: int) -> int:
+    def step(self, tick: int) -> int:
         return min((self.offset_ns + tick * self.tick_ns) // self.step_ns, self.last)
 
-    def hours(self, ticks: range) -> NDArray[np.int64]:
+    def steps(self, ticks: range) -> NDArray[np.int64]:
         elapsed_ns = self.offset_ns + np.asarray(ticks, dtype=np.int64) * self.tick_ns
         return np.minimum(elapsed_ns // self.step_ns, self.last)
 
-    def first_tick(self, hour: int) -> int:
-        """Return the first tick that begins in an hour or after it."""
-        return -((self.offset_ns - hour * self.step_ns) // self.tick_ns)
+    def first_tick(self, step: int) -> int:
+        """Return the first tick that begins in a step or after it."""
+        return -((self.offset_ns - step * self.step_ns) // self.tick_ns)
 
 
 @dataclass(frozen=True, eq=False)
 class PerTick(Sequence[float]):
     """One value for each tick, from hourly values, or of another step; a slice is an array."""
 
-    hourly: NDArray[np.float64]
-    """of all hours of the records"""
+    values: NDArray[np.float64]
+    """of all steps of the clock"""
     clock: _Clock
     ticks: range
     """all ticks"""
@@ -121,14 +122,14 @@ class PerTick(Sequence[float]):
         """Return the value of a tick, or the values of several."""
         ticks = self.ticks[key]
         if isinstance(ticks, int):
-            return float(self.hourly[self.clock.hour(ticks)])
-        return array("d", self.hourly[self.clock.hours(ticks)].tobytes())
+            return float(self.values[self.clock.step(ticks)])
+        return array("d", self.values[self.clock.steps(ticks)].tobytes())
 
     @property
     def maximum(self) -> float:
         """The maximum value of a tick."""
-        first, last = self.clock.hour(0), self.clock.hour(len(self) - 1)
-        return float(self.hourly[first : last + 1].max())
+        first, last = self.clock.step(0), self.clock.step(len(self) - 1)
+        return float(self.values[first : last + 1].max())
 
 
 class Hour(NamedTuple):
@@ -188,19 +189,19 @@ class WeatherSeries:
         self._clock = clock = _Clock(offset_ns, tick_ns, last)
         past = offset_ns + (ticks - 1) * tick_ns >= (last + 1) * _HOUR_NS
         self.repeats_from = weather.end if past else None
-        first = clock.hour(0)
-        _check_hours(weather, np.arange(first, clock.hour(ticks - 1) + 1))
+        first = clock.step(0)
+        _check_hours(weather, np.arange(first, clock.step(ticks - 1) + 1))
         frost = np.zeros(last + 1) if weather.frost is None else weather.frost.astype(float)
         self.precipitation = _rain_per_tick(weather, clock, ticks)
         self._rain_changes = None if weather.minutes is None else (
-            1 + np.flatnonzero(np.diff(self.precipitation.hourly))
+            1 + np.flatnonzero(np.diff(self.precipitation.values))
         )
         self.evapotranspiration = PerTick(
             weather.evapotranspiration / 1000 / 86400 * site.a2, clock, range(ticks)
         )
         self.frost = PerTick(frost, clock, range(ticks))
         # From tick 0 to the end of tick N-1; the window after it is not part of the run.
-        run = range(first, clock.hour(steps - 1) + 1)
+        run = range(first, clock.step(steps - 1) + 1)
         begins = [clock.first_tick(hour) for hour in run[1:]]
         frozen = frost[run.start : run.stop] * np.diff([0, *begins, steps])
         self.frost_hours: float | None = None
@@ -232,11 +233,11 @@ class WeatherSeries:
 
     def at(self, tick: int) -> Hour:
         """Return the weather of a tick, and the tick until which it stays the same."""
-        hour = self._clock.hour(tick)
+        hour = self._clock.step(tick)
         until = self._clock.first_tick(hour + 1)
         if self._rain_changes is not None:
             rain = self.precipitation.clock
-            later = self._rain_changes.searchsorted(rain.hour(tick), side="right")
+            later = self._rain_changes.searchsorted(rain.step(tick), side="right")
             if later < len(self._rain_changes):
                 until = min(until, rain.first_tick(int(self._rain_changes[later])))
         return Hour(
@@ -259,14 +260,14 @@ def _rain_per_tick(weather: Weather, hours: _Clock, ticks: int) -> PerTick:
     known = ~np.isnan(weather.minutes)
     minutes = np.where(known, weather.minutes / 1000 / 3600, hourly[:, None]).ravel()
     clock = hours._replace(last=len(minutes) - 1, step_ns=_MINUTE_NS)
-    if clock.tick_ns > _MINUTE_NS:
-        fallen = np.concatenate(([0.0], np.cumsum(np.nan_to_num(minutes))))
-        edges = (clock.offset_ns + clock.tick_ns * np.arange(ticks + 1.0)) / _MINUTE_NS
-        minutes = np.diff(np.interp(edges, np.arange(len(fallen)), fallen)) / (
-            clock.tick_ns / _MINUTE_NS
-        )
-        clock = _Clock(0, clock.tick_ns, ticks - 1, clock.tick_ns)
-    return PerTick(minutes, clock, range(ticks))
+    if _MINUTE_NS % clock.tick_ns == 0 == clock.offset_ns % clock.tick_ns:
+        return PerTick(minutes, clock, range(ticks))
+    edges = (clock.offset_ns + clock.tick_ns * np.arange(ticks + 1)) / _MINUTE_NS
+    beyond = max(0, math.ceil(edges[-1]) - len(minutes))
+    fallen = np.cumsum(np.nan_to_num(np.append(minutes, np.full(beyond, minutes[-1]))))
+    means = np.diff(np.interp(edges, np.arange(1 + len(fallen)), np.append(0.0, fallen)))
+    means = np.maximum(means, 0.0) / (clock.tick_ns / _MINUTE_NS)  # no less than 0 by rounding
+    return PerTick(means, _Clock(0, clock.tick_ns, ticks - 1, clock.tick_ns), range(ticks))
 
 
 def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:

@@ -206,7 +206,7 @@ def test_sums_of_the_last_rows_are_refused(
     random = np.random.default_rng(7)
     rain = [
         float(round(0.2 * wet * tips, 1)) for wet, tips in zip(
-            np.repeat(random.random(180) < 0.1, 3 * rows), random.poisson(0.3, 540 * rows),
+            np.repeat(random.random(180) < 0.2, 3 * rows), random.poisson(0.3, 540 * rows),
             strict=True,
         )
     ]

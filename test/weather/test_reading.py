@@ -77,7 +77,6 @@ def test_columns_have_any_order(tmp_path: Path) -> None:
         (HEADER + ",snow [cm]", "'snow [cm]': is not a known column; choose from precipitatio"),
         (HEADER.replace("mm/h]", "cm]"), "'precipitation [cm]': the unit of precipitation must be"),
         (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': there is a"),
-        ("time,fao56 evapotranspiration [mm/day]", "there must be a column 'precipitation [mm/h]'"),
     ],
 )
 def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
@@ -85,6 +84,13 @@ def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
     row = ",".join([*ROW.split(","), "1"][:header.count(",") + 1])
     path = write(tmp_path / "weather.csv", header, row)
     assert refusal(read_weather, [path], PAPER_SITE).startswith(f"{path}, line 2: {reason}")
+
+
+def test_a_file_without_rain_needs_another(tmp_path: Path) -> None:
+    path = write(tmp_path / "air.csv", "time,temperature [degC]", "2021-07-07T03:00-05:00,20")
+    refusal(read_weather, [path], PAPER_SITE, match="has no precipitation, as in a column 'preci")
+    rain = write(tmp_path / "rain.csv", "time,rain [mm]", "2021-07-07T03:00-05:00,0.2")
+    assert read_weather([path, rain], TORONTO).values["temperature"].tolist() == [20.0]
 
 
 # --- what people have -----------------------------------------------------------------------------

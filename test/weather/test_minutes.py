@@ -1,0 +1,306 @@
+"""Rain by the minute: each tick has the rain of its own time, whatever step the rows have."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import polars
+import pytest
+from places import CONFIG
+from refusals import refusal
+
+import greenroof_ros as gr
+from greenroof_ros.common.times import parse_time
+from greenroof_ros.forecast.choice import choose
+from greenroof_ros.forecast.resampling import make_forecast
+from greenroof_ros.formats.hourly import Records
+from greenroof_ros.formats.own_csv import write_records
+from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.weather.reading import complete_records, read_measured
+from greenroof_ros.weather.series import FILL, REFUSE, WeatherSeries
+
+SITE = read_site(CONFIG / "site.yaml")
+FIRST = datetime(2024, 6, 1, tzinfo=timezone.utc)
+KOLKATA = replace(
+    SITE, time_zone="Asia/Kolkata", utc_offset=5.5, latitude=None, longitude=None,
+)
+
+
+class Row(NamedTuple):
+    """A row of a gauge's file."""
+
+    begin: datetime
+    seconds: float
+    rain: float
+    """mm"""
+
+
+def rows_of(steps_s: Sequence[float], first: datetime = FIRST, seed: int = 1) -> list[Row]:
+    """Return rows of these steps, four in ten of them wet."""
+    random = np.random.default_rng(seed)
+    begins = first.timestamp() + np.append(0, np.cumsum(steps_s))
+    return [
+        Row(
+            datetime.fromtimestamp(begin, timezone.utc), step_s,
+            round(random.gamma(0.5), 1) * (random.random() < 0.4),
+        ) for begin, step_s in zip(begins.tolist(), steps_s, strict=False)
+    ]
+
+
+def write(
+    file: Path, rows: Sequence[Row], head: str = "", late: Callable[[int], float] = lambda row: 0,
+    time: Callable[[datetime], str] = datetime.isoformat, missing: Sequence[int] = (),
+) -> Path:
+    file.write_text(f"{head}time,rain [mm]\n" + "".join(
+        f"{time(row.begin + timedelta(seconds=late(number)))},{row.rain}\n"
+        for number, row in enumerate(rows) if number not in missing
+    ))
+    return file
+
+
+def fall(rows: Sequence[Row], begin: datetime, end: datetime) -> float:
+    """Return the rain between two times (mm), row by row."""
+    total = 0.0
+    for row in rows:
+        row_end = row.begin + timedelta(seconds=row.seconds)
+        overlap = (min(end, row_end) - max(begin, row.begin)).total_seconds()
+        total += row.rain * max(0.0, overlap) / row.seconds
+    return total
+
+
+def check_ticks(
+    records: Records, rows: Sequence[Row], site: Site = SITE, gaps: str = REFUSE,
+    taus: Sequence[float] = (1.0, 7.0, 30.0, 60.0, 90.0, 300.0, 420.0, 3600.0),
+) -> None:
+    """Each tick, and all of them together, have what the rows say; from several starts."""
+    weather = complete_records(records, site, gaps=gaps)
+    known = np.flatnonzero(~np.isnan(weather.precipitation)).tolist()
+    begin, end = (
+        weather.first + timedelta(hours=hour) for hour in (known[0], known[-1] + 1)
+    )
+    end = min(end, rows[-1].begin + timedelta(seconds=rows[-1].seconds))
+    for tau in taus:
+        for late in (0, 17, 5000):
+            start = begin + timedelta(seconds=late)
+            steps = int((end - start).total_seconds() // tau)
+            series = WeatherSeries(weather, replace(site, tau=tau, M=1), start, steps)
+            rain = np.frombuffer(series.precipitation[:steps])
+            due = fall(rows, start, start + timedelta(seconds=steps * tau))
+            assert 1000 * tau * rain.sum() == pytest.approx(due, rel=1e-9, abs=1e-9), (tau, late)
+            for tick in range(0, steps, max(1, steps // 7)):
+                times = [start + timedelta(seconds=each * tau) for each in (tick, tick + 1)]
+                assert 1000 * tau * rain[tick] == pytest.approx(fall(rows, *times), abs=1e-8)
+            tick = 0
+            while tick < steps:  # as runs read it
+                now = series.at(tick)
+                assert (rain[tick : now.until] == now.precipitation).all()
+                assert now.until > tick
+                tick = now.until
+
+
+# --- rows -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("step_min", [1, 2, 3, 4, 5, 6, 7, 10, 11, 12, 15, 20, 30, 45])
+def test_rows_are_simulated_as_they_are(tmp_path: Path, step_min: int) -> None:
+    """Also where rows do not divide an hour; a run of another start or tick has no other water."""
+    rows = rows_of([60.0 * step_min] * (480 // step_min), seed=step_min)
+    check_ticks(read_measured([write(tmp_path / "gauge.csv", rows)], SITE), rows)
+
+
+def test_a_storm_of_ten_minutes(tmp_path: Path) -> None:
+    """12 mm from 01:20 to 01:30 are 72 mm/h in ten ticks of a minute; its hour has 12 mm."""
+    rows = [Row(FIRST + timedelta(minutes=10 * row), 600.0, 12.0 * (row == 8)) for row in range(18)]
+    weather = complete_records(read_measured([write(tmp_path / "gauge.csv", rows)], SITE), SITE)
+    series = WeatherSeries(weather, replace(SITE, tau=60.0, M=1), FIRST, 120)
+    rain = 3.6e6 * np.frombuffer(series.precipitation[:120])
+    np.testing.assert_allclose(rain, [0.0] * 80 + [72.0] * 10 + [0.0] * 30)
+    assert weather.precipitation.tolist() == [0.0, 12.0, 0.0]
+    # A tick of a quarter of an hour has its own mean: 01:15 to 01:30 two thirds of 72 mm/h.
+    series = WeatherSeries(weather, replace(SITE, tau=900.0, M=1), FIRST, 8)
+    np.testing.assert_allclose(3.6e6 * np.frombuffer(series.precipitation[:8]), [
+        0, 0, 0, 0, 0, 48, 0, 0,
+    ], atol=1e-9)
+
+
+ROWS = rows_of([300.0] * 48 + [600.0] * 24 + [3600.0] * 7 + [60.0] * 120 + [900.0] * 16, seed=5)
+_JITTER = np.random.default_rng(3).integers(-40, 40, len(ROWS)) * (np.arange(len(ROWS)) < 48)
+_JITTER[0] = 0
+
+
+def test_a_step_that_changes(tmp_path: Path) -> None:
+    """From five minutes to ten, an hour, one and fifteen; by starts and by ends."""
+    check_ticks(read_measured([write(tmp_path / "gauge.csv", ROWS)], SITE), ROWS)
+    ends = [row._replace(begin=row.begin + timedelta(seconds=row.seconds)) for row in ROWS]
+    file = write(tmp_path / "ends.csv", ends, "# stamped: end\n")
+    check_ticks(read_measured([file], SITE), ROWS, taus=(60.0, 420.0))
+
+
+@pytest.mark.parametrize("late", [
+    lambda row: int(_JITTER[row]), lambda row: -1, lambda row: 16, lambda row: row // 20,
+])
+def test_a_clock_that_errs(tmp_path: Path, late: Callable[[int], float]) -> None:
+    """At random, always, or more and more: rows begin at the minutes of a right clock."""
+    rows = rows_of([300.0] * 96)
+    check_ticks(read_measured([write(tmp_path / "gauge.csv", rows, late=late)], SITE), rows)
+
+
+def test_rows_across_hours(tmp_path: Path) -> None:
+    """As of a logger that was started at 14:23: the hours that it does not fill are left out."""
+    rows = rows_of([300.0] * 96, FIRST + timedelta(hours=14, minutes=23))
+    records = read_measured([write(tmp_path / "gauge.csv", rows)], SITE)
+    assert (records.first, records.hours) == (FIRST + timedelta(hours=15), 7)
+    check_ticks(records, rows)
+    hour = records.first
+    for rain in records.values["precipitation"]:
+        assert rain == pytest.approx(fall(rows, hour, hour + timedelta(hours=1)))
+        hour += timedelta(hours=1)
+
+
+def test_gaps(tmp_path: Path) -> None:
+    """Less than a quarter of an hour has the mean of the rest; more is missing, or nothing fell."""
+    rows = [row._replace(rain=1.2) for row in rows_of([600.0] * 24)]
+    one, many = [7], [12, 13, 14]
+    records = read_measured([write(tmp_path / "gauge.csv", rows, missing=one)], SITE)
+    assert records.values["precipitation"].tolist() == [7.2] * 4
+    check_ticks(records, rows)
+    records = read_measured([write(tmp_path / "gauge.csv", rows, missing=many)], SITE)
+    assert "precipitation is missing at 2024-06-01T02:00" in refusal(check_ticks, records, rows)
+    fallen = [row._replace(rain=0.0) if at in many else row for at, row in enumerate(rows)]
+    check_ticks(records, fallen, gaps=FILL)
+    filled = complete_records(records, SITE, gaps=FILL)
+    assert filled.precipitation.tolist() == pytest.approx([7.2, 7.2, 3.6, 7.2])
+    assert filled.filled["precipitation"].tolist() == [False, False, True, False]
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("site", [SITE, KOLKATA])
+def test_files_that_end_within_an_hour(tmp_path: Path, site: Site) -> None:
+    """As of a card that was changed, in any order; also where hours begin at half past in UTC."""
+    rows = rows_of([600.0] * 60, FIRST + timedelta(minutes=30))
+    first = write(tmp_path / "a.csv", rows[:22])
+    second = write(tmp_path / "b.csv", rows[22:])
+    both = write(tmp_path / "c.csv", rows[10:40])
+    for files in ([first, second], [second, first], [first, second, both]):
+        check_ticks(read_measured(files, site), rows, site, taus=(60.0, 300.0))
+    other = write(tmp_path / "d.csv", [row._replace(rain=row.rain + 0.1) for row in rows[20:]])
+    assert "or they must not overlap" in refusal(read_measured, [first, other], site)
+
+
+def test_files_of_two_clocks(tmp_path: Path) -> None:
+    """Of a zone with half an hour, and of UTC: no rain is lost where they meet."""
+    rows = rows_of([600.0] * 72)
+    first = write(tmp_path / "a.csv", rows[:31], time=lambda time: (
+        time.astimezone(KOLKATA.zone).replace(tzinfo=None).isoformat()
+    ))
+    second = write(tmp_path / "b.csv", rows[31:])
+    check_ticks(read_measured([first, second], KOLKATA), rows, KOLKATA, taus=(60.0, 420.0))
+
+
+def test_hours_and_minutes(tmp_path: Path) -> None:
+    """A service's hours, then a gauge: each hour has the step that its file has."""
+    hours = rows_of([3600.0] * 5)
+    minutes = rows_of([300.0] * 60, FIRST + timedelta(hours=5))
+    files = [write(tmp_path / "a.csv", hours), write(tmp_path / "b.csv", minutes)]
+    check_ticks(read_measured(files, SITE), [*hours, *minutes], taus=(60.0, 3600.0))
+
+
+def test_rain_and_temperature_in_files_of_their_own(tmp_path: Path) -> None:
+    rows = rows_of([300.0] * 96, FIRST + timedelta(hours=3))
+    air = tmp_path / "air.csv"
+    air.write_text("time,temperature [degC]\n" + "".join(
+        f"{(FIRST + timedelta(hours=hour)).isoformat()},{hour}\n" for hour in range(11)
+    ))
+    for files in ([write(tmp_path / "rain.csv", rows), air], [air, tmp_path / "rain.csv"]):
+        records = read_measured(files, SITE)
+        assert records.values["temperature"].tolist() == [*range(11)]
+        check_ticks(records, rows, taus=(60.0,))
+
+
+@pytest.mark.parametrize(("step_min", "lines"), [(5, 12), (7, 60), (20, 3), (60, 1)])
+def test_records_that_are_written_again(tmp_path: Path, step_min: int, lines: int) -> None:
+    """With the longest rows that hold them, bit for bit, also numbers with all their digits."""
+    rows = rows_of([60.0 * step_min] * (420 // step_min))
+    file = tmp_path / "gauge.csv"
+    file.write_text("time,rain [mm],my evapotranspiration [mm/day]\n" + "".join(
+        f"{row.begin.isoformat()},{row.rain},{2 + row.begin.hour % 3 / 7}\n" for row in rows
+    ))
+    records = read_measured([file], SITE)
+    copy = tmp_path / "copy.csv"
+    copy.write_text(write_records(records, "a copy"))
+    assert len(copy.read_text().splitlines()) == 2 + lines * records.hours
+    again = read_measured([copy], SITE)
+    for name, series in records.values.items():
+        np.testing.assert_array_equal(again.values[name], series)
+    if records.minutes is not None:
+        np.testing.assert_array_equal(again.minutes, records.minutes)
+
+
+def test_a_data_frame(tmp_path: Path) -> None:
+    """The rain of a frame is that of a file; the run's own copy of it gives the same run."""
+    rows = rows_of([300.0] * 48)
+    frame = polars.DataFrame({
+        "time": [row.begin for row in rows], "rain [mm]": [row.rain for row in rows],
+        "my evapotranspiration [mm/day]": [3.0] * 48, "temperature [degC]": [20.0] * 48,
+    })
+    site = replace(SITE, tau=60.0)
+    first = gr.simulate("onoff", site=site, start=FIRST, hours=3.5, weather=frame)
+    copy = first.save(tmp_path / "run") / "configuration" / "weather" / "weather.csv"
+    again = gr.simulate("onoff", site=site, start=FIRST, hours=3.5, weather=copy)
+    assert again.trajectory.equals(first.trajectory)
+    rain = np.asarray(first.ticks.precipitation)[:210]
+    assert 60_000 * rain.sum() == pytest.approx(sum(row.rain for row in rows[:42]))
+
+
+# --- forecasts, evapotranspiration and memory ---------------------------------------------------
+
+
+def test_forecasts_are_of_hours_and_the_present_rain_is_what_falls(tmp_path: Path) -> None:
+    """At 01:25 it pours, 72 mm/h of 12 mm in that hour; its rest is known by the mean."""
+    rows = [
+        Row(FIRST + timedelta(minutes=10 * row), 600.0, 12.0 * (row == 8)) for row in range(360)
+    ]
+    records = read_measured([write(tmp_path / "gauge.csv", rows)], SITE)
+    weather = complete_records(records, SITE)
+    site = replace(SITE, tau=60.0)
+    series = WeatherSeries(weather, site, FIRST, 60 * 10)
+    forecast = make_forecast(weather, series, site, FIRST, 24.0, choose("perfect"))
+    for minute, now in ((85, 72.0), (91, 0.0)):
+        rain = 3.6e6 * np.array(forecast.precipitation(minute))
+        assert rain[:3] == pytest.approx([now, 12.0, 12.0])
+    hourly = complete_records(replace(records, minutes=None), SITE)
+    plain = make_forecast(
+        hourly, WeatherSeries(hourly, site, FIRST, 60 * 10), site, FIRST, 24.0, choose("perfect")
+    )
+    for minute in (0, 85, 91, 300):
+        assert forecast.precipitation(minute)[1:] == plain.precipitation(minute)[1:]
+        assert forecast.evapotranspiration(minute) == plain.evapotranspiration(minute)
+
+
+def test_ten_years_of_minutes() -> None:
+    """They take 42 MB; a run's own rain takes as much, and nothing for each of its seconds."""
+    hours = 87_660
+    rain = np.zeros((hours, 60))
+    rain[::7, 10:20] = 6.0
+    weather = complete_records(Records(
+        (Path("drawn.csv"),), parse_time("2014-01-01T00:00Z"),
+        {"precipitation": rain.mean(axis=1), "evapotranspiration": np.full(hours, 2.0)}, "drawn",
+        minutes=rain,
+    ), SITE)
+    assert weather.minutes is not None
+    assert weather.minutes.nbytes == pytest.approx(42e6, rel=0.01)
+    tracemalloc.start()
+    series = WeatherSeries(weather, replace(SITE, tau=1.0, M=10), weather.first, 87_000 * 3600)
+    series.at(87_000 * 3600)
+    held, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert held < 50e6
+    assert peak < 250e6
