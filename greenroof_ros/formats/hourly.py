@@ -322,8 +322,12 @@ def _shift_to_hours_of(first: Records, part: Records) -> Records:
         quantity: share * series[:-1] + (1 - share) * series[1:]
         for quantity, series in values.items()
     }
-    if minutes is not None and PRECIPITATION in values:
+    if minutes is not None:
         values[PRECIPITATION] = average_minutes(minutes)
+        first_empty, last_empty = np.isnan(minutes[[0, -1]]).all(axis=1).tolist()
+        there = slice(int(first_empty), len(minutes) - int(last_empty))
+        begin, minutes = begin + first_empty * HOUR, minutes[there]
+        values = {name: series[there] for name, series in values.items()}
     return replace(
         part, first=begin, minutes=minutes, values=values,
         left_out=(*part.left_out, (

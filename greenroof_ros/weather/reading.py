@@ -231,8 +231,6 @@ def _drop_partial_hours(records: Records) -> Records:
     known = ~np.isnan([series[[0, -1]] for series in records.values.values()])
     rain = list(records.values).index(PRECIPITATION)
     partial = records.parts_of_hours[[0, -1]] & ~known[rain]
-    if records.minutes is not None:
-        partial |= ~known.any(axis=0)
     if moved.any():
         partial |= ~known[~moved, 0].any() & ~moved.all(), ~known[moved, 1].any()
     begin, end = int(partial[0]), records.hours - int(partial[1])

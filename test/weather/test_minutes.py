@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import tracemalloc
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import polars
 import pytest
-from places import CONFIG
+from places import CONFIG, DATA
 from refusals import refusal
 
 import greenroof_ros as gr
@@ -258,6 +259,55 @@ def test_a_data_frame(tmp_path: Path) -> None:
     assert again.trajectory.equals(first.trajectory)
     rain = np.asarray(first.ticks.precipitation)[:210]
     assert 60_000 * rain.sum() == pytest.approx(sum(row.rain for row in rows[:42]))
+
+
+# --- a measured roof ------------------------------------------------------------------------------
+
+# Highest runoff measured in 15 and 60 min (mm/h) of two storms at Neubrandenburg, their hours, and
+# how much less 15 min have with the rain of hours.
+STORMS = {
+    "2014-10-21T15:00+01:00": (23, {15: 3.15, 60: 2.85}, 0.0),
+    "2015-05-05T18:00+01:00": (11, {15: 5.18, 60: 3.21}, 0.3),
+}
+
+
+@pytest.mark.parametrize("begin", STORMS)
+@pytest.mark.filterwarnings("ignore")
+def test_peaks_of_a_measured_roof(tmp_path: Path, begin: str) -> None:
+    """With the roof as wet before the storm as the measured volume of runoff shows.
+
+    The five minutes of rain give the peaks; those of a downpour are lost in the means of hours.
+    """
+    hours, measured, lower = STORMS[begin]
+    site = replace(read_site(CONFIG / "site_neubrandenburg.yaml"), tau=60.0, M=1, latitude=None)
+    file = DATA / "neubrandenburg_storms.csv"
+    with file.open() as stream:
+        rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
+    first = datetime.fromisoformat(begin)
+    volume = sum(
+        float(row["runoff [mm]"]) for row in rows
+        if first <= datetime.fromisoformat(row["time"]) < first + timedelta(hours=hours)
+    )
+    five = read_measured([file], site)
+    peaks = {}
+    for name, records in (("five minutes", five), ("hours", replace(five, minutes=None))):
+        dry, wet = site.wilting_volume, site.z_cap
+        for _ in range(10):
+            result = gr.simulate(
+                lambda *_: 0.0, site=site, weather=records, start=first, hours=float(hours),
+                initial=(20.0, (dry + wet) / 2), gaps=FILL,
+            )
+            runoff = 60_000 / site.a2 * np.asarray(result.ticks.drainage)[:-1]
+            if runoff.sum() > volume:
+                wet = (dry + wet) / 2
+            else:
+                dry = (dry + wet) / 2
+        peaks[name] = {
+            minutes: 60 * np.convolve(runoff, np.full(minutes, 1 / minutes), "valid").max()
+            for minutes in measured
+        }
+    assert peaks["five minutes"] == pytest.approx(measured, rel=0.2)
+    assert peaks["hours"][15] < (1 - lower) * peaks["five minutes"][15]
 
 
 # --- forecasts, evapotranspiration and memory ---------------------------------------------------

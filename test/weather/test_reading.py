@@ -151,17 +151,22 @@ def logged(path: Path, *rows: tuple[int, str]) -> Path:
 def test_rows_of_a_logger_add_up_to_hours(tmp_path: Path) -> None:
     """Rain adds up, temperature is averaged; rain needs three quarters of an hour's rows.
 
-    Twelve rows of 0.1 mm are 1.2 mm. Of nine rows the mean rate counts, of eight none. Temperature
-    may be in every third row.
+    Twelve rows of 0.1 mm are 1.2 mm. Of nine rows the mean rate counts, of eight none: such hours
+    are left out at either end. Temperature may be in every third row.
     """
     rows = [(5 * row, f"0.1,{row}") for row in range(8 + 12 + 9)]
     rows += [(5 * row, f"0.2,{'' if row % 3 else 5}") for row in range(8 + 24, 8 + 24 + 8)]
     path = logged(tmp_path / "logger.csv", *rows)
     weather = read_weather([path], TORONTO)
-    assert weather.first.isoformat() == "2021-07-07T14:00:00-05:00"
-    assert weather.precipitation.tolist() == pytest.approx([np.nan, 1.2, 1.2, np.nan], nan_ok=True)
-    assert weather.precipitation[1] == 1.2
-    assert weather.values["temperature"].tolist() == [3.5, 13.5, 24.0, 5.0]
+    assert weather.first.isoformat() == "2021-07-07T15:00:00-05:00"
+    assert weather.precipitation.tolist() == [1.2, 1.2]
+    assert weather.values["temperature"].tolist() == [13.5, 24.0]
+    later = write(
+        tmp_path / "later.csv", "time,rain [mm],temperature [degC]", "2021-07-07T18:00-05:00,0.2,5",
+        "2021-07-07T18:05-05:00,0.2,5",
+    )
+    hours = read_weather([path, later], TORONTO).precipitation
+    assert hours.tolist() == pytest.approx([1.2, 1.2, np.nan], nan_ok=True)
     assert any("logger.csv: rows are 5 min apart" in note for note in weather.notes)
 
 
