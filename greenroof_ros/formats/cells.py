@@ -381,6 +381,8 @@ class Given(NamedTuple):
     """of the rows with a number"""
     step_h: float = 1.0
     """time between rows (h)"""
+    name: str = PRECIPITATION
+    """of the quantity"""
 
 
 # A running total rises, or stays the same for this many rows for each rise if the rises are few,
@@ -428,11 +430,11 @@ def find_running_total(given: Given) -> str:
 
 
 def find_event_total(given: Given) -> str:
-    """Find water that only rises from one wet row to the next."""
+    """Find rain that only rises from one wet row to the next."""
     wet = given.values > 0
     changes = np.diff(given.values)[wet[:-1] & wet[1:]]
     rises = np.count_nonzero(changes > 0)
-    if not given.quantity.is_water or rises < _MANY_RISES or (changes < 0).any():
+    if given.name != PRECIPITATION or rises < _MANY_RISES or (changes < 0).any():
         return ""
     return (
         f"rises {rises} times from one wet row to the next, and never falls: is it a total since "
@@ -462,9 +464,10 @@ def find_sliding_sum(given: Given) -> str:
 
     Rain is not seen again in later rows. But such sums have each drop for n rows, so no wet spell
     is shorter, and rain that is taken apart again, S(t) - S(t-1) + r(t-n), is never negative. Rows
-    that repeat a value, or are interpolated, change in every n-th row only.
+    that repeat a value, or are interpolated, change in every n-th row only. What is smooth by
+    itself, such as runoff, looks like such sums.
     """
-    if not given.quantity.is_water or not given.values.size:
+    if given.name != PRECIPITATION or not given.values.size:
         return ""
     sums = given.values
     begins = 1 + np.flatnonzero((sums[:-1] <= 0) & (sums[1:] > 0))
@@ -559,7 +562,7 @@ class Column:
             cell: returns a row's text; by default the column's.
             rules: of the whole column; none if its rows do not follow each other in time.
         """
-        self._rules = rules
+        self._rules, self._of = rules, quantity
         self._table, self._name = table, name
         self.unit = unit or Unit(QUANTITIES[quantity].unit)
         self._quantity = find_plausible(quantity, step_h, self.unit)
@@ -608,7 +611,7 @@ class Column:
             )
         numbers = np.array(self._given)
         given = Given(
-            self._quantity, self.unit.name, numbers[~np.isnan(numbers)], self._step_h
+            self._quantity, self.unit.name, numbers[~np.isnan(numbers)], self._step_h, self._of
         )
         for rule in self._rules:
             if why := rule(given):

@@ -65,7 +65,7 @@ class Records:
         if self.minutes is None:
             return np.zeros(self.hours, dtype=bool)
         known = np.count_nonzero(~np.isnan(self.minutes), axis=1)
-        return (known > 0) & (known < self.minutes.shape[1])
+        return np.asarray((known > 0) & (known < self.minutes.shape[1]))
 
     @property
     def source(self) -> str:
@@ -164,8 +164,6 @@ def number_days(days: NDArray[np.datetime64]) -> NDArray[np.int64]:
 def join_records(parts: Sequence[Records]) -> Records:
     """Join the records of several files.
 
-    They are sorted by time. A value that no file has is missing (NaN). If several files have it,
-    they must agree, except in an hour of which a file has a part: others then go before, and the
     They are sorted by time. A value that no file has is missing (NaN). If several files have it,
     they must agree, except in an hour of which a file has a part: others then go before, and the
     rain is that of all minutes. If hours of a file do not begin with hours of the first, each of
@@ -324,8 +322,8 @@ def _shift_to_hours_of(first: Records, part: Records) -> Records:
     }
     if minutes is not None:
         values[PRECIPITATION] = average_minutes(minutes)
-        first_empty, last_empty = np.isnan(minutes[[0, -1]]).all(axis=1).tolist()
-        there = slice(int(first_empty), len(minutes) - int(last_empty))
+        first_empty, last_empty = (int(np.isnan(minutes[hour]).all()) for hour in (0, -1))
+        there = slice(first_empty, len(minutes) - last_empty)
         begin, minutes = begin + first_empty * HOUR, minutes[there]
         values = {name: series[there] for name, series in values.items()}
     return replace(

@@ -43,7 +43,7 @@ from greenroof_ros.formats.forecasts import (
     join_members,
     mend_forecast,
 )
-from greenroof_ros.formats.hourly import ENOUGH, Records, add_dew_point, average_minutes
+from greenroof_ros.formats.hourly import Records, add_dew_point, average_minutes
 from greenroof_ros.formats.other_services import explain_file
 from greenroof_ros.formats.quantities import (
     EVAPOTRANSPIRATION,
@@ -267,9 +267,10 @@ def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
 def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Records:
     """Read a weather file; see :func:`read_rows`.
 
-    Each row is the hour that starts at its time. Rows less than an hour apart are averaged by the
-    hours of the clock in which they begin, apart from a clock's error; their rain is also kept
-    minute by minute. Rain of an hour with less than 0.75 of its rows is missing.
+    Each row is the hour that starts at its time. Of rows less than an hour apart, rain is kept
+    minute by minute, and the rain of an hour is the mean of its minutes; it is missing with less
+    than 0.75 of them. Other quantities are averaged by the hours of the clock in which rows begin,
+    apart from a clock's error.
 
     Raises:
         ConfigurationError: its step is more than an hour; or see :func:`read_rows`.
@@ -306,8 +307,8 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
             values[PRECIPITATION] = average_minutes(minutes)
         notes.append(
             f"{file.name}: rows are {' and '.join(duration(3600 * each) for each in durations_h)} "
-            "apart; rain is kept minute by minute, and each hour has the mean of its rows, of rain "
-            f"if at least {ENOUGH:g} of them are there"
+            "apart: their rain is simulated as it is, to the minute; other quantities are means of "
+            "hours"
         )
     if steps.changes:
         notes.append(

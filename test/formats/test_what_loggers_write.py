@@ -225,6 +225,15 @@ def test_rain_that_lasts_is_no_sum_of_the_last_rows(tmp_path: Path) -> None:
     read(tmp_path, write_rows(400, 600, hourly, header="time,rain [mm/h]\n"))
 
 
+def test_what_is_smooth_is_no_sum_of_the_last_rows(tmp_path: Path) -> None:
+    """Evapotranspiration of a fortnight, which rises and falls each day, and never by night."""
+    text = write_rows(
+        336, rain=lambda row: f"0,{(0.2 + row // 24 % 9 / 50) * shine(row):.3f}",
+        header="time,rain [mm],station evapotranspiration [mm]\n",
+    )
+    assert read(tmp_path, text).method == "station"
+
+
 def test_a_gauge_that_tips_in_drizzle_is_no_running_total(tmp_path: Path) -> None:
     """Such a drizzle, at Neubrandenburg, was refused: it rises often, and falls to 0."""
     tip = 0.066
