@@ -38,6 +38,8 @@ _MARK: dict[str, Any] = {"clip": True, "strokeWidth": 1.6, "point": "transparent
 _MAX_HOURS = 96.0
 # The chart of simulations: width and height of a panel, and of the rain's (px).
 _WIDTH, _HEIGHT, _RAIN_HEIGHT = 640, 130, 70
+# The names of reference levels closer than this share of the axis would cover each other.
+_CLOSE = 0.1
 # Room for the numbers of its axes, so that the titles are in line.
 _EXTENT = 44
 
@@ -316,12 +318,18 @@ def _axis(
         axis = alt.Axis(values=[0.0, *(10.0**power for power in powers)], format=".12~g")
     scaled = alt.Scale(**scale)
     layers = []
-    for text, value in references.items():
-        base = alt.Chart(alt.InlineData([{"v": value, "text": text}]))
-        y = alt.Y("v:Q", scale=scaled)
-        layers += [
-            base.mark_rule(color="#555555", strokeDash=[3, 2]).encode(y=y),
-            base.mark_text(
+    names: list[tuple[float, str]] = []  # those of close levels are at the highest of them
+    for text, value in sorted(references.items(), key=lambda item: item[1], reverse=True):
+        if names and names[-1][0] - value < _CLOSE * (high - low):
+            names[-1] = names[-1][0], f"{names[-1][1]}, {text}"
+        else:
+            names.append((value, text))
+    y = alt.Y("v:Q", scale=scaled)
+    if references:
+        lines = alt.InlineData([{"v": value} for value in references.values()])
+        layers = [
+            alt.Chart(lines).mark_rule(color="#555555", strokeDash=[3, 2]).encode(y=y),
+            alt.Chart(alt.InlineData([{"v": v, "text": text} for v, text in names])).mark_text(
                 align="right", baseline="bottom", dx=-4, dy=-2, color="#333333", fontSize=10
             ).encode(x=alt.XValue("width"), y=y, text=alt.Text("text:N")),
         ]
