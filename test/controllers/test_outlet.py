@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
 import pytest
-from paper import site_with
+from paper import run_of_hours, site_with
 
 import greenroof_ros as gr
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.outlet import OutletPolicy, make_outlet
+from greenroof_ros.experiment.closed_loop import Simulation
+from greenroof_ros.forecast.choice import ForecastChoice
+from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
+from greenroof_ros.weather.series import WeatherSeries
 
 # 10 m3 below the upper outlet at 2 m; a valve at 0.1 m that takes 4.7 m3/h at a head of 1 m.
 SITE = site_with(
@@ -307,3 +312,55 @@ def test_a_valve_that_never_moves_is_none(
         for site, options in ((SITE, {"outlet": policy}), (replace(SITE, **changes), {}))
     )
     assert with_valve.metrics == without.metrics
+
+
+STORM = {20: 25.0, 21: 12.0}
+ATTACKS: dict[str, tuple[dict[int, float], dict[str, float]]] = {
+    "storm": (STORM, {}),
+    "two storms": ({10: 20.0, 14: 20.0, 15: 5.0}, {}),
+    "drizzle before": ({**dict.fromkeys(range(2, 20), 0.1), **STORM}, {}),
+    "at once": ({0: 15.0, 5: 20.0}, {}),
+    "small valve": (STORM, {"low_outlet_radius": 0.002}),
+    "large valve": (STORM, {"low_outlet_radius": 0.1}),
+    "high valve": (STORM, {"low_outlet_level": 1.6}),
+    "drainage kept": (STORM, {"drainage_to_cistern": 1.0, "roof": 1.4}),
+    "dry roof": ({2: 0.5, **STORM}, {"roof": 0.6}),
+    "begins within an hour": (STORM, {"offset": 1200.0}),
+    "ticks of an hour": (STORM, {"tau": 3600.0}),
+    "mains": ({30: 3.0}, {"mains_level": 0.08, "mains_flow": 1e-4, "x1": 0.6, "roof": 0.5}),
+    "nothing": ({}, {}),
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_plan_costs_no_more_than_what_needs_no_forecast(attack: str) -> None:
+    """Discharge in wet weather, mains water and what is left, over one and the same forecast."""
+    depths, changes = ATTACKS[attack]
+    given = {"roof": 1.0, "offset": 0.0, "x1": 9.0, "tau": 300.0, **changes}
+    roof, offset, x1 = (given.pop(name) for name in ("roof", "offset", "x1"))
+    site = replace(SITE, M=1, **given)
+    hours = [(depths.get(hour, 0.0), 4.0, False) for hour in range(100)]
+    price, reach, costs = 0.3, 20.0, {}
+    for policy_name in ("plan", "drain", "open", "closed"):
+        plain = run_of_hours(hours, x1, roof * site.x2_star, site, round(36 * HOUR / site.tau))
+        start = plain.start + timedelta(seconds=offset)
+        series = WeatherSeries(plain.weather, site, start, plain.steps)
+        parameters = {
+            **plain.controller.defaults(site), "outlet": policy_name, "outlet_price": price,
+            "outlet_reach": reach,
+        }
+        forecast = make_forecast(
+            plain.weather, series, site, start, 0.0, ForecastChoice(), True, outlet.HORIZON_H
+        )
+        simulation = Simulation(replace(
+            plain, start=start, series=series, parameters=parameters, forecast=forecast,
+        ))
+        for _ in simulation.ticks():
+            pass
+        results = simulation.metrics.results()
+        lowest = 5.0 * max(site.suction_level, site.mains_level or 0.0)
+        # The reach begins with the run, which lasts for 1.5 days.
+        left = min(max(0.0, simulation.site.plant.x1 - lowest), (reach - 1.5) * 0.004 * site.a2)
+        mains = results.get("mains_m3", 0.0)
+        costs[policy_name] = results["wet_discharge_m3"] + price * (mains - left)
+    assert costs["plan"] <= min(costs.values()) + 0.01
