@@ -92,10 +92,10 @@ class Parameter:
         """
         if not self.among:
             return self.range.read(value, file=file, line=line, key=key)
-        if value in self.among:
+        if isinstance(value, str) and value in self.among:
             return value
         raise ConfigurationError(
-            describe_choices(self.among, value), file=file, line=line, key=key, value=value
+            describe_choices(self.among, str(value)), file=file, line=line, key=key, value=value
         )
 
     @property

@@ -1,4 +1,7 @@
-"""Whether a controller decides in a tick, or the pumps stand still regardless; its forecast."""
+"""Whether a controller decides in a tick, or the pumps stand still regardless; its forecast.
+
+Also the command to the valve of the low outlet.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError, HangError
 from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
+from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
 
@@ -67,6 +71,33 @@ def decide(
         "run)", file=file, line=line,
         key=f"the command of {type(controller).__name__} = {command!r}",
     )
+
+
+def decide_outlet(
+    policy: OutletPolicy,
+    closed: bool,
+    cistern_level: float,
+    roof_level: float,
+    precipitation: Any,
+    evapotranspiration: Sequence[float],
+) -> float:
+    """Return the command of a tick to the outlet's valve; call it after :func:`decide`.
+
+    The policy is also asked if frost closes the valve: it counts the time without rain.
+
+    Args:
+        policy: decides.
+        closed: whether frost closes the valve.
+        cistern_level: (m).
+        roof_level: (m).
+        precipitation: forecast of rain (m/s), in the shape that the controller takes.
+        evapotranspiration: forecast of evapotranspiration (m3/s).
+
+    Raises:
+        ControllerError: a controller that commands the valve itself has no valid command.
+    """
+    share = policy.command(cistern_level, roof_level, precipitation, evapotranspiration)
+    return 0.0 if closed else share
 
 
 def is_finite_number(value: Any) -> bool:

@@ -16,8 +16,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from greenroof_ros.common.errors import HangError
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import Range
+from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
 from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
@@ -25,7 +27,7 @@ from greenroof_ros.model.storm_water import WET_RAIN
 
 Array = NDArray[np.float64]
 
-CLOSED, OPEN, DRAIN, PLAN = "closed", "open", "drain", "plan"
+POLICIES = CLOSED, OPEN, DRAIN, PLAN = "closed", "open", "drain", "plan"
 HORIZON_H = 48
 """How far a plan looks ahead (h)."""
 PRICE = 0.3
@@ -52,8 +54,7 @@ PARAMETERS = (
     Parameter(
         "outlet", DRAIN, "", meaning="what commands the outlet's valve. closed and open: always; "
         "drain: opens in dry weather, down to the reserve; plan: opens in dry weather before "
-        "forecast rain that would not fit, and is drain without a forecast",
-        among=(CLOSED, OPEN, DRAIN, PLAN),
+        "forecast rain that would not fit, and is drain without a forecast", among=POLICIES,
     ),
     Parameter(
         "outlet_reserve", math.nan, "m3", 0.0, 1e9, "drain leaves this volume in the cistern, "
@@ -135,17 +136,30 @@ class OfController:
     """Opens the valve as a controller says that commands it itself, in its attribute ``outlet``."""
 
     def __init__(self, controller: Any) -> None:
-        """Set the controller, which decides on the pump before this is asked."""
+        """Set the controller, which decides or skips the tick before this is asked."""
         self._controller = controller
 
     def command(self, *inputs: Any) -> float:
         """Return the controller's share; see :class:`OutletPolicy`.
 
         Raises:
-            ConfigurationError: it is not a number from 0 to 1.
+            ControllerError: it is not a number from 0 to 1, or its code raised an error.
         """
-        name = type(self._controller).__name__
-        return float(_SHARE.read(self._controller.outlet, key=f"the attribute outlet of {name}"))
+        kind = type(self._controller)
+        try:
+            share = self._controller.outlet
+        except HangError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise locate_error(kind, error) from error
+        if share in _SHARE:
+            return float(share)
+        place = find_place(kind, "outlet")
+        file, line = place if place[0] is not None else find_place(kind, "command")
+        raise ControllerError(
+            f"{_SHARE.expected(share)} (greenroof check-controller finds this before a run)",
+            file=file, line=line, key=f"the attribute outlet of {kind.__name__} = {share!r}",
+        )
 
 
 class Fixed:

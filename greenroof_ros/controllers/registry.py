@@ -89,11 +89,18 @@ class ControllerChoice:
                 "see \"Your controller\" in the documentation",
                 key="controller", value=self.reference,
             )
-        clash = _OF_EVERY_NODE.intersection(parameter.name for parameter in kind.parameters)
+        of_node = _OF_EVERY_NODE.union(parameter.name for parameter in _of_valve(kind))
+        clash = of_node.intersection(parameter.name for parameter in kind.parameters)
         if clash:
             raise ConfigurationError(
                 f"has a parameter {clash.pop()}, which its node has already; rename it",
                 key="controller", value=self.reference,
+            )
+        policy = _policy_of(kind)
+        if policy not in outlet.POLICIES:
+            raise ConfigurationError(
+                describe_choices(outlet.POLICIES, str(policy)), value=policy,
+                key=f"the attribute outlet_policy of {self.reference}",
             )
         return cast(ControllerClass, kind)
 
@@ -110,12 +117,12 @@ class ControllerChoice:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Its parameters, and those of the outlet's valve, by name."""
-        return {parameter.name: parameter for parameter in (*self.kind.parameters, *self._outlet)}
+        return {parameter.name: parameter for parameter in (*self.kind.parameters, *self.of_valve)}
 
     @property
-    def _outlet(self) -> tuple[Parameter, ...]:
-        """The parameters of the outlet's valve; none if its class commands the valve."""
-        return () if hasattr(self.kind, "outlet") else outlet.PARAMETERS
+    def of_valve(self) -> tuple[Parameter, ...]:
+        """The parameters of the outlet's valve; none if its class commands the valve itself."""
+        return _of_valve(self.kind)
 
     @property
     def ensemble(self) -> bool:
@@ -155,7 +162,7 @@ class ControllerChoice:
         """
         if parameters.get("outlet") == outlet.OPEN:
             site = replace(site, low_outlet_valve=False)
-        kind, of_valve = self.kind, {parameter.name for parameter in self._outlet}
+        kind, of_valve = self.kind, {parameter.name for parameter in self.of_valve}
         own = {name: value for name, value in parameters.items() if name not in of_valve}
         try:
             controller = kind(site, **own)
@@ -177,16 +184,24 @@ class ControllerChoice:
         Args:
             site: the site.
             parameters: as for :meth:`make`.
-            controller: what :meth:`make` returned.
+            controller: that :meth:`make` returned, or another of the class.
+
+        Raises:
+            ConfigurationError: only the object has an attribute ``outlet``, not its class.
         """
         if not site.low_outlet_valve:
             return None
-        if hasattr(controller, "outlet"):
+        if not self.of_valve:
             return OfController(controller)
+        if hasattr(controller, "outlet"):
+            raise ConfigurationError(
+                "must be an attribute of the class, too, such as outlet = 0.0: then it commands "
+                "the valve itself", key=f"the attribute outlet of {self.reference}",
+            )
         ends = look_ahead_ends(
             site, parameters.get("horizon", 0.0), outlet.find_horizon(parameters)
         )
-        of_valve = {parameter.name: parameters[parameter.name] for parameter in self._outlet}
+        of_valve = {parameter.name: parameters[parameter.name] for parameter in self.of_valve}
         return outlet.make_outlet(site, ends, **of_valve)
 
     def count_own_steps(self, site: Site, parameters: Mapping[str, Any]) -> int | None:
@@ -204,9 +219,8 @@ class ControllerChoice:
         Those of the outlet's valve are among them if the site has one.
         """
         of_valve = []
-        if site.low_outlet_valve and self._outlet:
-            policy = getattr(self.kind, "outlet_policy", outlet.DRAIN)
-            of_valve = outlet.parameters_on(site, policy)
+        if site.low_outlet_valve and self.of_valve:
+            of_valve = outlet.parameters_on(site, _policy_of(self.kind))
         measured = soil_of(site).measured
         return [
             replace(parameter, default=parameter.measured)
@@ -217,6 +231,21 @@ class ControllerChoice:
     def defaults(self, site: Site) -> dict[str, float]:
         """Return the value of each parameter on a site, unless a user gives another."""
         return {parameter.name: parameter.default for parameter in self.parameters_on(site)}
+
+    def complete_parameters(self, site: Site, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the value of each parameter on a site: what a user gives, or else its default.
+
+        Raises:
+            ConfigurationError: one is for the outlet's valve, which the site does not have.
+        """
+        defaults = self.defaults(site)
+        for name in given:
+            if name not in defaults:
+                raise ConfigurationError(
+                    "is for the valve of the low outlet, which this site does not have "
+                    "(low_outlet_valve: true)", key=name, value=given[name],
+                )
+        return {**defaults, **given}
 
     def check_parameters(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return values of its parameters as numbers.
@@ -305,6 +334,16 @@ def choose_class(kind: Any) -> ControllerChoice:
         if path == own:
             return ControllerChoice(name, name, own)
     return ControllerChoice(_node_name(kind.__name__), path, path, kind)
+
+
+def _of_valve(kind: Any) -> tuple[Parameter, ...]:
+    """Return the parameters of the outlet's valve; none for a class that commands it itself."""
+    return () if hasattr(kind, "outlet") else outlet.PARAMETERS
+
+
+def _policy_of(kind: Any) -> Any:
+    """Return the name of the policy that commands the valve by default."""
+    return getattr(kind, "outlet_policy", outlet.DRAIN)
 
 
 def _node_name(class_name: str) -> str:

@@ -10,7 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greenroof_ros.controllers.decide import cut_forecast, decide, read_statistics
+from greenroof_ros.controllers.decide import (
+    cut_forecast,
+    decide,
+    decide_outlet,
+    read_statistics,
+)
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
@@ -48,7 +53,7 @@ class Tick(NamedTuple):
     flows: Flows
     """m3/s; not applied in the last tick, since the run ends in its state"""
     outlet: float
-    """share to which the valve of the low outlet is open; 1 without a valve"""
+    """command to the valve of the low outlet, the share to which it is open; 1 without a valve"""
 
 
 class Simulation:
@@ -79,6 +84,7 @@ class Simulation:
         began = time.monotonic()
         run, site, controller, until = self._run, self.site, self._controller, self.site.tick
         policy, outlet, own_steps = self._outlet, 1.0, self._own_steps
+        closes = run.site.valve_closed_in_frost
         plant, forecast, has_quiet_hours = site.plant, run.forecast, run.site.quiet is not None
         for k in range(until, run.steps + 1):
             if k == until:
@@ -96,7 +102,10 @@ class Simulation:
                 site.quiet,
             )
             if policy is not None:
-                outlet = policy.command(cistern_level, roof_level, rain, evaporated)
+                closed = closes and frost != 0
+                outlet = decide_outlet(
+                    policy, closed, cistern_level, roof_level, rain, evaporated
+                )
             x1, x2, layer = plant.x1, plant.x2, plant.layer
             flows = site.act(precipitation, evapotranspiration, command, outlet=outlet)
             tick = _new(Tick, (

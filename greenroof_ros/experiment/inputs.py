@@ -159,12 +159,7 @@ class RunInputs:
         steps = count_ticks(site, self.hours, "hours")
         series = WeatherSeries(weather, site, start, steps)
         _refuse_what_nodes_refuse(site, series, x1, x2)
-        parameters = self.controller.defaults(site) | dict(self.parameters)
-        for name in parameters.keys() - self.controller.defaults(site).keys():
-            raise ConfigurationError(
-                "is for the valve of the low outlet, which this site does not have "
-                "(low_outlet_valve: true)", key=name, value=parameters[name],
-            )
+        parameters = self.controller.complete_parameters(site, self.parameters)
         if "min_on" in parameters:  # the controller knows its pumps
             min_on = max(parameters["min_on"], self.sensor_and_pump.pump_min_on)
             parameters["min_on"] = min_on

@@ -61,7 +61,7 @@ class LiveSite:
             "the controller plans with it",
         ))
         self.controller, parameters = read_controller(arguments)
-        self.parameters = self.controller.defaults(site) | parameters
+        self.parameters = self.controller.complete_parameters(site, parameters)
         self.drive = drive = read_drive_choice(arguments)
         others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
         refuse(

@@ -13,6 +13,7 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.controllers.decide import (
     cut_forecast,
     decide,
+    decide_outlet,
     may_decide,
     read_statistics,
     shape_rain,
@@ -28,11 +29,14 @@ from greenroof_ros.graph.parameters import site_file
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
     """Return the parameters of a controller's node; without a controller, the common ones."""
-    return [site_file(), *([] if choice is None else choice.kind.parameters)]
+    return [site_file(), *([] if choice is None else choice.parameters.values())]
 
 
 class ControllerNode(SimulationNode):
-    """Runs one controller; commands 0 in frost, in quiet hours and on bad inputs."""
+    """Runs one controller; commands 0 in frost, in quiet hours and on bad inputs.
+
+    At a site with a valve on the low outlet it also commands that, in frost and quiet hours, too.
+    """
 
     def __init__(self, controller: str) -> None:
         """Declare the controller's parameters and open the topics.
@@ -76,20 +80,23 @@ class ControllerNode(SimulationNode):
             set_optional(controller, time_ns=time_ns)
             quiet = self._site.quiet.quiet_at(time_ns)
             allowed = may_decide(controller, allowed, quiet)
+        levels = self._cistern.value, self._roof.value
         rain, evapotranspiration = self._rain.value, self._evapotranspiration.value
+        own_rain, own_evapotranspiration = rain, evapotranspiration
         if self._own_steps is not None:
-            rain, evapotranspiration = cut_forecast(
+            own_rain, own_evapotranspiration = cut_forecast(
                 self._choice, self._own_steps, rain, evapotranspiration
             )
         self.publish("/pump/command", decide(
-            controller, allowed, self._cistern.value, self._roof.value,
-            shape_rain(self._choice, rain, self._rain.name), evapotranspiration, quiet,
+            controller, allowed, *levels, shape_rain(self._choice, own_rain, self._rain.name),
+            own_evapotranspiration, quiet,
         ))
         if self._outlet is not None:
-            self.publish("/outlet/command", self._outlet.command(
-                self._cistern.value, self._roof.value, self._rain.value,
-                self._evapotranspiration.value,
-            ))
+            closed = self._site.valve_closed_in_frost and self._frost.value != 0
+            # Of a refused input its policy must not learn: it would be a 0.
+            self.publish("/outlet/command", decide_outlet(
+                self._outlet, closed, *levels, rain, evapotranspiration
+            ) if self.good else 0.0)
         for topic, attribute in self._optional:
             value = getattr(controller, attribute) if allowed else topic.undecided
             self.publish(topic.name, value)

@@ -136,15 +136,14 @@ def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | N
 
 
 def read_parameters(instance: Controller, choice: ControllerChoice) -> dict[str, float]:
-    """Return the parameters that an instance has as attributes.
+    """Return the parameters of its class that an instance has as attributes.
 
     Raises:
         ConfigurationError: it has a parameter ``horizon``, but not as an attribute.
     """
-    values = {
-        name: getattr(instance, name) for name in choice.parameters if hasattr(instance, name)
-    }
-    if "horizon" in choice.parameters and "horizon" not in values:
+    names = [parameter.name for parameter in choice.kind.parameters]
+    values = {name: getattr(instance, name) for name in names if hasattr(instance, name)}
+    if "horizon" in names and "horizon" not in values:
         raise ConfigurationError(
             "must have its parameter horizon as an attribute, or its forecast's length is "
             "unknown; or give the class, and horizon=", key=f"an instance of {choice.name}",

@@ -273,7 +273,8 @@ def _simulate(
         run = build_run(choice, inputs, warned)
         instance = run.make_controller()
     else:
-        given = inputs.keys() & choice.parameters.keys()
+        of_valve = {parameter.name for parameter in choice.of_valve}
+        given = inputs.keys() & choice.parameters.keys() - of_valve
         if given:
             raise ConfigurationError(
                 f"cannot be given with an instance of {choice.name}, which has its own",
@@ -282,7 +283,10 @@ def _simulate(
         own = read_parameters(instance, choice)
         run = build_run(choice, {**inputs, **own}, warned)
         # Not the defaults: of its other parameters nothing is known.
-        run = replace(run, parameters={name: run.parameters[name] for name in own})
+        known = {
+            name: value for name, value in run.parameters.items() if name in own or name in of_valve
+        }
+        run = replace(run, parameters=known)
         ends = look_ahead_ends(run.site, run.parameters.get("horizon", 0.0))
         set_optional(instance, forecast_ends=ends)
     if isinstance(instance, FunctionController):

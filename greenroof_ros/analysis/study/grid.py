@@ -141,7 +141,7 @@ class _Grid:
         self, inputs: RunInputs, site: Site, file: InputFile, runs: dict[tuple[object, ...], Run]
     ) -> Case:
         """Return the case of some inputs, after a check of the run."""
-        parameters = {**inputs.controller.defaults(site), **inputs.parameters}
+        parameters = inputs.controller.complete_parameters(site, inputs.parameters)
         # Runs that need the same records are built once; forecasts with errors need the same ones
         # as perfect forecasts.
         seeded = "seed" in inputs.forecast.option_names
