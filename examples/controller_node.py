@@ -1,7 +1,8 @@
 """A controller as a separate node, which needs only rclpy.
 
 Start it, and ``greenroof run --controller external``; start it again for each run. It decides as
-``examples/proportional.py``, a class, does.
+``examples/proportional.py``, a class, does. At a site with a valve on the cistern's low outlet
+start it with ``--ros-args -p valve:=true``: then it also commands the valve.
 """
 
 import math
@@ -15,6 +16,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 TARGET, SUCTION = 0.0457, 0.75  # level of the roof; level of the cistern below which it is dry (m)
 GAIN = 20.0  # command for a metre below the target (1/m)
+FULL = 2.0  # level of the cistern above which the valve is open (m)
 INPUTS = {
     "cistern/level": Float64, "roof/level": Float64, "weather/frost": Float64,
     "forecast/precipitation": Float64MultiArray, "forecast/evapotranspiration": Float64MultiArray,
@@ -29,6 +31,8 @@ def on_message(topic, message):
     tick[topic] = message.data
     if len(tick) == len(INPUTS):
         publisher.publish(Float64(data=command()))
+        if valve:
+            valve.publish(Float64(data=opening()))
         tick.clear()
 
 
@@ -38,6 +42,12 @@ def command():
     if tick["weather/frost"] != 0 or not SUCTION <= cistern < math.inf or not math.isfinite(roof):
         return 0.0
     return min(max(GAIN * (TARGET - roof), 0.0), 1.0)
+
+
+def opening():
+    """Return the share to which the valve is open: 1 while the cistern is full, also in frost."""
+    finite = all(map(math.isfinite, (tick["roof/level"], tick["weather/frost"])))
+    return 1.0 if finite and FULL < tick["cistern/level"] < math.inf else 0.0
 
 
 def end_with_plant():
@@ -55,6 +65,8 @@ for name, kind in INPUTS.items():
     node.create_subscription(kind, name, lambda message, name=name: on_message(name, message), qos)
 qos.liveliness_lease_duration = Duration(seconds=1)  # shows a pump driver that this node is dead
 publisher = node.create_publisher(Float64, "pump/command", qos)
+has_valve = node.declare_parameter("valve", False).value
+valve = node.create_publisher(Float64, "outlet/command", qos) if has_valve else None
 node.create_timer(0.5, end_with_plant)
 with suppress(KeyboardInterrupt, ExternalShutdownException):
     rclpy.spin(node)

@@ -7,12 +7,14 @@ from places import CHECKOUT
 
 
 def bag_topics(*outputs: str) -> set[str]:
-    """Return the topics recorded at each tick, including these optional topics."""
+    """Return the topics recorded at each tick without a valve, and these optional ones."""
     topics = yaml.safe_load((CHECKOUT / "msg_defs" / "topics.yaml").read_text())["topics"]
     return {
         name
         for name, entry in topics.items()
-        if entry["per_tick"] and (name in outputs or not entry.get("optional"))
+        if entry["per_tick"] and (
+            name in outputs or not (entry.get("optional") or entry.get("of_valve"))
+        )
     }
 
 

@@ -28,8 +28,10 @@ _NODE = (
     "With --node, check a running node, in any language, that 'greenroof run --controller "
     "external' can use. It must keep four rules: (1) every topic reliable, transient local, keep "
     "last 64, and its publisher with a liveliness lease of 1 s; (2) exactly one message on "
-    "/pump/command for each tick, when all its inputs of the tick have arrived; (3) an answer to "
-    "every tick, finite and not negative, 0 in frost and when a level or frost is not finite; "
+    "/pump/command for each tick, when all its inputs of the tick have arrived, and one on "
+    "/outlet/command at a site whose low outlet has a valve; (3) an answer to every tick, finite "
+    "and not negative, to the valve at most 1; 0 when a level or frost is not finite, to the pump "
+    "also in frost; "
     "(4) it ends when /clock has no publisher any more. The check replaces plant and weather, "
     "so start no run; it ends the node."
 )

@@ -15,7 +15,7 @@ from greenroof_ros.common.command_line import CheckResult
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.interface import optional_topics
 from greenroof_ros.controllers.decide import is_finite_number
-from greenroof_ros.controllers.failure import locate_error
+from greenroof_ros.controllers.failure import ControllerError, locate_error
 from greenroof_ros.controllers.outlet import OfController
 from greenroof_ros.controllers.protocol import Controller
 from greenroof_ros.controllers.registry import ControllerChoice
@@ -141,9 +141,12 @@ def _whole_range(trial: _Trial) -> None:
         if parameter.name == "horizon":
             continue  # another horizon needs another forecast
         for value in (parameter.low, parameter.high):
+            controller = trial.make(**{parameter.name: value})
             try:
-                trial.request_commands(trial.make(**{parameter.name: value}), stride=7)
-            except _BrokenRuleError as error:
+                trial.request_commands(controller, stride=7)
+                if not trial.choice.of_valve:
+                    OfController(controller).command()
+            except (_BrokenRuleError, ControllerError) as error:
                 raise _BrokenRuleError(f"with {parameter.name} = {value:g} {error}") from None
 
 
@@ -225,11 +228,33 @@ def _outputs(trial: _Trial) -> None:
 
 
 def _outlet(trial: _Trial) -> None:
-    controller = trial.make()
-    for inputs in trial.inputs(stride=3):
-        _check_command(controller, *inputs)
+    """Also if a tick is skipped, the first one, too, since the valve also works in frost."""
+    if trial.choice.of_valve:
+        controller = trial.make()
+        _check_command(controller, *next(trial.inputs()))
         if hasattr(controller, "outlet"):
-            OfController(controller).command()
+            raise _BrokenRuleError(
+                "only its objects have an attribute outlet; the class must have it, too, such as "
+                "outlet = 0.0"
+            )
+        return
+
+    def request_shares() -> Iterator[float]:
+        controller = trial.make()
+        valve = OfController(controller)
+        controller.skip()
+        yield valve.command()
+        for inputs in trial.inputs():
+            _check_command(controller, *inputs)
+            yield valve.command()
+            controller.skip()
+            yield valve.command()
+
+    for first, second in zip(request_shares(), request_shares(), strict=True):
+        if first != second:
+            raise _BrokenRuleError(
+                f"two instances command {first!r} and {second!r} to the valve for equal inputs"
+            )
 
 
 def _statistics(trial: _Trial) -> None:
@@ -257,6 +282,7 @@ _CHECKS: dict[str, Callable[[_Trial], object]] = {
         _wrong_forecasts,
     "each parameter that can change during a run is an attribute that can be set": _may_change,
     "each of its outputs is a topic of the interface and has its value after a command": _outputs,
-    "if it commands the outlet's valve itself, its attribute outlet is from 0 to 1": _outlet,
+    "if it commands the outlet's valve itself, its attribute outlet is from 0 to 1 in each tick":
+        _outlet,
     "its statistics are None, or the figures of its solver": _statistics,
 }

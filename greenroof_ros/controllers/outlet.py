@@ -48,7 +48,8 @@ _MIN_RAIN = WET_RAIN * (1 - 1e-9)
 # the cistern.
 _RESERVE_M, _MAX_RESERVE = 0.04, 0.5
 
-_SHARE = Range(0.0, 1.0, "1")
+SHARE = Range(0.0, 1.0, "1")
+"""the commands to the valve"""
 
 PARAMETERS = (
     Parameter(
@@ -152,12 +153,12 @@ class OfController:
             raise
         except (Exception, SystemExit) as error:
             raise locate_error(kind, error) from error
-        if share in _SHARE:
+        if share in SHARE:
             return float(share)
         place = find_place(kind, "outlet")
         file, line = place if place[0] is not None else find_place(kind, "command")
         raise ControllerError(
-            f"{_SHARE.expected(share)} (greenroof check-controller finds this before a run)",
+            f"{SHARE.expected(share)} (greenroof check-controller finds this before a run)",
             file=file, line=line, key=f"the attribute outlet of {kind.__name__} = {share!r}",
         )
 

@@ -16,6 +16,7 @@ from greenroof_ros.controllers.decide import (
     decide_outlet,
     read_statistics,
 )
+from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import Controller, set_optional
 from greenroof_ros.experiment import summary
 from greenroof_ros.experiment.run import Run
@@ -64,16 +65,19 @@ class Simulation:
         metrics: of the ticks so far.
     """
 
-    def __init__(self, run: Run, controller: Controller | None = None) -> None:
+    def __init__(
+        self, run: Run, controller: Controller | None = None, outlet: OutletPolicy | None = None,
+    ) -> None:
         """Begin with tick 0.
 
         Args:
             run: what to simulate.
             controller: decides instead of a new one of the run's class.
+            outlet: commands the outlet's valve instead of the run's policy.
         """
         self._run = run
         self._controller = run.make_controller() if controller is None else controller
-        self._outlet = run.make_outlet(self._controller)
+        self._outlet = run.make_outlet(self._controller) if outlet is None else outlet
         self._own_steps = run.controller.count_own_steps(run.site, run.parameters)
         self.site = VirtualSite(run.site, run.x1, run.x2, run.time_ns(0), run.sensor_and_pump)
         self.metrics = self.site.metrics

@@ -34,6 +34,14 @@ def planning(plan: str) -> tuple[str, str]:
 FINITE = "its commands are finite and not negative, at all levels and for all forecasts"
 OUTPUTS = "each of its outputs is a topic of the interface and has its value after a command"
 NO_PLAN = "no numpy array of floats, of shape (n, 4), in the attribute plan"
+VALVE = "if it commands the outlet's valve itself, its attribute outlet is from 0 to 1 in each tick"
+
+
+def opening(share: str) -> tuple[str, str]:
+    """Return a replacement with which it commands the valve itself."""
+    return HEAD, f"    @property\n    def outlet(self):\n        return {share}\n\n{HEAD}"
+
+
 BROKEN = [
     # The error, the rule that it breaks, and the message.
     (returning("return -command if command else 0.0"), FINITE, "must be a finite number, not neg"),
@@ -65,6 +73,23 @@ BROKEN = [
     ),
     # The node can only send an array of floats with the interface's columns as plan.
     (planning("numpy.zeros((2, 4), dtype=int)"), OUTPUTS, NO_PLAN),
+    *((opening(share), VALVE, f"Proportional = {value}: must be a number from 0 to 1")
+      for share, value in {
+          "1.2": "1.2", "-0.1": "-0.1", "float('nan')": "nan", "None": "None", "True": "True",
+          "'open'": "'open'", "[0.5]": "[0.5]", "10**400": "1000000",
+      }.items()),
+    (opening("{}[0]"), VALVE, "Proportional.outlet: raises KeyError: 0"),
+    (
+        opening("self.__dict__.setdefault('shares', [1.0, 0.5]).pop()"), VALVE,
+        "Proportional.outlet: raises IndexError: pop from empty list",
+    ),
+    (opening("__import__('random').random()"), VALVE, "to the valve for equal inputs"),
+    (
+        opening("self.gain / 20"),
+        "its commands are also valid with each parameter at either end of its range",
+        "with gain = 10000 ",
+    ),
+    (("self.gain = gain", "self.gain = gain; self.outlet = 0.0"), VALVE, "the class must have it"),
 ]
 
 
@@ -90,11 +115,22 @@ def test_broken_controllers(
     assert problem in {result.check: result.problem for result in results}[rule]
 
 
+@pytest.mark.parametrize("share", ["0.5", "__import__('numpy').float32(1)", "0", "1", "-0.0"])
+def test_shares_of_the_valve(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, share: str
+) -> None:
+    (tmp_path / "opens.py").write_text(TEXT.replace(*opening(share)))
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "opens", raising=False)
+    results = check_controller(find_controller("opens:Proportional"), PAPER_SITE)
+    assert [result for result in results if result.problem] == []
+
+
 def test_the_command(tmp_path: Path) -> None:
     """Exit code 0 if all is right, 1 if something is wrong, 2 if it cannot be imported."""
     (tmp_path / "broken.py").write_text(TEXT.replace(*returning("return None")))
     for reference, directory, code, message in (
-        (EXAMPLE, CHECKOUT, 0, "12 of 12 checks passed"),
+        (EXAMPLE, CHECKOUT, 0, "13 of 13 checks passed"),
         ("broken:Proportional", tmp_path, 1, "must be a finite number"),
         ("nothing:Here", tmp_path, 2, ""),
     ):

@@ -11,7 +11,7 @@ import pytest
 from bag_topics import MPC_TOPICS, bag_topics
 from commands import run_command
 from graphs import Process, bring_up, environment, messages_of, summary_of
-from paper import paper_run, site_file
+from paper import VALVE, paper_run, site_file
 
 from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.interface import read_topics
@@ -33,6 +33,7 @@ COLUMNS = {
     "/cistern/outflow": "outflow_m3_per_s",
     "/roof/drainage": "drainage_m3_per_s",
 }
+OF_VALVE = {"/outlet/command": "outlet_command", "/outlet/flow": "low_outlet_flow_m3_per_s"}
 
 
 def assert_same(directory: Path) -> list[dict[str, str]]:
@@ -44,7 +45,9 @@ def assert_same(directory: Path) -> list[dict[str, str]]:
     with (directory / "inprocess" / "trajectory.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     bag = messages_of(directory / "run")
-    for topic, column in COLUMNS.items():
+    valve = OF_VALVE if "outlet_command" in rows[0] else {}
+    assert OF_VALVE.keys() & bag.keys() == valve.keys()
+    for topic, column in (COLUMNS | valve).items():
         values = [message[4:12] for message in bag[topic]]
         assert values == [struct.pack("<d", float(row[column])) for row in rows], topic
     summary, inprocess = (
@@ -184,6 +187,56 @@ def test_same_bits_and_plans_of_an_ensemble(domain: int, tmp_path: Path) -> None
     rows = [number for _, number in plans]
     assert rows[:120] == [1] * 120  # a row of NaN in frost
     assert len(rows) == 181 and set(rows[120:]) == {0, 10}
+
+
+OWN = """
+class Opens:
+    parameters, needs_forecast, outlet = (), False, 0.25
+
+    def __init__(self, site):
+        self._site = site
+
+    def command(self, cistern_level, roof_level, precipitation, evapotranspiration):
+        self.outlet = min(1.0, max(0.0, cistern_level - 2.2))
+        return 0.3 if roof_level < self._site.z_veg else 0.0
+
+    def skip(self):
+        self.outlet = 0.125
+
+    def statistics(self):
+        return None
+"""
+
+
+@pytest.mark.parametrize(("controller", "options"), [
+    ("onoff", ("--outlet-reserve", "50")),
+    ("mpc", ("--outlet", "open")),
+    ("anticipating_onoff", ("--outlet", "plan", "--forecast", "errors", "--outlet-price", "0.1")),
+    ("lookahead", ("--horizon", "24", "--forecast", "ensemble", "--outlet-reach", "5")),
+    ("opens:Opens", ()),
+])
+def test_same_bits_with_a_valve(
+    domain: int, tmp_path: Path, controller: str, options: tuple[str, ...]
+) -> None:
+    """In ticks of a minute, with frost that closes the valve for an hour, whatever commands it."""
+    file = site_file(
+        tmp_path, tau=60.0, valve_closed_in_frost=True, drainage_to_cistern=0.5, **VALVE
+    )
+    (tmp_path / "opens.py").write_text(OWN)
+    options = (
+        "--controller", controller, *options, "--site", str(file), "--cistern", "70", "--roof", "2",
+        "--weather", with_frost(tmp_path, "2021-07-07T21:00"), "--start", "2021-07-07T16:00",
+        "--hours", "14",
+    )
+    bring_up(domain, tmp_path, *options)
+    simulate(domain, tmp_path, *options)
+    rows = assert_same(tmp_path)
+    commands, flows = (
+        [float(row[column]) for row in rows] for column in OF_VALVE.values()
+    )
+    assert set(commands[300:360]) == set(flows[300:360]) == {0.0}
+    assert max(commands) > 0 and sum(flows) > 0
+    assert all(flow > 0 for command, flow in zip(commands, flows, strict=True) if command > 0)
 
 
 # --- side by side, each in a separate namespace ---------------------------------------------------

@@ -20,6 +20,7 @@ from greenroof_ros.analysis.api.control import (
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.outlet import SHARE, OutletPolicy
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.experiment.closed_loop import Simulation, Tick
 from greenroof_ros.forecast.resampling import PerfectForecast, make_forecast
@@ -43,10 +44,35 @@ class _Commanded:
         """Return nothing: it has no solver."""
 
 
+def _read_share(outlet: Any) -> float:
+    """Return a command to the valve.
+
+    Raises:
+        ConfigurationError: it is not a number from 0 to 1.
+    """
+    share = read_number(outlet)
+    return float(SHARE.read(outlet if share is None else share, key="outlet"))
+
+
+class _Valve:
+    """Opens the outlet's valve as a program commands, or as a policy if the program does not."""
+
+    share: float | None = None
+
+    def __init__(self, policy: OutletPolicy) -> None:
+        self._policy = policy
+
+    def command(self, *inputs: Any) -> float:
+        """Return the share; the policy is asked in each tick, since it counts dry hours."""
+        share = self._policy.command(*inputs)
+        return share if self.share is None else self.share
+
+
 class Environment:
     """A site and its weather; a program gives the command of each tick.
 
-    In frost and in quiet hours the command acts as 0. ``copy`` and ``pickle`` make
+    In frost and in quiet hours the command acts as 0. At a site with a valve on its low outlet the
+    program can command that, too. ``copy`` and ``pickle`` make
     environments that go on from the same tick, bit for bit.
 
     Example:
@@ -73,7 +99,9 @@ class Environment:
 
         Args:
             inputs: of :func:`.simulate`, without the controller and ``trajectory_every``; and
-                ``horizon``, how far the forecasts reach (h).
+                ``horizon``, how far the forecasts reach (h). At a site with a valve on its low
+                outlet ``outlet`` and its parameters are of the policy that commands it, unless
+                :meth:`step` does.
 
         Raises:
             ConfigurationError: an input is wrong.
@@ -109,8 +137,11 @@ class Environment:
                 run.weather, run.series, self.site, run.start, run.parameters["horizon"], choice
             ))
         self._controller = _Commanded()
-        known = replace(self._run, forecast=PerfectForecast(self._run.series, 1))
-        self._simulation = Simulation(known, self._controller)
+        policy, known = self._run.make_outlet(self._controller), self._run
+        self._valve = None if policy is None else _Valve(policy)
+        if policy is None:  # nothing in the simulation needs a forecast
+            known = replace(known, forecast=PerfectForecast(known.series, 1))
+        self._simulation = Simulation(known, self._controller, self._valve)
         self._ticks = self._simulation.ticks()
         self._observe()
         return self.state
@@ -124,14 +155,17 @@ class Environment:
         self.__dict__.update(state)
         self._ticks = self._simulation.ticks()
 
-    def step(self, command: float) -> Tick:
+    def step(self, command: float, outlet: float | None = None) -> Tick:
         """Run a tick with a command, and return what happened in it.
 
         Args:
             command: share of the pumps' maximum flow (1), finite and not negative.
+            outlet: share to which the valve of the low outlet is open (1), from 0 to 1; None for
+                what its policy commands.
 
         Raises:
-            ConfigurationError: the command is wrong, or the run has ended.
+            ConfigurationError: a command is wrong, the site has no such valve, or the run has
+                ended.
 
         Example:
             >>> import greenroof_ros as gr
@@ -145,6 +179,13 @@ class Environment:
         if share is None or not 0 <= share < math.inf:
             raise ConfigurationError(
                 "must be a finite number, not negative", key="command", value=command
+            )
+        if self._valve is not None:
+            self._valve.share = None if outlet is None else _read_share(outlet)
+        elif outlet is not None:
+            raise ConfigurationError(
+                "is for the valve of the low outlet, which this site does not have "
+                "(low_outlet_valve: true)", key="outlet", value=outlet,
             )
         self._controller.share = share
         tick = next(self._ticks)

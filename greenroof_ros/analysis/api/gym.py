@@ -12,17 +12,20 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping
 from datetime import datetime, timedelta
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.api.arguments import read_weather
-from greenroof_ros.analysis.api.control import SiteState
+from greenroof_ros.analysis.api.control import FunctionController, SiteState
 from greenroof_ros.analysis.api.environment import Environment
 from greenroof_ros.common.errors import ConfigurationError, require_extra, suggest_names
 from greenroof_ros.common.ranges import Range
+from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.experiment.closed_loop import Tick
+from greenroof_ros.model.storm_water import WET_RAIN
 
 with require_extra("gym"):
     import gymnasium
@@ -52,8 +55,11 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
       level times 1.5, level of the roof as a share of the target level times 2, then the forecast:
       mean rain in each step as a share of 50 mm/h, then mean evapotranspiration in each step as a
       share of 12 mm/day. What is above is 1. The steps grow, see :attr:`ends`; the first is now.
+      At a site with a valve on its low outlet, last how long the weather remains wet if no more
+      rain falls, as a share of ``wet_after``.
     - Action: the command, a vector with one number from 0 to 1, the share of the pumps' maximum
-      flow. In frost and in quiet hours it acts as 0. Others are refused.
+      flow. In frost and in quiet hours it acts as 0. At a site with a valve on its low outlet a
+      second one, the share to which that is open. Others are refused.
     - Reward: minus the deviation from the target volume (m3) of the state that a tick leads to,
       summed over the ticks of the step. So the sum of an episode is minus ``total_deviation_m3``
       without the first tick, which no action changes.
@@ -100,6 +106,12 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         Raises:
             ConfigurationError: an input is wrong.
         """
+        for name in map(attrgetter("name"), choose_class(FunctionController).of_valve):
+            if inputs.get(name) is not None:
+                raise ConfigurationError(
+                    "is for what commands the outlet's valve; here the action does", key=name,
+                    value=inputs[name],
+                )
         self.render_mode, self._reward = render_mode, reward
         self._decision_ticks = int(_TICKS.read(decision_ticks, key="decision_ticks"))
         self._places = {key: inputs.get(key) for key in ("start", "initial")}
@@ -120,8 +132,11 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             1.5 * self.site.z_o, 2.0 * self.site.z_veg, *[_MAX_RAIN / _TO_MM_PER_H] * steps,
             *[_MAX_EVAPOTRANSPIRATION / 1000 / 86400 * self.site.a2] * steps,
         ])
-        self.observation_space = Box(0.0, 1.0, self._scale.shape, np.float32)
-        self.action_space = Box(0.0, 1.0, (1,), np.float32)
+        self._has_valve = self.site.low_outlet_valve
+        self._wet_after_s, self._wet_s = 3600 * self.site.wet_after, 0.0
+        entries = len(self._scale) + self._has_valve
+        self.observation_space = Box(0.0, 1.0, (entries,), np.float32)
+        self.action_space = Box(0.0, 1.0, (1 + self._has_valve,), np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -155,6 +170,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         if begin != self._begun:
             self._roof, self._begun = self._make_roof(begin), begin
         self._roof.reset(int(self.np_random.integers(2**31)))
+        self._wet_s = 0.0
         return self._observe(), {
             "start": self._roof.state.time.isoformat(), "cistern_m3": self._roof.state.cistern,
             "roof_m3": self._roof.state.roof,
@@ -164,21 +180,25 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         """Run the ticks of a decision with a command.
 
         Raises:
-            ConfigurationError: the action is not one number from 0 to 1, or the episode has ended.
+            ConfigurationError: the action is not one number from 0 to 1, at a site with a valve two
+                of them, or the episode has ended.
         """
-        command = np.asarray(action)
+        commands, shape = np.asarray(action), self.action_space.shape
         if not (
-            command.shape == (1,) and np.issubdtype(command.dtype, np.number)
-            and not np.iscomplexobj(command) and 0 <= command[0] <= 1
+            commands.shape == shape and np.issubdtype(commands.dtype, np.number)
+            and not np.iscomplexobj(commands) and ((commands >= 0) & (commands <= 1)).all()
         ):
+            numbers = "two numbers" if self._has_valve else "one number"
             raise ConfigurationError(
-                "must be one number from 0 to 1, of shape (1,)", key="action", value=action
+                f"must be {numbers} from 0 to 1, of shape {shape}", key="action", value=action
             )
         roof, reward = self._roof, 0.0
         for number in range(self._decision_ticks):
             if number and roof.done:
                 break
-            tick = roof.step(float(command[0]))
+            tick = roof.step(*map(float, commands))
+            is_wet = tick.precipitation >= WET_RAIN
+            self._wet_s = self._wet_after_s if is_wet else max(0.0, self._wet_s - self.site.tau)
             reward += self._reward(tick, roof.state)
         info = {"metrics": roof.metrics} if roof.done else {}
         return self._observe(), reward, False, roof.done, info
@@ -188,7 +208,10 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         values = np.concatenate((
             (state.cistern_level, state.roof_level), forecast.rain, forecast.evapotranspiration
         ))
-        return np.asarray(np.clip(values / self._scale, 0.0, 1.0), np.float32)
+        values /= self._scale
+        if self._has_valve:
+            values = np.append(values, self._wet_s / self._wet_after_s if self._wet_s else 0.0)
+        return np.asarray(np.clip(values, 0.0, 1.0), np.float32)
 
     def _make_roof(self, begin: Mapping[str, Any]) -> Environment:
         """Return an environment; all of them share the weather that the first has read."""

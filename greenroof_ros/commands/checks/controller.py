@@ -12,6 +12,7 @@ from rclpy.node import Node
 
 from greenroof_ros.commands.checks.node import SETTLE_S, BrokenRuleError, NodeCheck, require
 from greenroof_ros.controllers.check import trial_values
+from greenroof_ros.controllers.outlet import SHARE
 from greenroof_ros.graph.lockstep import CLOCK
 from greenroof_ros.graph.messages import WithFront
 from greenroof_ros.model.look_ahead import look_ahead_ends
@@ -21,6 +22,7 @@ _LEVELS = ("/cistern/level", "/roof/level")
 _FROST = "/weather/frost"
 _FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
 _WEATHER = ("/weather/precipitation", "/weather/evapotranspiration")
+_VALVE = "/outlet/command"
 _NOT_FINITE = (math.nan, math.inf, -math.inf)
 # Values for which the command must be 0.
 _STOPS = (
@@ -71,12 +73,16 @@ class ControllerCheck(NodeCheck):
         self._usual = dict.fromkeys(self.played[1:], 0.0)
         self._unanswered = ""
         self._slowest = 0.0
+        self.further = (_VALVE,) if site.low_outlet_valve else ()
+        self._shares: list[float] = []  # received and not counted yet
+        self._wrong_share = ""
 
     def run_checks(self) -> None:
         """Run all checks in turn; after each stop the controller must water again."""
         with self.check("publishes nothing before the first tick"):
-            early = len(self.answers)
+            early = len(self.answers) + len(self._shares)
             self.answers.clear()
+            self._shares.clear()
             require(not early, f"{early} commands came before any input")
         with self.check("waters a dry roof"):
             self._find_watering()
@@ -101,6 +107,11 @@ class ControllerCheck(NodeCheck):
         with self.check("its commands are finite and not negative, at all levels and forecasts"):
             for trial in self._trials():
                 self._valid_command(trial)
+        if self.further:
+            with self.check(
+                "its commands to the valve are from 0 to 1, and 0 while an input is not finite"
+            ):
+                require(not self._wrong_share, self._wrong_share)
         with self.check(f"answers every tick, within {ANSWER_S:g} s"):
             require(not self._unanswered, self._unanswered)
             self.result = f"{self.ticks} ticks, the slowest answer after {self._slowest:.3f} s"
@@ -154,6 +165,12 @@ class ControllerCheck(NodeCheck):
             f"the command stays 0 for {ticks} ticks, at levels at which it was above 0",
         )
 
+    def join(self) -> None:
+        """Also listen to the commands to the valve, at a site with one."""
+        for topic in self.further:
+            self.listen(topic, self._shares.append)
+        super().join()
+
     def _end(self) -> None:
         require(bool(self.endpoints(self.output)), "it has ended before the plant")
         self.close_publishers()
@@ -192,27 +209,42 @@ class ControllerCheck(NodeCheck):
                 self.publish(topic, self._value(topic, values))
         if last:
             self.spin(_DELAY_S)
-            early = bool(self.answers)
+            early = bool(self.answers or self._shares)
             self.publish(last, self._value(last, values))
         began = time.monotonic()
         if not self.wait_for_answer(began + ANSWER_S):
             ended = "" if self.endpoints(self.output) else "; it has ended"
+            lacking = [self.output] if self.further and not self.answers else list(self.further)
             self._unanswered = (
-                f"no command within {ANSWER_S:g} s in tick {self.ticks - 1}"
-                f"{_with(overrides)}{ended}"
+                f"no command{''.join(f' on {topic}' for topic in lacking)} within {ANSWER_S:g} s "
+                f"in tick {self.ticks - 1}{_with(overrides)}{ended}"
             )
             raise BrokenRuleError(self.hindered)
         self._slowest = max(self._slowest, time.monotonic() - began)
         if self.ticks == 1:
             self.spin(SETTLE_S)
         command = self.answers[0]
+        for share in self._shares[:1]:
+            unknown = not all(math.isfinite(overrides.get(name, 0.0)) for name in self.inputs)
+            if not (share == 0 if unknown else share in SHARE) and not self._wrong_share:
+                self._wrong_share = f"the command to the valve is {share:g}{_with(overrides)}"
         self.count_answers(1)
         require(not early, f"it answers before {last} of the tick has come")
         return command
 
+    def answered(self) -> bool:
+        """Whether there is a command, and one to the valve at a site with one."""
+        return bool(self.answers) and len(self._shares) >= len(self.further)
+
     def count_answers(self, expected: int) -> None:
-        """Also try no more ticks if there are too many commands."""
+        """Also try no more ticks if there are too many commands, the valve's among them."""
         super().count_answers(expected)
+        if len(self._shares) > expected and not self.surplus:
+            self.surplus = (
+                f"{len(self._shares)} commands to the valve instead of {expected} after tick "
+                f"{self.ticks - 1}"
+            )
+        self._shares.clear()
         if self.surplus:
             self.hindered = "not tried: more than one command for a tick"
 

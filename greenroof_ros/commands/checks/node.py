@@ -64,6 +64,7 @@ class NodeCheck(ABC):
         kind: what the node is, for messages.
         answer: what it answers, for messages.
         output: the topic on which it answers a tick, with a number.
+        further: other topics on which it publishes a number in each tick.
         inputs: the topics that it must subscribe to.
         optional: the topics that it may subscribe to, and whose quality of service must then fit.
         played: the topics that the check publishes, in the order of a tick.
@@ -85,6 +86,7 @@ class NodeCheck(ABC):
     played: ClassVar[tuple[str, ...]]
     peers: ClassVar[str]
     live = False
+    further: tuple[str, ...] = ()
 
     def __init__(self, node: Node, tested: str, tau: float, speed: float) -> None:
         """Prepare a check, in the namespace of the node that plays the peers.
@@ -152,7 +154,7 @@ class NodeCheck(ABC):
 
     def _all_endpoints(self, name: str) -> list[Any]:
         find = (
-            self.node.get_publishers_info_by_topic if name == self.output
+            self.node.get_publishers_info_by_topic if name in (self.output, *self.further)
             else self.node.get_subscriptions_info_by_topic
         )
         return list(find(self._name(name)))
@@ -162,7 +164,7 @@ class NodeCheck(ABC):
 
     def _wait_for_node(self) -> None:
         """Wait until the node has all its topics; refuse if other nodes publish its inputs."""
-        until, needed = time.monotonic() + ARRIVAL_S, (self.output, *self.inputs)
+        until, needed = time.monotonic() + ARRIVAL_S, (self.output, *self.further, *self.inputs)
         while not any(map(self.endpoints, needed)):
             if time.monotonic() > until:
                 raise ConfigurationError(self._absent())
@@ -194,8 +196,8 @@ class NodeCheck(ABC):
     def _unfit(self) -> str:
         """Return what the node's endpoints lack, as a text; empty if they fit."""
         problems = []
-        for topic in (self.output, *self.inputs, *self.optional):
-            is_output = topic == self.output
+        for topic in (self.output, *self.further, *self.inputs, *self.optional):
+            is_output = topic in (self.output, *self.further)
             end = f"{'publisher of' if is_output else 'subscription to'} {topic}"
             infos = self.endpoints(topic)
             if not infos and topic not in self.optional:
@@ -268,13 +270,17 @@ class NodeCheck(ABC):
 
     def wait_for_answer(self, until: float) -> bool:
         """Wait until the node has answered; return whether it has by then (steady clock, s)."""
-        while not self.answers:
+        while not self.answered():
             remaining = until - time.monotonic()
             if remaining < 0:
                 self.hindered = f"not tried: the {self.kind} does not answer"
                 return False
             self._executor.spin_once(timeout_sec=remaining)
         return True
+
+    def answered(self) -> bool:
+        """Whether the node has answered the tick."""
+        return bool(self.answers)
 
     def count_answers(self, expected: int) -> None:
         """Note answers beyond the expected number, and forget all: they hide later answers."""

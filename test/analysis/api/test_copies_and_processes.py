@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from paper import VALVE
 
 import greenroof_ros as gr
 
 INPUTS: tuple[dict[str, Any], ...] = (
     {}, {"forecast": "errors"}, {"forecast": "ensemble", "forecast_members": 3},
     {"roof_noise": 0.002, "pump_min_on": 120.0, "pump_min_off": 60.0},
+    {"site": gr.read_site(**VALVE), "outlet": "plan", "forecast": "errors"},
 )
 
 

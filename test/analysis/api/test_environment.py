@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
+from paper import VALVE
 from refusals import refusal
 
 import greenroof_ros as gr
@@ -64,3 +66,39 @@ def test_what_is_wrong_is_named() -> None:
         roof.step(0.0)
     refusal(roof.step, 0.0, match="the run: has ended; reset")
     refusal(lambda: gr.Environment(horizon=0), match="horizon = 0: must be")
+
+
+def test_a_program_commands_the_valve() -> None:
+    """With nothing from it the policy does, as in simulate, bit for bit."""
+    inputs = {"site": gr.read_site(**VALVE), "hours": 3, "start": "2021-07-08T05:00"}
+    for outlet in ("drain", "open", "plan"):
+        roof = gr.Environment(**inputs, outlet=outlet)
+        while not roof.done:
+            roof.step(0.0)
+        expected = gr.simulate(lambda state, forecast: 0.0, outlet=outlet, **inputs)
+        assert roof.metrics == expected.metrics
+    roof = gr.Environment(**inputs)
+    # Eq. (2) at the outlet's level.
+    full = 0.61 * math.pi * 0.02**2 * math.sqrt(2 * 9.81 * (roof.state.cistern_level - 1.0))
+    for share in (1.0, 0.25, np.float32(0.5), np.array([0.0]), 1):
+        tick = roof.step(0.0, share)
+        assert tick.outlet == share
+        assert tick.flows.low_outlet == pytest.approx(share * full, rel=1e-3)
+    assert roof.step(0.0, outlet=None).outlet == 0.0  # drain, less than two hours after rain
+
+
+@pytest.mark.parametrize("outlet", [-0.1, 1.0000001, 1.2, math.nan, math.inf, "open", [0.5], 1j,
+                                    np.ones(2), np.array(["a"])])
+def test_refused_commands_to_the_valve(outlet: object) -> None:
+    """A refused command changes nothing."""
+    roof = gr.Environment(hours=1, site=gr.read_site(**VALVE))
+    refusal(roof.step, 0.0, outlet, match="outlet.*: must be a number from 0 to 1")
+    assert roof.step(0.0).k == 0
+
+
+def test_no_command_to_a_valve_that_is_not_there() -> None:
+    sentence = r"is for the valve of the low outlet, which this site does not have"
+    refusal(gr.Environment(hours=1).step, 0.0, 0.5, match=f"outlet = 0.5: {sentence}")
+    for inputs in ({"outlet": "drain"}, {"outlet_reserve": 1.0}, {"outlet_reach": 1}):
+        refusal(lambda given=inputs: gr.Environment(**given), match=sentence)
+        refusal(lambda given=inputs: gr.simulate("onoff", **given), match=sentence)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from paper import VALVE
 
 import greenroof_ros as gr
 from greenroof_ros.common.errors import ConfigurationError
@@ -22,14 +23,19 @@ RECORD = Path(__file__).parents[2] / "data" / "en_climate_hourly_07-2021.csv"
 ID = "greenroof_ros:GreenRoof-v1"
 
 
-@pytest.mark.parametrize("forecast", ["perfect", "errors"])
-def test_gymnasiums_check_finds_nothing(forecast: str) -> None:
+VALVE_SITE = gr.read_site(**VALVE)
+
+
+@pytest.mark.parametrize("inputs", [
+    {"forecast": "perfect"}, {"forecast": "errors"}, {"site": VALVE_SITE, "decision_ticks": 60},
+])
+def test_gymnasiums_check_finds_nothing(inputs: dict[str, Any]) -> None:
     """Not even a warning."""
     from gymnasium.utils.env_checker import check_env
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        roof = gymnasium.make("GreenRoof-v1", hours=0.5, horizon=0.5, forecast=forecast)
+        roof = gymnasium.make("GreenRoof-v1", hours=0.5, horizon=0.5, **inputs)
         check_env(roof.unwrapped)
 
 
@@ -79,13 +85,15 @@ def test_refused_decisions(ticks: Any) -> None:
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
-def test_vectorised(mode: str) -> None:
+@pytest.mark.parametrize("entries", [1, 2])
+def test_vectorised(mode: str, entries: int) -> None:
     """By Gymnasium's own means; the copies are alike, and begin again automatically."""
-    roofs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, hours=0.01)
+    site = VALVE_SITE if entries == 2 else None
+    roofs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode=mode, hours=0.01, site=site)
     first, _ = roofs.reset(seed=1)
     truncated = []
     for _ in range(37):
-        observations, *_, ended, _ = roofs.step(np.ones((2, 1)))
+        observations, *_, ended, _ = roofs.step(np.ones((2, entries)))
         truncated.append(ended.all())
     roofs.close()
     assert (truncated.index(True), sum(truncated)) == (35, 1)
@@ -155,20 +163,65 @@ def test_a_decision_of_several_ticks_keeps_the_pumps_limits() -> None:
     assert info["metrics"]["pump_starts"] == 1
 
 
+def test_the_second_entry_commands_the_valve() -> None:
+    """As Environment.step does; the observation ends with how long the weather remains wet.
+
+    Rain of 08 July ends at 05:00; two hours later it is dry.
+    """
+    inputs = {"site": VALVE_SITE, "start": "2021-07-08T03:00", "hours": 5}
+    roof, same = gymnasium.make(ID, decision_ticks=1800, **inputs), gr.Environment(**inputs)
+    assert roof.action_space.shape == (2,)
+    assert gymnasium.make(ID, hours=1).action_space.shape == (1,)
+    observation, _ = roof.reset()
+    assert observation[-1] == 0.0
+    ended, wet, series = False, [], same._run.series
+    while not ended:
+        action = roof.action_space.sample()
+        observation, *_, ended, info = roof.step(action)
+        for _ in range(1800):
+            same.step(*map(float, action))
+        wet.append(observation[-1])
+        rains = np.array(series.precipitation[: same._simulation.site.tick]) >= 1e-4 / 3600
+        since = (np.argmax(rains[::-1]) if rains.any() else 7200)
+        assert wet[-1] == pytest.approx(max(0.0, 1 - since / 7200))
+    assert info["metrics"] == same.metrics
+    assert max(wet) == 1.0 and min(wet) < 0.5
+
+
+@pytest.mark.parametrize("action", [
+    [0.5], [0.5, 0.5, 0.5], [[0.5, 0.5]], 0.5, [0.5, -0.1], [0.5, 1.2], [1.2, 0.5], [0.5, np.nan],
+    [np.inf, 0.5], ["a", "b"], [None, 0.5], [0.5, 1j], [True, False], [],
+])
+def test_refused_actions_with_a_valve(action: Any) -> None:
+    roof = gymnasium.make(ID, hours=1, site=VALVE_SITE).unwrapped
+    before, _ = roof.reset()
+    with pytest.raises(ConfigurationError, match=r"action.*two numbers.*shape \(2,\)"):
+        roof.step(np.array(action))
+    assert (roof._observe() == before).all()
+
+
+def test_no_policy_beside_the_action() -> None:
+    for name, value in {"outlet": "drain", "outlet_reserve": 2.0}.items():
+        with pytest.raises(ConfigurationError, match=f"{name}.*here the action does"):
+            gymnasium.make(ID, site=VALVE_SITE, **{name: value})
+
+
+@pytest.mark.parametrize("inputs", [{}, {"site": VALVE_SITE}])
 @pytest.mark.parametrize("copied", [
     lambda roof: copy.copy(roof.unwrapped), copy.deepcopy,
     lambda roof: pickle.loads(pickle.dumps(roof)),
 ])
-def test_a_copy_goes_on(copied: Callable[[Any], Any]) -> None:
+def test_a_copy_goes_on(copied: Callable[[Any], Any], inputs: dict[str, Any]) -> None:
     """Also into the next episode, whose errors are drawn from the copied random numbers."""
-    roof = gymnasium.make(ID, hours=0.1, decision_ticks=7, forecast="errors")
+    roof = gymnasium.make(ID, hours=0.1, decision_ticks=7, forecast="errors", **inputs)
     roof.reset(seed=2)
-    roof.step(np.array([0.7]))
+    shape = roof.action_space.shape
+    roof.step(np.full(shape, 0.7))
     played = []
     for each in (copied(roof), roof):
         steps, ended = [], False
         while not ended:
-            observation, reward, _, ended, _ = each.step(np.array([0.3]))
+            observation, reward, _, ended, _ = each.step(np.full(shape, 0.3))
             steps.append((observation.tobytes(), reward))
         played.append((steps, each.reset()[0].tobytes()))
     assert played[0] == played[1]
