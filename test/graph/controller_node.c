@@ -3,6 +3,7 @@
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include <rcl/error_handling.h>
 #include <rcl/graph.h>
@@ -15,7 +16,7 @@ enum { CISTERN, ROOF, FROST, RAIN, EVAPOTRANSPIRATION, INPUTS };
 static const char * const names[INPUTS] = {
   "cistern/level", "roof/level", "weather/frost", "forecast/precipitation",
   "forecast/evapotranspiration"};
-static const double target = 0.0457, suction = 0.75, gain = 20.0;
+static const double target = 0.0457, suction = 0.75, gain = 20.0, full = 2.0;
 
 static void check(rcl_ret_t code)
 {
@@ -31,6 +32,11 @@ static double command(double cistern, double roof, double frost)
     return 0.0;
   }
   return fmin(fmax(gain * (target - roof), 0.0), 1.0);
+}
+
+static double opening(double cistern, double roof, double frost)
+{
+  return isfinite(frost) && isfinite(roof) && isfinite(cistern) && cistern > full ? 1.0 : 0.0;
 }
 
 int main(int argc, char ** argv)
@@ -55,6 +61,11 @@ int main(int argc, char ** argv)
   out.qos.liveliness_lease_duration = (rmw_time_t) {.sec = 1, .nsec = 0};
   rcl_publisher_t publisher = rcl_get_zero_initialized_publisher();
   check(rcl_publisher_init(&publisher, &node, number, "pump/command", &out));
+  const bool has_valve = argc > 1 && !strcmp(argv[1], "--valve");
+  rcl_publisher_t valve = rcl_get_zero_initialized_publisher();
+  if (has_valve) {
+    check(rcl_publisher_init(&valve, &node, number, "outlet/command", &out));
+  }
   rcl_subscription_t subscriptions[INPUTS];
   for (int i = 0; i < INPUTS; i++) {
     subscriptions[i] = rcl_get_zero_initialized_subscription();
@@ -100,10 +111,14 @@ int main(int argc, char ** argv)
     }
     if (!missing) {
       std_msgs__msg__Float64 answer = {command(values[CISTERN], values[ROOF], values[FROST])};
+      std_msgs__msg__Float64 share = {opening(values[CISTERN], values[ROOF], values[FROST])};
       for (int i = 0; i < INPUTS; i++) {
         arrived[i] = false;
       }
       check(rcl_publish(&publisher, &answer, NULL));
+      if (has_valve) {
+        check(rcl_publish(&valve, &share, NULL));
+      }
     }
   }
   /* A node that ends without leaving the graph stays in it, for others, until its lease has passed. */
@@ -111,6 +126,9 @@ int main(int argc, char ** argv)
     check(rcl_subscription_fini(&subscriptions[i], &node));
   }
   check(rcl_publisher_fini(&publisher, &node));
+  if (has_valve) {
+    check(rcl_publisher_fini(&valve, &node));
+  }
   check(rcl_node_fini(&node));
   check(rcl_shutdown(&context));
   return 0;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import struct
 import subprocess
 import sysconfig
 from collections.abc import Iterator
@@ -12,7 +13,8 @@ from pathlib import Path
 
 import pytest
 from checked_nodes import changed, start_node
-from graphs import Process, bag_file, bring_up, environment, summary_of
+from graphs import Process, bag_file, bring_up, environment, messages_of, summary_of
+from paper import VALVE, site_file
 from places import CHECKOUT
 
 pytest.importorskip("rclpy", reason="the graph needs ROS 2")
@@ -25,6 +27,20 @@ DRIVER = (CHECKOUT / "examples" / "pump_driver.py").read_text().replace(
 )
 EXAMPLE = (CHECKOUT / "examples" / "controller_node.py").read_text()
 CLASS = "examples.proportional:Proportional"
+# The example decides so if it commands a valve.
+WITH_VALVE = """
+from examples.proportional import Proportional
+
+class WithValve(Proportional):
+    outlet = 0.0
+
+    def command(self, cistern_level, *inputs):
+        self.outlet = 1.0 if cistern_level > 2.0 else 0.0
+        return super().command(cistern_level, *inputs)
+"""
+VALVE_ARGUMENTS = "--ros-args", "-p", "valve:=true"
+
+
 @contextmanager
 def ending(process: subprocess.Popen[bytes]) -> Iterator[subprocess.Popen[bytes]]:
     """End a node that a failed test leaves."""
@@ -46,31 +62,41 @@ def driver(domain: int, directory: Path, pump: str) -> Iterator[None]:
         assert process.wait(60) == 0
 
 
+def valve_site(directory: Path) -> tuple[str, ...]:
+    """Return the options of a site with a valve, from a level above which the example opens it."""
+    return "--site", str(site_file(directory, **VALVE)), "--cistern", "50.02", "--roof", "2"
+
+
 def bags_outside_and_inside(
-    domain: int, directory: Path, controller: subprocess.Popen[bytes], pump: str = "internal"
+    domain: int, directory: Path, controller: subprocess.Popen[bytes], pump: str = "internal",
+    valve: bool = False,
 ) -> list[bytes]:
     """Run a graph with an external controller, then with the same one inside; return the bags."""
-    options = ("--hours", "0.1", "--pump", pump)
+    options = ("--hours", "0.1", "--pump", pump, *(valve_site(directory) if valve else ()))
+    (directory / "with_valve.py").write_text(WITH_VALVE)
+    inner = "with_valve:WithValve" if valve else CLASS
     with ending(controller), driver(domain, directory, pump):
         outside = bring_up(
             domain, directory, "--controller", "external", *options, output="outside"
         )
         assert controller.wait(60) == 0
     with driver(domain, directory, pump):
-        inside = bring_up(domain, directory, "--controller", CLASS, *options, output="inside")
+        inside = bring_up(domain, directory, "--controller", inner, *options, output="inside")
     assert outside["total_deviation_m3"] == inside["total_deviation_m3"]
-    assert outside["max_command"] > 0
+    assert outside["max_command"] > 0 and (outside["outflow_m3"] > 0) == valve
     return [bag_file(directory / run).read_bytes() for run in ("outside", "inside")]
 
 
+@pytest.mark.parametrize("valve", [False, True])
 @pytest.mark.parametrize("pump", ["internal", "external"])
 def test_it_gives_the_bag_of_the_same_controller_inside(
-    domain: int, tmp_path: Path, pump: str
+    domain: int, tmp_path: Path, pump: str, valve: bool
 ) -> None:
     """Equal in every byte, though it is another process; the example needs only rclpy."""
-    assert "greenroof_ros" not in EXAMPLE and len(EXAMPLE.splitlines()) <= 60
-    controller = start_node(domain, tmp_path, "controller_node", EXAMPLE)
-    outside, inside = bags_outside_and_inside(domain, tmp_path, controller, pump)
+    assert "greenroof_ros" not in EXAMPLE and len(EXAMPLE.splitlines()) <= 72
+    arguments = VALVE_ARGUMENTS if valve else ()
+    controller = start_node(domain, tmp_path, "controller_node", EXAMPLE, *arguments)
+    outside, inside = bags_outside_and_inside(domain, tmp_path, controller, pump, valve)
     assert outside == inside
 
 
@@ -92,15 +118,74 @@ def test_a_node_that_breaks_a_rule_ends_the_run(domain: int, tmp_path: Path) -> 
     assert summary["status"] == "failed" and (tmp_path / "run/bag/metadata.yaml").exists()
 
 
-def test_a_node_in_c_gives_the_same_bag_and_passes_the_check(domain: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("value", "refusals"), [
+    ("math.nan", 3), ("-0.1", 3), ("1.2", 3), ("math.inf", 3), ("0.5", 0),
+])
+def test_a_bad_command_to_the_valve_closes_it(
+    domain: int, tmp_path: Path, value: str, refusals: int
+) -> None:
+    """As on /pump/command: it acts as 0 and is counted, and the run goes on."""
+    publish = "valve.publish(Float64(data=opening()))"
+    wrong = f"valve.publish(Float64(data={value} if 4 <= len(ticks) < 7 else 1.0))"
+    source = changed(EXAMPLE, publish, f"{wrong}; ticks.append(0)")
+    source = changed(source, "tick = {}", "ticks, tick = [], {}")
+    with ending(start_node(domain, tmp_path, "controller_node", source, *VALVE_ARGUMENTS)):
+        process = Process(
+            domain, "bringup", "--controller", "external", *valve_site(tmp_path), "--hours", "0.01",
+            "--output", "run", cwd=tmp_path,
+        )
+        assert process.wait(120) == 0, process.stderr()
+    warning = "refused a value on /outlet/command: it must be a number from 0 to 1; it acts as 0"
+    refused = {"/outlet/command": refusals} if refusals else {}
+    assert summary_of(tmp_path / "run")["refused"] == refused
+    assert (warning in process.stderr()) == bool(refusals)
+    flows = [struct.unpack("<d", message[4:12])[0]
+             for message in messages_of(tmp_path / "run")["/outlet/flow"]]
+    assert all(flow == 0 for flow in flows[4:7]) == bool(refusals)
+    assert min(flows[:4] + flows[7:]) > 0
+
+
+def test_a_node_without_a_command_to_the_valve_is_named(domain: int, tmp_path: Path) -> None:
+    """It has no such publisher, stops to publish, publishes twice; or another node does."""
+    publish = "valve.publish(Float64(data=opening()))"
+    stops = changed(EXAMPLE, publish, f"{publish} if len(ticks) < 9 else 0; ticks.append(0)")
+    stops = changed(stops, "tick = {}", "ticks, tick = [], {}")
+    twice = changed(EXAMPLE, "if topic in tick:", "if False:")
+    twice = changed(twice, publish, f"{publish}, {publish}")
+    second = changed(EXAMPLE, "\npublisher = ", """
+node.create_publisher(Float64, "outlet/command", qos)
+publisher = """)
+    for number, (source, arguments, code, words) in enumerate((
+        (EXAMPLE, (), 1, r"no start within 30 s: /outlet/command from controller$"),
+        (stops, VALVE_ARGUMENTS, 1, r"no message within 2 s on /outlet/command from controller$"),
+        (twice, VALVE_ARGUMENTS, 1, r"/outlet/command has a second message in tick \d+ \(contr"),
+        (second, VALVE_ARGUMENTS, 3, r"/outlet/command has .* publishers.*controller"),
+    )):
+        run = tmp_path / f"run{number}"
+        with ending(start_node(domain, tmp_path, "controller_node", source, *arguments)):
+            process = Process(
+                domain, "bringup", "--controller", "external", *valve_site(tmp_path), "--hours",
+                "0.01", "--output", str(run), "--peer-limit", "2", cwd=tmp_path,
+            )
+            assert process.wait(120) == code, process.stderr()
+        assert re.search(words, summary_of(run)["reason"]), summary_of(run)["reason"]
+
+
+@pytest.mark.parametrize("valve", [False, True])
+def test_a_node_in_c_gives_the_same_bag_and_passes_the_check(
+    domain: int, tmp_path: Path, valve: bool
+) -> None:
     program = build_with_rcl(Path(__file__).with_name("controller_node.c"), tmp_path)
-    environ = environment(domain)
-    controller = subprocess.Popen([program], cwd=tmp_path, env=environ)
-    outside, inside = bags_outside_and_inside(domain, tmp_path, controller)
+    environ, options = environment(domain), ["--valve"] * valve
+    controller = subprocess.Popen([program, *options], cwd=tmp_path, env=environ)
+    outside, inside = bags_outside_and_inside(domain, tmp_path, controller, valve=valve)
     assert outside == inside
-    arguments = "--ros-args", "-r", "__ns:=/site1"
+    arguments = *options, "--ros-args", "-r", "__ns:=/site1"
+    site = valve_site(tmp_path)[:2] if valve else ()
     with ending(subprocess.Popen([program, *arguments], cwd=tmp_path, env=environ)) as controller:
-        check = Process(domain, "check_controller", "--node", "/site1/controller", cwd=tmp_path)
+        check = Process(
+            domain, "check_controller", "--node", "/site1/controller", *site, cwd=tmp_path
+        )
         assert check.wait(120) == 0, check.stdout()
         assert controller.wait(60) == 0
 

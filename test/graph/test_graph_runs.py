@@ -236,7 +236,7 @@ def test_same_bits_with_a_valve(
     )
     assert set(commands[300:360]) == set(flows[300:360]) == {0.0}
     assert max(commands) > 0 and sum(flows) > 0
-    assert all(flow > 0 for command, flow in zip(commands, flows, strict=True) if command > 0)
+    assert all(command > 0 for command, flow in zip(commands, flows, strict=True) if flow > 0)
 
 
 # --- side by side, each in a separate namespace ---------------------------------------------------
