@@ -17,6 +17,7 @@ from greenroof_ros.live.devices.endpoint import Endpoint, read_endpoint
 from greenroof_ros.live.devices.modbus_line import check_installed
 from greenroof_ros.live.devices.relay import RelayEndpoint
 from greenroof_ros.live.devices.sensor_file import Sensors, default_sensors, read_sensors
+from greenroof_ros.live.valve import refuse_valve
 
 if TYPE_CHECKING:
     from greenroof_ros.experiment.run import Run
@@ -73,7 +74,9 @@ def main() -> None:
     check_installed()
     endpoint = read_endpoint(find_drive_file(arguments.drive), arguments.at, "--at")
     sensors = read_sensors(arguments.sensors or default_sensors())
-    asyncio.run(_simulate(build_run(arguments), sensors, endpoint))
+    run = build_run(arguments)
+    refuse_valve(run.site, run.site_file)
+    asyncio.run(_simulate(run, sensors, endpoint))
 
 
 def _find_make(simulated: Mapping[str, type[_Device]], make: str) -> type[_Device]:

@@ -25,6 +25,7 @@ from greenroof_ros.live.devices.sensor_file import QUANTITIES, ModbusSensor, Sen
 from greenroof_ros.live.drive_choice import DriveChoice, add_drive_arguments, read_drive_choice
 from greenroof_ros.live.pumping.ledger import RECORD
 from greenroof_ros.live.supervisor import NodeStart
+from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.model.site import read_site
 
 # The minimum size of a bag (MB).
@@ -55,11 +56,7 @@ class LiveSite:
         """
         self.site_file: Path = arguments.site
         site = read_site(self.site_file)
-        refuse((
-            site.low_outlet_valve, f"{self.site_file}: low_outlet_valve", True,
-            "must be false: a live site cannot command the valve yet; it would stay as it is while "
-            "the controller plans with it",
-        ))
+        refuse_valve(site, self.site_file)
         self.controller, parameters = read_controller(arguments)
         self.parameters = self.controller.complete_parameters(site, parameters)
         self.drive = drive = read_drive_choice(arguments)

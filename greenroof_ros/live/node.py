@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import NoReturn
 
 from rclpy.executors import SingleThreadedExecutor
@@ -28,6 +29,7 @@ from greenroof_ros.live.engine import LIMITS, RECOVERY, SampleAndHold
 from greenroof_ros.live.live_diagnostics import LiveDiagnostics
 from greenroof_ros.live.live_input import LiveInput, LivePublishers
 from greenroof_ros.live.pumping.input_rules import InputRules, LevelRule
+from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.model.site import Site
 
 # How long a node waits for messages at most before it checks its clocks and signals again (s).
@@ -79,9 +81,10 @@ class LiveNode(GraphNode):
         """Declare the parameter ``site_file``, and read the site; its tau is the node's period.
 
         Raises:
-            ConfigurationError: the file, or a value in it, is wrong.
+            ConfigurationError: the file, or a value in it, is wrong, or its outlet has a valve.
         """
         site = super().declare_site()
+        refuse_valve(site, Path(self.get_parameter("site_file").value))
         self._engine.set_period(site.tau)
         return site
 

@@ -12,6 +12,7 @@ import pytest
 from commands import run_command
 from graphs import environment
 from modbus_wire import Wire, acs880
+from paper import VALVE, site_file
 from places import CHECKOUT
 
 from greenroof_ros.bringup.simulated import make_parser, simulated_run
@@ -81,6 +82,28 @@ WRONG = {
 @pytest.mark.parametrize("words", WRONG)
 def test_what_is_wrong_is_reported(monkeypatch: pytest.MonkeyPatch, words: str) -> None:
     assert WRONG[words] in refused(monkeypatch, *words.split())
+
+
+NO_LIVE_VALVE = "low_outlet_valve = True: must be false: a live site cannot command the valve yet"
+
+
+def test_a_live_site_has_no_valve(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The site and each of its nodes are refused, and its simulator; so is a policy without one."""
+    file, env = str(site_file(tmp_path, **VALVE)), environment(0)
+    assert NO_LIVE_VALVE in refused(monkeypatch, "live", *EXTERNAL, "--site", file)
+    words = ("--controller", "onoff", "--outlet", "drain")
+    no_valve = "for the valve of the low outlet, which this site does not have"
+    assert no_valve in refused(monkeypatch, "live", *EXTERNAL, *words)
+    assert no_valve in refused(monkeypatch, "run", *words)
+    at_site = "--ros-args", "-p", f"site_file:={file}"
+    for words in (
+        ("live.controller", "--controller", "onoff", *at_site), ("live.weather", *at_site),
+        ("live.pump", *at_site), ("simulators", "--site", file),
+        ("bringup.live", *EXTERNAL, "--site", file),
+    ):
+        done = run_command(*words, cwd=tmp_path, env=env)
+        assert done.returncode == 2, words
+        assert NO_LIVE_VALVE in done.stderr and "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("name", ["site 1", "a//b"])
