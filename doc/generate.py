@@ -39,6 +39,7 @@ from greenroof_ros.common.conditions import LATCHED, Interlock, read_conditions,
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
+from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.registry import BUILT_IN, find_controller
 from greenroof_ros.forecast.skill import Climate, Errors
 from greenroof_ros.formats.quantities import QUANTITIES, ROOF
@@ -168,6 +169,8 @@ def quality() -> str:
             return "as they come, in a live graph only"
         if not topic.per_tick:
             return "as needed, not recorded"
+        if topic.of_valve:
+            return "only at a site with a valve on the low outlet"
         return "from controllers that have it" if topic.optional else ""
 
     def service(topic: Topic) -> str:
@@ -190,17 +193,24 @@ def quality() -> str:
 # --- controllers and metrics ----------------------------------------------------------------------
 
 
+_ANY = "any controller, at a site with a valve"
+
+
 def controllers() -> str:
-    """Return the parameters of every controller of this package, each once."""
+    """Return the parameters of every controller of this package, each once, and of the valve."""
+
+    def type_of(each: Parameter) -> str:
+        return "string" if each.among else "integer" if each.whole else "double"
+
     parts: list[str] = []
     described: dict[Parameter, str] = {}
-    for name in BUILT_IN:
-        parameters = find_controller(name).kind.parameters
+    for name in (*BUILT_IN, _ANY):
+        parameters = PARAMETERS if name == _ANY else find_controller(name).kind.parameters
         first = [each for each in parameters if described.setdefault(each, name) == name]
         parts.append(f"## {name}\n")
         parts.append(entries(
             (
-                *_declared(each, "integer" if each.whole else "double"),
+                *_declared(each, type_of(each)),
                 sentences(each.meaning, "May change in a run" if each.may_change else ""),
             )
             for each in first
@@ -214,8 +224,10 @@ def controllers() -> str:
 
 def _declared(parameter: Parameter, kind: str) -> tuple[str, str]:
     """Return a parameter's name, and its type, default and range."""
-    default = quantity(parameter.default, parameter.unit)
-    return f"`{parameter.name}`", "; ".join(filter(None, (f"{kind}, {default}", parameter.limits)))
+    default = parameter.default
+    unknown = isinstance(default, float) and math.isnan(default)  # it depends on the site
+    shown = f"{kind}, {parameter.unit if unknown else quantity(default, parameter.unit)}"
+    return f"`{parameter.name}`", "; ".join(filter(None, (shown, parameter.limits)))
 
 
 def metrics() -> str:

@@ -35,17 +35,17 @@ class Panel:
 
 PANELS = (
     Panel("Roof level", ("/roof/level",), target=True),
-    Panel("Pump", ("/pump/command", "/pump/flow", "/pump/meter")),
+    Panel("Pump and valve", ("/pump/command", "/pump/flow", "/pump/meter", "/outlet/command")),
     Panel("Cistern level", ("/cistern/level",)),
     Panel(
         "Weather", ("/weather/precipitation", "/weather/evapotranspiration", "/gauge/precipitation")
     ),
-    Panel("Water that leaves", ("/roof/drainage", "/cistern/outflow")),
+    Panel("Water that leaves", ("/roof/drainage", "/cistern/outflow", "/outlet/flow")),
 )
 # Prefix of the topics of user scripts in Foxglove.
 SCRIPTS = "/studio_script"
 # From the default categorical colours of both programs; the last is for the target.
-_COLOURS, _TARGET = ("#1f77b4", "#ff7f0e", "#2ca02c"), "#d62728"
+_COLOURS, _TARGET = ("#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd"), "#d62728"
 
 
 def display_of(topic: str) -> Display:

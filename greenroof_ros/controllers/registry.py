@@ -338,7 +338,10 @@ def choose_class(kind: Any) -> ControllerChoice:
 
 def _of_valve(kind: Any) -> tuple[Parameter, ...]:
     """Return the parameters of the outlet's valve; none for a class that commands it itself."""
-    return () if hasattr(kind, "outlet") else outlet.PARAMETERS
+    if hasattr(kind, "outlet"):
+        return ()
+    policy, *others = outlet.PARAMETERS
+    return replace(policy, default=_policy_of(kind)), *others
 
 
 def _policy_of(kind: Any) -> Any:

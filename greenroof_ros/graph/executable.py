@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
@@ -107,6 +108,8 @@ def _about(parameter: Parameter) -> str:
         default = str(default).lower()
     elif isinstance(default, float):
         default = f"{default:.7g}" if default % 1 else f"{default:.1f}"
+        if math.isnan(parameter.default):
+            default = "by the site"
     limits = f"{parameter.limits and ', '}{parameter.limits}"
     changes = "; may change in a run" if parameter.may_change else ""
     return f"{type_name(parameter)}{limits}; default {str(default) or 'empty'}{changes}"

@@ -26,7 +26,7 @@ _RENEWED_S, OLD_S = 3600.0, 6 * 3600.0
 
 _FLOW, _COMMAND, _RAIN = "/pump/flow", "/pump/command", "/weather/precipitation"
 _ROOF, _CISTERN, _FROST = "/roof/level", "/cistern/level", "/weather/frost"
-_GAUGE, _FILL_TO = "/gauge/precipitation", "/controller/fill_to"
+_GAUGE, _FILL_TO, _VALVE = "/gauge/precipitation", "/controller/fill_to", "/outlet/command"
 write_level = partial(words.write_value, _ROOF)
 write_flow = partial(words.write_value, _FLOW)
 
@@ -120,15 +120,28 @@ def make_cistern_tile(store: GraphStore) -> Tile:
             return "low", "too low for the pump: not above the suction level"
         if level > site.z_o:
             return "high", "above its outlet: it overflows to the sewer"
-        drains = "; its low outlet drains it" if level > site.min_outlet_level else ""
         usable_text = words.write_quantity(usable, "m³", 1)
-        return "good", f"{usable_text} above the suction level can be pumped{drains}"
+        text = f"{usable_text} above the suction level can be pumped"
+        if site.low_outlet_valve:
+            share = store.present_value(_VALVE)
+            return "good", text + _write_opened(share)
+        drains = "; its low outlet drains it" if level > site.min_outlet_level else ""
+        return "good", text + drains
 
     shown = 0.0 if newest is None else newest.value or 0.0
     return _make_tile(
         store, "Cistern level", _CISTERN, judged, low=0.0, high=max(1.1 * site.z_o, shown),
         marks=marks, band=[site.suction_level, site.z_o],
     )
+
+
+def _write_opened(share: float | None) -> str:
+    """Write how far the valve of the low outlet is open, after a semicolon."""
+    if share is None:
+        return "; the command to its outlet's valve is unknown"
+    if not share:
+        return "; its outlet's valve is closed"
+    return f"; its outlet's valve is open to {words.write_value(_VALVE, share)}"
 
 
 def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
