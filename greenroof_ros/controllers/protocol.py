@@ -33,10 +33,13 @@ class Controller(Protocol):
     - ``forecast_ends``: an array that is set when it is made: the ends of the forecasts' steps (s
       from the present tick), the first 0, shape (steps + 1,). Entry i of a forecast is the mean
       from ``forecast_ends[i]`` to ``forecast_ends[i + 1]``.
-    - ``outlet``: the share to which the valve of the cistern's low outlet is open (1), valid after
-      each command, for a class that commands it itself. Others have the parameters of
+    - ``outlet``: for a class that commands the valve of a site's low outlet itself, the share to
+      which it is open (1), from 0 to 1. It is read in each tick, after ``command`` or ``skip``: the
+      valve also works in frost and in quiet hours, and stays as it was unless ``skip`` sets it. The
+      class must have it, not only its objects. Any other class has the parameters of
       :mod:`greenroof_ros.controllers.outlet` at a site with a valve.
-    - ``outlet_policy``: the name of the policy that commands the valve by default.
+    - ``outlet_policy``: the name of the policy that commands the valve by default, ``drain`` unless
+      given.
     - ``gauge_rain``: what the rain gauge of a live site measures (m/s; 0 without one), set before
       each command. It is the present rain if there is no forecast.
 
@@ -79,6 +82,8 @@ class Controller(Protocol):
 
     def skip(self) -> None:
         """Let a tick pass in which the command is 0: in frost, or if an input was refused.
+
+        If an input was refused, the command to a valve is 0, too.
 
         A class without ``time_ns`` also skips the ticks of quiet hours. A class that needs a
         forecast also skips the ticks of a live site without one; if on/off has pumped in these, the

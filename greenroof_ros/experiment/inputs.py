@@ -163,15 +163,20 @@ class RunInputs:
         if "min_on" in parameters:  # the controller knows its pumps
             min_on = max(parameters["min_on"], self.sensor_and_pump.pump_min_on)
             parameters["min_on"] = min_on
-        outlet_horizon = find_horizon(parameters)
         forecast = make_forecast(
             weather, series, site, start, parameters.get("horizon", 0.0), self.forecast,
-            self.controller.ensemble or outlet_horizon > 0, outlet_horizon,
+            *find_needs(self.controller, parameters),
         )
         return Run(
             file, site, weather, series, forecast, start, steps, self.controller, parameters,
             initial, x1, x2, self.forecast, self.sensor_and_pump, records,
         )
+
+
+def find_needs(controller: ControllerChoice, parameters: Mapping[str, Any]) -> tuple[bool, float]:
+    """Return whether forecasts have all members, and how far an outlet's plan looks ahead (h)."""
+    outlet_horizon = find_horizon(parameters)
+    return controller.ensemble or outlet_horizon > 0, outlet_horizon
 
 
 INPUTS: dict[str, Parameter] = {

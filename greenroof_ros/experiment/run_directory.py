@@ -14,7 +14,7 @@ import yaml
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import unique_name
-from greenroof_ros.controllers.outlet import find_horizon
+from greenroof_ros.experiment.inputs import find_needs
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.model.site import format_site
@@ -108,7 +108,7 @@ def write_configuration(
             skill = _copy(choice.skill_file, configuration / "skill.yaml")
             choice = replace(choice, skill=str(skill))
         common = {"site_file": str(site_file)}
-        outlet_horizon = find_horizon(run.parameters)
+        all_members, outlet_horizon = find_needs(run.controller, run.parameters)
         span = {"start": run.start.isoformat(), "run_length": run.steps}
         parameters = {
             "plant": {
@@ -121,7 +121,7 @@ def write_configuration(
                 "gaps": run.weather.gaps,
                 "horizon": run.parameters.get("horizon", 0.0),
                 "outlet_horizon": outlet_horizon,
-                "all_members": run.controller.ensemble or outlet_horizon > 0,
+                "all_members": all_members,
                 "forecast": str(choice),
                 **{f"forecast_{name}": value for name, value in choice.options().items()},
             },

@@ -20,9 +20,11 @@ from greenroof_ros.analysis.api.control import (
 )
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.controllers.decide import cut_forecast
 from greenroof_ros.controllers.outlet import SHARE, OutletPolicy
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.experiment.closed_loop import Simulation, Tick
+from greenroof_ros.experiment.inputs import find_needs
 from greenroof_ros.forecast.resampling import PerfectForecast, make_forecast
 from greenroof_ros.model.look_ahead import look_ahead_ends
 
@@ -134,7 +136,8 @@ class Environment:
             run = self._run
             choice = replace(run.forecast_choice, seed=seed)
             self._run = replace(run, forecast_choice=choice, forecast=make_forecast(
-                run.weather, run.series, self.site, run.start, run.parameters["horizon"], choice
+                run.weather, run.series, self.site, run.start, run.parameters["horizon"], choice,
+                *find_needs(run.controller, run.parameters),
             ))
         self._controller = _Commanded()
         policy, known = self._run.make_outlet(self._controller), self._run
@@ -210,11 +213,12 @@ class Environment:
             >>> print(f"{1000 * forecast.rain @ lengths:.1f} mm of rain in 3 h")
             3.2 mm of rain in 3 h
         """
-        forecast, tick = self._run.forecast, self._simulation.site.tick
-        return ForecastSteps(
-            np.asarray(forecast.precipitation(tick)),
-            np.asarray(forecast.evapotranspiration(tick)), self._ends,
-        )
+        run, tick = self._run, self._simulation.site.tick
+        rain, evaporated = run.forecast.precipitation(tick), run.forecast.evapotranspiration(tick)
+        own_steps = run.controller.count_own_steps(self.site, run.parameters)
+        if own_steps is not None:
+            rain, evaporated = cut_forecast(run.controller, own_steps, rain, evaporated)
+        return ForecastSteps(np.asarray(rain), np.asarray(evaporated), self._ends)
 
     @property
     def metrics(self) -> dict[str, float]:
