@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from greenroof_ros.common.errors import ConfigurationError, HangError
+from greenroof_ros.common.errors import ConfigurationError, HangError, describe_value
 from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
 from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.protocol import Controller
@@ -69,7 +69,7 @@ def decide(
     raise ControllerError(
         "must be a finite number, not negative (greenroof check-controller finds this before a "
         "run)", file=file, line=line,
-        key=f"the command of {type(controller).__name__} = {command!r}",
+        key=f"the command of {type(controller).__name__} = {describe_value(command)}",
     )
 
 

@@ -73,6 +73,6 @@ def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
 
 def find_place(kind: Any, method: str) -> tuple[str | None, int | None]:
     """Return the file and line of a method or property; None for what is no function in a file."""
-    member = getattr(kind, method)
+    member = getattr(kind, method, None)
     code = getattr(getattr(member, "fget", member), "__code__", None)
     return (None, None) if code is None else (code.co_filename, code.co_firstlineno)

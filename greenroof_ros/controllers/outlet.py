@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import HangError
+from greenroof_ros.common.errors import HangError, describe_value
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
@@ -159,7 +159,8 @@ class OfController:
         file, line = place if place[0] is not None else find_place(kind, "command")
         raise ControllerError(
             f"{SHARE.expected(share)} (greenroof check-controller finds this before a run)",
-            file=file, line=line, key=f"the attribute outlet of {kind.__name__} = {share!r}",
+            file=file, line=line,
+            key=f"the attribute outlet of {kind.__name__} = {describe_value(share)}",
         )
 
 

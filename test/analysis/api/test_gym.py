@@ -166,9 +166,9 @@ def test_a_decision_of_several_ticks_keeps_the_pumps_limits() -> None:
 def test_the_second_entry_commands_the_valve() -> None:
     """As Environment.step does; the observation ends with how long the weather remains wet.
 
-    Rain of 08 July ends at 05:00; two hours later it is dry.
+    Rain of 07 July ends at 10:00; two hours later it is dry.
     """
-    inputs = {"site": VALVE_SITE, "start": "2021-07-08T03:00", "hours": 5}
+    inputs = {"site": VALVE_SITE, "start": "2021-07-07T08:00", "hours": 5}
     roof, same = gymnasium.make(ID, decision_ticks=1800, **inputs), gr.Environment(**inputs)
     assert roof.action_space.shape == (2,)
     assert gymnasium.make(ID, hours=1).action_space.shape == (1,)
