@@ -24,6 +24,9 @@ class External(Controller):
         ),
     )
 
+    outlet: ClassVar[float] = 0.0
+    """the node commands the outlet's valve itself"""
+
     def __init__(self, site: Site, horizon: float) -> None:
         """Refuse: it runs in no process of this package.
 

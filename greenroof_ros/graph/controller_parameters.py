@@ -10,11 +10,12 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
+from greenroof_ros.common.errors import rename_keys
 from greenroof_ros.common.parameter import Parameter, replace_infinity
 from greenroof_ros.controllers.failure import locate_error
 from greenroof_ros.controllers.outlet import OutletPolicy
 from greenroof_ros.controllers.registry import ControllerChoice, find_controller
-from greenroof_ros.graph.parameters import declare
+from greenroof_ros.graph.parameters import declare, find_given
 from greenroof_ros.model.site import Site
 
 # How many of the newest parameter changes are kept; all are counted.
@@ -38,9 +39,16 @@ class ControllerParameters:
             choice: which controller it is.
             site: the site.
             tick: returns the present tick.
+
+        Raises:
+            ConfigurationError: a value is wrong, or for a valve that the site does not have.
         """
         self._node, self._choice, self._site, self._tick = node, choice, site, tick
-        self._values = declare(node, choice.parameters_on(site))
+        known = choice.parameters_on(site)
+        others = choice.parameters.keys() - {parameter.name for parameter in known}
+        with rename_keys({name: f"parameter {name} of {node.get_name()}" for name in others}):
+            choice.complete_parameters(site, find_given(node, others))
+        self._values = declare(node, known)
         self.controller: Any = None
         # Limited, since each report has them, and a program may change a parameter in each tick.
         self._changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)

@@ -106,6 +106,27 @@ def test_a_live_site_has_no_valve(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         assert NO_LIVE_VALVE in done.stderr and "Traceback" not in done.stderr
 
 
+def test_policies_are_for_valves(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A node without a valve refuses each of their parameters; a user's node has none."""
+    for module in ("nodes.controller", "live.controller"):
+        for word in ("outlet:=drain", "outlet_reserve:=3", "outlet_price:=0.1"):
+            done = run_command(
+                module, "--controller", "onoff", "--ros-args", "-p", word, cwd=tmp_path,
+                env=environment(0),
+            )
+            name = word.partition(":")[0]
+            assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+            assert f"parameter {name} of onoff" in done.stderr
+            assert "for the valve of the low outlet, which this site does not have" in done.stderr
+    site = str(site_file(tmp_path, **VALVE))
+    words = "--controller", "external", "--outlet", "drain", "--site", site
+    with pytest.raises(SystemExit):
+        refused(monkeypatch, "run", *words)
+    assert "--outlet drain" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", ["site 1", "a//b"])
 def test_wrong_namespace(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
