@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from graphs import Process, wait_for
+from paper import VALVE, site_file
 from refusals import refusal
 
 from greenroof_ros.common.files import read_yaml, shared_directory
@@ -76,7 +77,8 @@ def test_types_match_ros() -> None:
 OUTPUTS = {"/controller/cost": "cost", "/controller/solver_status": "status"}
 
 
-def test_live_graph_is_the_interface(domain: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("valve", [False, True])
+def test_live_graph_is_the_interface(domain: int, tmp_path: Path, valve: bool) -> None:
     """The graph has exactly the topics of the interface: types, QoS, nodes."""
     rclpy = pytest.importorskip("rclpy", reason="the graph needs ROS 2")
     from rclpy.duration import Duration, Infinite
@@ -84,7 +86,7 @@ def test_live_graph_is_the_interface(domain: int, tmp_path: Path) -> None:
 
     process = Process(
         domain, "bringup", "--controller", "mpc", "--speed", "20", "--output", "run",
-        cwd=tmp_path,
+        *(("--site", str(site_file(tmp_path, **VALVE))) if valve else ()), cwd=tmp_path,
     )
     context = rclpy.Context()
     rclpy.init(args=[], context=context, domain_id=domain)
@@ -102,7 +104,7 @@ def test_live_graph_is_the_interface(domain: int, tmp_path: Path) -> None:
             name: topic
             for name, topic in read_topics().items()
             if names.keys() & set(topic.publishers)
-            and (not topic.optional or name in OUTPUTS)
+            and (not topic.optional or name in OUTPUTS) and (valve or not topic.of_valve)
         }
         expected = {}
         for name, topic in interface.items():

@@ -23,7 +23,7 @@ TARGET = "Target (mm)"
 SHOWN = {
     "/roof/level", "/cistern/level", "/pump/command", "/pump/flow", "/pump/meter",
     "/weather/precipitation", "/weather/evapotranspiration", "/gauge/precipitation",
-    "/roof/drainage", "/cistern/outflow",
+    "/roof/drainage", "/cistern/outflow", "/outlet/command", "/outlet/flow",
 }
 
 
