@@ -23,9 +23,9 @@ from greenroof_ros.analysis.api.control import FunctionController, SiteState
 from greenroof_ros.analysis.api.environment import Environment
 from greenroof_ros.common.errors import ConfigurationError, require_extra, suggest_names
 from greenroof_ros.common.ranges import Range
+from greenroof_ros.controllers.outlet import Drain
 from greenroof_ros.controllers.registry import choose_class
 from greenroof_ros.experiment.closed_loop import Tick
-from greenroof_ros.model.storm_water import WET_RAIN
 
 with require_extra("gym"):
     import gymnasium
@@ -132,8 +132,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             1.5 * self.site.z_o, 2.0 * self.site.z_veg, *[_MAX_RAIN / _TO_MM_PER_H] * steps,
             *[_MAX_EVAPOTRANSPIRATION / 1000 / 86400 * self.site.a2] * steps,
         ])
-        self._has_valve = self.site.low_outlet_valve
-        self._wet_after_s, self._wet_s = 3600 * self.site.wet_after, 0.0
+        self._has_valve, self._drain = self.site.low_outlet_valve, Drain(self.site, 0.0)
         entries = len(self._scale) + self._has_valve
         self.observation_space = Box(0.0, 1.0, (entries,), np.float32)
         self.action_space = Box(0.0, 1.0, (1 + self._has_valve,), np.float32)
@@ -170,7 +169,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         if begin != self._begun:
             self._roof, self._begun = self._make_roof(begin), begin
         self._roof.reset(int(self.np_random.integers(2**31)))
-        self._wet_s = 0.0
+        self._drain = Drain(self.site, 0.0)
         return self._observe(), {
             "start": self._roof.state.time.isoformat(), "cistern_m3": self._roof.state.cistern,
             "roof_m3": self._roof.state.roof,
@@ -197,8 +196,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             if number and roof.done:
                 break
             tick = roof.step(*map(float, commands))
-            is_wet = tick.precipitation >= WET_RAIN
-            self._wet_s = self._wet_after_s if is_wet else max(0.0, self._wet_s - self.site.tau)
+            if self._has_valve:
+                self._drain.observe(tick.precipitation)
             reward += self._reward(tick, roof.state)
         info = {"metrics": roof.metrics} if roof.done else {}
         return self._observe(), reward, False, roof.done, info
@@ -210,7 +209,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         ))
         values /= self._scale
         if self._has_valve:
-            values = np.append(values, self._wet_s / self._wet_after_s if self._wet_s else 0.0)
+            wet_hours = self._drain.wet_hours
+            values = np.append(values, wet_hours / self.site.wet_after if wet_hours else 0.0)
         return np.asarray(np.clip(values, 0.0, 1.0), np.float32)
 
     def _make_roof(self, begin: Mapping[str, Any]) -> Environment:
