@@ -142,7 +142,7 @@ def test_live_graph_is_the_interface(domain: int, tmp_path: Path, valve: bool) -
                 assert profile.liveliness_lease_duration == (
                     Duration(seconds=lease) if math.isfinite(lease) else Infinite
                 )
-        assert {topic.name for topic in recorded_topics(OUTPUTS)} == {
+        assert {topic.name for topic in recorded_topics(OUTPUTS, valve)} == {
             name for name, topic in interface.items() if topic.per_tick
         }
     finally:

@@ -155,19 +155,20 @@ def test_a_node_without_a_command_to_the_valve_is_named(domain: int, tmp_path: P
     second = changed(EXAMPLE, "\npublisher = ", """
 node.create_publisher(Float64, "outlet/command", qos)
 publisher = """)
-    for number, (source, arguments, code, words) in enumerate((
-        (EXAMPLE, (), 1, r"no start within 30 s: /outlet/command from controller$"),
-        (stops, VALVE_ARGUMENTS, 1, r"no message within 2 s on /outlet/command from controller$"),
-        (twice, VALVE_ARGUMENTS, 1, r"/outlet/command has a second message in tick \d+ \(contr"),
-        (second, VALVE_ARGUMENTS, 3, r"/outlet/command has .* publishers.*controller"),
+    for number, (source, arguments, codes, words) in enumerate((
+        (EXAMPLE, (), {1}, r"no start within 30 s: /outlet/command from controller$"),
+        (stops, VALVE_ARGUMENTS, {1}, r"no message within 5 s on /outlet/command from controller$"),
+        (twice, VALVE_ARGUMENTS, {1}, r"/outlet/command has a second message in tick \d+ \(contr"),
+        # Whether it is found before the first tick depends on the discovery.
+        (second, VALVE_ARGUMENTS, {1, 3}, r"/outlet/command has .* publishers.*controller"),
     )):
         run = tmp_path / f"run{number}"
         with ending(start_node(domain, tmp_path, "controller_node", source, *arguments)):
             process = Process(
                 domain, "bringup", "--controller", "external", *valve_site(tmp_path), "--hours",
-                "0.01", "--output", str(run), "--peer-limit", "2", cwd=tmp_path,
+                "1", "--output", str(run), "--peer-limit", "5", cwd=tmp_path,
             )
-            assert process.wait(120) == code, process.stderr()
+            assert process.wait(120) in codes, process.stderr()
         assert re.search(words, summary_of(run)["reason"]), summary_of(run)["reason"]
 
 
