@@ -90,9 +90,10 @@ def run_of_hours(
     weather = weather_of(rain, evapotranspiration, first, temperature=np.where(frost, -1.0, 1.0))
     steps = steps or round(len(hours) * 3600 / site.tau)
     series = WeatherSeries(weather, site, first, steps)
+    controller = find_controller("onoff")
     return Run(
         weather.files[0], site, weather, series, PerfectForecast(series, site.M), first, steps,
-        find_controller("onoff"), {"fraction": fraction}, "custom", x1, x2,
+        controller, {**controller.defaults(site), "fraction": fraction}, "custom", x1, x2,
     )
 
 

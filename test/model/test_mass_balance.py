@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, SLOW, exact_flows, measured_sites, run_of_hours, sites
 from places import CONFIG
 
+from greenroof_ros.controllers.outlet import OfController
 from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.model.plant import Plant, has_short_ticks
 from greenroof_ros.model.site import Site, read_site
@@ -227,7 +228,9 @@ def test_any_storm_balances(
     run = replace(
         run, weather=weather, series=WeatherSeries(weather, site, run.start, run.steps)
     )
-    simulation = Simulation(run, RandomController(seed))
+    controller = RandomController(seed)
+    valve = OfController(controller) if site.low_outlet_valve else None
+    simulation = Simulation(run, controller, valve)
     ticks, metrics = list(simulation.ticks()), simulation.metrics.results()
 
     fallen = sum(hour[0] for hour in hours) / 1000

@@ -112,10 +112,12 @@ YEARS = {
     "horizons.yaml": (2, {300}, 2 * (1 + 5 * (3 + 1))),
     "sizing.yaml": (18, {60}, 2 * 18),
     "ticks.yaml": (8, {1, 10, 60, 300}, 8 * 2),
+    # Two roofs with four cisterns each; closed, open, plan, and three reserves.
+    "storm_water.yaml": (8, {300}, 8 * 6),
 }
 GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
 # Grids that need files which the package does not have.
-OTHERS = {"month.yaml", "issued_forecasts.yaml"}
+OTHERS = {"month.yaml", "issued_forecasts.yaml", "storm_water_issued.yaml"}
 
 
 @pytest.mark.parametrize("file", sorted(GRIDS.keys() - YEARS.keys() - OTHERS))
@@ -168,6 +170,11 @@ def test_grids_of_records_that_users_bring(tmp_path: Path) -> None:
     assert [float(yaml.safe_load(case.site.content)["z_veg"]) for case in cases[::7]] == [
         0.0457, 0.039, 0.0457
     ]
+    (tmp_path / "week_late.csv").write_bytes(archive)
+    text = GRIDS["storm_water_issued.yaml"].read_text()
+    text = text.replace("2024-03-01T00:00, hours: 7296", "2024-03-05T12:00, hours: 24")
+    cases = read_grid(tmp_path / grid(tmp_path, text), tmp_path)
+    assert len(cases) == 8 * (2 + 4 + 6)
 
 
 def test_settings_and_whole_numbers(tmp_path: Path) -> None:
