@@ -174,7 +174,7 @@ def test_grids_of_records_that_users_bring(tmp_path: Path) -> None:
     text = GRIDS["storm_water_issued.yaml"].read_text()
     text = text.replace("2024-03-01T00:00, hours: 7296", "2024-03-05T12:00, hours: 24")
     cases = read_grid(tmp_path / grid(tmp_path, text), tmp_path)
-    assert len(cases) == 8 * (2 + 4 + 6)
+    assert len(cases) == 8 * (2 + 4 + 2 * 6)
 
 
 def test_settings_and_whole_numbers(tmp_path: Path) -> None:
