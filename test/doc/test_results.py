@@ -28,7 +28,7 @@ def rows(study: str) -> dict[str, list[str]]:
 
 def test_every_table_names_a_study_of_the_package() -> None:
     named = set(re.findall(r"greenroof study config/studies/(\w+)\.yaml", PAGE))
-    assert named == {path.stem for path in STUDIES.iterdir()} - {"paper", "ticks"}
+    assert named == {path.stem for path in STUDIES.iterdir()} - {"paper"}
 
 
 def test_the_papers_runs(papers: Path) -> None:
