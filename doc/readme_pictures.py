@@ -57,7 +57,7 @@ def draw_frontier() -> alt.Chart:
         for name, wet, mains in re.findall(
             r"^\| ([^|]+) \|[^|]+\| ([\d.]+) / ([\d.]+) \|", table, re.MULTILINE
         )
-        if "days" not in name or "three" in name
+        if "20 m³" not in name and ("days" not in name or "three" in name)
     ]
     points = alt.Chart(alt.InlineData(rows)).encode(
         x=alt.X("mains:Q", title="mains water (m³)"),
@@ -65,7 +65,7 @@ def draw_frontier() -> alt.Chart:
     )
     order = alt.Legend(title=None, labelLimit=0, symbolSize=90, orient="right")
     return points.mark_point(filled=True, size=90, opacity=1).encode(
-        color=alt.Color("name:N", sort=None, legend=order),
+        color=alt.Color("name:N", sort=None, legend=order, scale=alt.Scale(scheme="category20")),
         shape=alt.Shape("name:N", sort=None, legend=order),
     ).properties(width=420, height=300)
 

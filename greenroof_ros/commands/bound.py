@@ -152,7 +152,10 @@ def _print_frontier(run: Run, as_json: bool) -> None:
 @command
 def main() -> int:
     """Compute the bound of the run on the command line."""
-    arguments = make_parser().parse_args()
+    parser = make_parser()
+    arguments = parser.parse_args()
+    if arguments.of == "discharge" and (arguments.block, arguments.max_command) != (None, 1.0):
+        parser.error("--block and --max-command are for the deviation, not for --of discharge")
     run = build_run(arguments)
     if arguments.of == "discharge":
         try:

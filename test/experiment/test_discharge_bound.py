@@ -186,3 +186,6 @@ def test_command(
     result = json.loads(capsys.readouterr().out)
     assert result["frontier"][0].keys() == {"weight", "wet_discharge_m3", "mains_m3"}
     assert result["wet_discharge_m3"] >= result["frontier"][0]["wet_discharge_m3"] - 1e-6
+    for option in ("--block", "--max-command"):
+        assert run(option, "60" if option == "--block" else "0.5") == 2
+        assert "are for the deviation" in capsys.readouterr().err

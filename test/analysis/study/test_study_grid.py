@@ -114,6 +114,7 @@ YEARS = {
     "ticks.yaml": (8, {1, 10, 60, 300}, 8 * 2),
     # Two roofs with four cisterns each; closed, open, plan, and three reserves.
     "storm_water.yaml": (8, {300}, 8 * 6),
+    "storm_water_orifice.yaml": (8, {300}, 8),
 }
 GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
 # Grids that need files which the package does not have.
