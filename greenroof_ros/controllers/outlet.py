@@ -23,7 +23,7 @@ from greenroof_ros.controllers.failure import ControllerError, find_place, locat
 from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
-from greenroof_ros.model.storm_water import WET_RAIN
+from greenroof_ros.model.storm_water import WET_RAIN, Intervals, find_wet_weather
 
 Array = NDArray[np.float64]
 
@@ -352,7 +352,8 @@ class Plan:
         if x1 + most + kept * max(0.0, x2 - site.x2_star) <= full:
             return full  # whatever comes, it fits
         flows = inflow - self._find_needs(x2, rain * site.a2, evaporated)
-        wet = self._find_wet(rain)
+        hourly = (Intervals(_HOUR_S, member, member) for member in rain)
+        wet = np.array([find_wet_weather(site, intervals) for intervals in hourly], float)
         worth = self._price * np.minimum(nodes - floor, needed)
         value = np.repeat(-worth[None], len(rain), axis=0)
         for hour in reversed(range(rain.shape[1])):
@@ -406,14 +407,6 @@ class Plan:
             needs[:, hour] = np.maximum(-above, 0.0) - site.drainage_to_cistern * drained
             above = np.clip(above, 0.0, room)
         return needs
-
-    def _find_wet(self, rain: Array) -> Array:
-        """Return 1 for each hour in wet weather, else 0; rain (m) of shape (members, hours)."""
-        rains = rain >= _HOUR_S * _MIN_RAIN
-        wet, after = rains.copy(), math.ceil(self._site.wet_after)
-        for hours in range(1, after + 1):
-            wet[:, hours:] |= rains[:, :-hours]
-        return wet.astype(float)
 
 
 def find_present(precipitation: Any) -> float:

@@ -244,11 +244,10 @@ class Plant:
                 x2, self.layer, available, rain + pump, evapotranspiration
             )
             limited = limited or dry
-            filled = self.x1 + tau * (collected + mains + self._kept * drainage)
-            if self._kept and not self._short and (mains or filled > self._fits(outlet)):
-                outflow, low, mains = self._step_outlets(
-                    collected + self._kept * drainage, volumes, outlet
-                )
+            if self._kept and not self._short:
+                arriving = collected + self._kept * drainage
+                if mains or self.x1 + tau * (arriving + mains) > self._fits(outlet):
+                    outflow, low, mains = self._step_outlets(arriving, volumes, outlet)
         return _new(Flows, (outflow, pump, drainage, evapotranspiration, limited, mains, low))
 
     def _fits(self, outlet: float) -> float:

@@ -19,6 +19,7 @@ from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import make_forecast
 from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
+from greenroof_ros.model.storm_water import Intervals, find_wet_weather
 from greenroof_ros.weather.series import WeatherSeries
 
 # 10 m3 below the upper outlet at 2 m; a valve at 0.1 m that takes 4.7 m3/h at a head of 1 m.
@@ -173,8 +174,8 @@ def test_an_hour_with_a_tenth_of_a_millimetre_is_wet() -> None:
     plan = make_outlet(SITE, HOUR * np.arange(4.0), "plan", 2.0, 0.1, REACH)
     assert isinstance(plan, outlet.Plan)
     for tenths in range(200):
-        hourly = plan._hourly(np.array([[tenths / 10, 0.0, 0.1]]) / 1000 / HOUR)
-        assert plan._find_wet(hourly)[0, 2] == 1
+        (hourly,) = plan._hourly(np.array([[tenths / 10, 0.0, 0.1]]) / 1000 / HOUR)
+        assert find_wet_weather(SITE, Intervals(HOUR, hourly, hourly))[2]
 
 
 def test_plan_depends_on_all_members() -> None:
