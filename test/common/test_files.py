@@ -187,7 +187,7 @@ def test_what_is_refused(tmp_path: Path, text: str, words: str) -> None:
     (read_site, "site.yaml", "tau"), (read_site, "site.yaml", "extends"),
     (read_sensors, "sensors.yaml", "scale"), (read_drive_file, "drives/abb_acs880.yaml", "unit"),
     (read_relay_file, "drives/tasmota.yaml", "switch"),
-    (read_grid, "studies/horizons.yaml", "site"),
+    (read_grid, "studies/seasons.yaml", "site"),
 ])
 def test_no_value_fills_a_message(
     tmp_path: Path, read: Callable[[Path], object], file: str, key: str, value: str

@@ -107,9 +107,8 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 
 # For each grid of years: sites, ticks (s), and runs of a year.
 YEARS = {
-    # On each roof two on/off, and two controllers with five forecasts.
-    "seasons.yaml": (2, {300}, 2 * (2 + 2 * 5)),
-    "horizons.yaml": (2, {300}, 2 * (1 + 5 * (3 + 1))),
+    # On each roof two on/off, and two controllers with three forecasts.
+    "seasons.yaml": (2, {300}, 2 * (2 + 2 * 3)),
     "sizing.yaml": (18, {60}, 2 * 18),
     "ticks.yaml": (8, {1, 10, 60, 300}, 8 * 2),
     # Two roofs with four cisterns each; closed, open, plan, and three reserves.
@@ -118,7 +117,7 @@ YEARS = {
 }
 GRIDS = {path.name: path for path in (CONFIG / "studies").iterdir()}
 # Grids that need files which the package does not have.
-OTHERS = {"month.yaml", "issued_forecasts.yaml", "storm_water_issued.yaml"}
+OTHERS = {"storm_water_issued.yaml"}
 
 
 @pytest.mark.parametrize("file", sorted(GRIDS.keys() - YEARS.keys() - OTHERS))
@@ -152,26 +151,14 @@ def test_grids_of_years(tmp_path: Path, file: str) -> None:
     assert {yaml.safe_load(case.site.content)["tau"] for case in cases} == ticks
 
 
-def test_grids_of_records_that_users_bring(tmp_path: Path) -> None:
-    """July's record, with five horizons of two controllers; a gauge, and archives of services."""
-    (tmp_path / "2021_7.csv").symlink_to(DATA / "en_climate_hourly_07-2021.csv")
-    cases = read_grid(GRIDS["month.yaml"], tmp_path)
-    assert len(cases) == 1 + 1 + 2 * 5
-    assert {case.hours for case in cases} == {744.0}
+def test_a_grid_of_records_that_users_bring(tmp_path: Path) -> None:
+    """A gauge, and archives of services."""
     (tmp_path / "gauge.csv").write_text("time,precipitation [mm/h]\n" + "".join(
         f"2024-03-{day:02}T{hour:02}:00+00:00,0.5\n" for day in range(1, 31) for hour in range(24)
     ))
     archive = (DATA / "gem_global_previous_runs_2024-03.csv").read_bytes()
-    for name in ("gem", "knmi", "gfs", "together", "no_rain"):
+    for name in ("gem", "knmi", "gfs", "together", "week_late"):
         (tmp_path / f"{name}.csv").write_bytes(archive)
-    text = GRIDS["issued_forecasts.yaml"].read_text()
-    text = text.replace("2024-05-01T00:00, hours: 4416", "2024-03-05T12:00, hours: 24")
-    cases = read_grid(tmp_path / grid(tmp_path, text), tmp_path)
-    assert len(cases) == 3 * (1 + 6)
-    assert [float(yaml.safe_load(case.site.content)["z_veg"]) for case in cases[::7]] == [
-        0.0457, 0.039, 0.0457
-    ]
-    (tmp_path / "week_late.csv").write_bytes(archive)
     text = GRIDS["storm_water_issued.yaml"].read_text()
     text = text.replace("2024-03-01T00:00, hours: 7296", "2024-03-05T12:00, hours: 24")
     cases = read_grid(tmp_path / grid(tmp_path, text), tmp_path)
