@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
@@ -18,7 +17,12 @@ from greenroof_ros.analysis.study.case_run import bound_case, bound_discharge, r
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.analysis.study.store import StudyStore
-from greenroof_ros.analysis.study.workers import Workers, processes
+from greenroof_ros.analysis.workers.choice import (
+    add_worker_arguments,
+    check_workers,
+    open_workers,
+)
+from greenroof_ros.analysis.workers.processes import Workers
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -36,6 +40,11 @@ _Bound: TypeAlias = tuple[Callable[[Path, Case], Any], Case, Callable[[Case, Any
 """What computes a bound, for which case, and what stores it."""
 
 _REFRESH_S = 0.5
+# What every worker needs.
+_PRELOADED = [
+    "greenroof_ros.analysis.study.case_run", "greenroof_ros.controllers.mpc",
+    "greenroof_ros.controllers.lookahead", "osqp", "polars", "scipy.optimize",
+]
 _NOTES = {
     "filled_hours": "had missing hours of weather filled in",
     "frost_hours": "had frost, in which nothing was pumped",
@@ -78,15 +87,7 @@ def make_parser() -> Parser:
         help="directory of weather files that the grid names and that are not next to it, such as "
         "the record of years for config/studies/seasons.yaml",
     )
-    parser.add_argument(
-        "--jobs", type=make_number_type(1, 1024, int), metavar="N",
-        help="runs at a time (default: one per core)",
-    )
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS",
-        help="hand the runs to a Dask cluster, such as tcp://10.0.0.1:8786, instead of processes "
-        "of this machine; its workers need greenroof_ros[dask,study]",
-    )
+    add_worker_arguments(parser, "runs")
     trajectories = parser.add_mutually_exclusive_group()
     trajectories.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
@@ -105,10 +106,7 @@ def make_parser() -> Parser:
 def main() -> int:
     """Run a study, or the cases of it that are not finished."""
     arguments = make_parser().parse_args()
-    if arguments.scheduler is not None and arguments.jobs is not None:
-        raise ConfigurationError(
-            "cannot be used with --scheduler: the cluster sets how many", key="--jobs"
-        )
+    check_workers(arguments)
     if arguments.weather is not None and not arguments.weather.is_dir():
         raise ConfigurationError(
             "must be a directory with weather files", key="--weather", value=str(arguments.weather)
@@ -137,15 +135,7 @@ def main() -> int:
     signals: Signals | None = None
     try:
         if open_cases or unbounded or unbounded_discharges:
-            files = collect_contents(cases)
-            if arguments.scheduler is None:
-                cores = len(os.sched_getaffinity(0))
-                those = processes(arguments.jobs or cores, files)
-            else:
-                from greenroof_ros.analysis.study.cluster import cluster  # needs an extra
-
-                those = cluster(arguments.scheduler, files)
-            with those as workers:
+            with open_workers(arguments, collect_contents(cases), _PRELOADED) as workers:
                 signals = Signals()  # from now on a signal ends the study between two results
                 bounds: list[_Bound] = [
                     *((bound_case, case, store.write_bound) for case in unbounded.values()),

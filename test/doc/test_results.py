@@ -10,8 +10,9 @@ import pytest
 from places import CHECKOUT
 
 from greenroof_ros.analysis.study.case import collect_contents
-from greenroof_ros.analysis.study.case_run import run_case, write_inputs
+from greenroof_ros.analysis.study.case_run import run_case
 from greenroof_ros.analysis.study.grid import read_grid
+from greenroof_ros.analysis.workers.input_files import write_inputs
 
 PAGE = (CHECKOUT / "doc" / "results.md").read_text()
 STUDIES = CHECKOUT / "config" / "studies"

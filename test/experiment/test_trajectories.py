@@ -18,8 +18,9 @@ from studies import edit_grid
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.study.case import collect_contents
-from greenroof_ros.analysis.study.case_run import run_case, write_inputs
+from greenroof_ros.analysis.study.case_run import run_case
 from greenroof_ros.analysis.study.grid import read_grid
+from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.recording.trajectory import read_trajectory
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.analysis.study.case import Case
-from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.controllers.outlet import PRICE
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import Simulation, record
@@ -29,13 +27,6 @@ class Outcome:
 
     results: dict[str, Any]
     files: dict[str, bytes]
-
-
-def write_inputs(files: Mapping[str, bytes], directory: Path) -> None:
-    """Write the contents of input files to a directory, where :func:`run_case` reads them."""
-    for name, content in files.items():
-        with add_path_to_errors(directory / name):
-            (directory / name).write_bytes(content)
 
 
 def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Outcome:

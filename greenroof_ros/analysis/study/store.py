@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from greenroof_ros.analysis.study.case import Case, collect_contents
-from greenroof_ros.analysis.study.case_run import Outcome, write_inputs
+from greenroof_ros.analysis.study.case_run import Outcome
 from greenroof_ros.analysis.study.names import Names
+from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import add_path_to_errors, replace_text
 from greenroof_ros.common.processes import LockedError, acquire_file_lock

@@ -21,8 +21,9 @@ from greenroof_ros.analysis.report.figures import make_figures
 from greenroof_ros.analysis.report.groups import Report
 from greenroof_ros.analysis.report.sources import find_runs
 from greenroof_ros.analysis.study.case import collect_contents
-from greenroof_ros.analysis.study.case_run import bound_case, run_case, write_inputs
+from greenroof_ros.analysis.study.case_run import bound_case, run_case
 from greenroof_ros.analysis.study.grid import read_grid
+from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.commands.study import show
 from greenroof_ros.common.parameter import parameters_of
 from greenroof_ros.experiment.inputs import RunInputs

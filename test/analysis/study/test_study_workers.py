@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pickle
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from dask_cluster import Dask
 from graphs import alive, wait_for
 from places import CHECKOUT, DATA
 from studies import CONFIG, WEATHER, archive, begun, edit_grid, grid, rows_of, stored, study
@@ -133,47 +132,6 @@ def test_ended(tmp_path: Path, number: signal.Signals) -> None:
         status = [row["status"] for row in rows_of(tmp_path / "out" / "results.csv")]
         assert status == ["not run"] * 6
     shutil.rmtree(scratch)
-
-
-class Dask:
-    """A Dask scheduler and its workers, each a separate process, on loopback."""
-
-    def __init__(self, directory: Path) -> None:
-        file, self.log = directory / "scheduler.json", directory / "dask.log"
-        self.workers: list[subprocess.Popen[bytes]] = []
-        self.scheduler = self._start(
-            "scheduler", "--port", "0", "--no-show", "--scheduler-file", str(file)
-        )
-        wait_for(lambda: file.is_file() and file.read_text().endswith("}"), 60, "a scheduler")
-        self.address = json.loads(file.read_text())["address"]
-
-    def start_worker(self) -> None:
-        """Start another worker, and wait until the scheduler has it."""
-        self.workers.append(
-            self._start("worker", self.address, "--nthreads", "1", "--no-nanny")
-        )
-        self.wait_for_log("Register worker", len(self.workers))
-
-    def _start(self, what: str, *options: str) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.dask_{what}", *options,
-             "--host", "127.0.0.1", "--dashboard-address", ":0"],
-            stdout=self.log.open("a"), stderr=subprocess.STDOUT,
-        )
-
-    def wait_for_log(self, words: str, times: int = 1) -> None:
-        """Wait until the log has these words so many times."""
-        wait_for(lambda: self.log.read_text().count(words) >= times, 60, f"{words!r} in a log")
-
-
-@pytest.fixture
-def dask(tmp_path: Path) -> Iterator[Dask]:
-    """A scheduler without workers, which is ended with all that it got."""
-    started = Dask(tmp_path)
-    yield started
-    for process in (*started.workers, started.scheduler):
-        process.kill()
-        process.wait()
 
 
 PLANNED = f"""

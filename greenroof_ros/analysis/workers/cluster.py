@@ -1,4 +1,4 @@
-"""The workers of a Dask cluster, for the runs of a study."""
+"""The workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from greenroof_ros.analysis.study.case_run import write_inputs
-from greenroof_ros.analysis.study.workers import Workers, WorkersLostError
+from greenroof_ros.analysis.workers.input_files import write_inputs
+from greenroof_ros.analysis.workers.processes import Workers, WorkersLostError
 from greenroof_ros.common.errors import ConfigurationError, require_extra
 from greenroof_ros.experiment.summary import versions
 
@@ -36,14 +36,14 @@ _DELETE_S = 5.0
 
 
 class InputFiles(WorkerPlugin):
-    """Keeps a study's input files on a worker; Dask sends them to each worker once."""
+    """Keeps the input files on a worker; Dask sends them to each worker once."""
 
     def __init__(self, files: Mapping[str, bytes]) -> None:
         """Set the contents by name."""
         self._files = files
 
     def setup(self, worker: Any) -> None:
-        """Write the files, before the worker gets its first run."""
+        """Write the files, before the worker gets its first task."""
         self._directory = tempfile.TemporaryDirectory(dir=worker.local_directory)
         self.path = Path(self._directory.name)
         write_inputs(self._files, self.path)
@@ -54,7 +54,7 @@ class InputFiles(WorkerPlugin):
 
 
 def _on_worker(plugin: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function on a worker with the directory of the study's input files."""
+    """Call a function on a worker with the directory of the input files."""
     files = get_worker().plugins[plugin]
     assert isinstance(files, InputFiles)
     return function(files.path, *arguments)
@@ -66,7 +66,7 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
 
     Args:
         address: such as ``tcp://10.0.0.1:8786``.
-        files: contents of the study's input files, by name.
+        files: contents of the input files, by name.
 
     Raises:
         ConfigurationError: the scheduler does not answer or has no worker, or the versions on a

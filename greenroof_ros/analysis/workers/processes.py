@@ -1,6 +1,6 @@
-"""The workers of a study's runs: processes of this machine.
+"""Workers that are processes of this machine.
 
-A Dask cluster's are in :mod:`greenroof_ros.analysis.study.cluster`.
+A Dask cluster's are in :mod:`greenroof_ros.analysis.workers.cluster`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import os
 import pickle
 import signal
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -21,15 +21,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
 
-from greenroof_ros.analysis.study.case_run import write_inputs
+from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.processes import end_with, scratch_directory
-
-# Imported once by the fork server, not by each worker.
-_PRELOADED = [
-    "greenroof_ros.analysis.study.case_run", "greenroof_ros.controllers.mpc",
-    "greenroof_ros.controllers.lookahead", "osqp", "polars", "scipy.optimize",
-]
 
 
 class WorkersLostError(BrokenExecutor):
@@ -37,11 +31,11 @@ class WorkersLostError(BrokenExecutor):
 
 
 class Workers(NamedTuple):
-    """The means to hand out runs."""
+    """The means to hand out work."""
 
     submit: Callable[..., Future[Any]]
-    """schedules a function; its first argument will be the directory of the study's input files,
-    and the given arguments are the others"""
+    """schedules a function; its first argument will be the directory of the input files, and
+    the given arguments are the others"""
     result: Callable[[Future[Any]], Any]
     """returns what the function of a future returned, or raises what it raised"""
     check: Callable[[], None]
@@ -49,18 +43,21 @@ class Workers(NamedTuple):
 
 
 @contextmanager
-def processes(jobs: int, files: Mapping[str, bytes]) -> Iterator[Workers]:
+def processes(
+    jobs: int, files: Mapping[str, bytes], preload: Sequence[str]
+) -> Iterator[Workers]:
     """Work in parallel processes of this machine.
 
     Args:
         jobs: number of processes.
-        files: contents of the study's input files, by name.
+        files: contents of the input files, by name.
+        preload: modules that the fork server imports once, and not each worker.
 
     Raises:
         WorkersLostError: a process ended unexpectedly, or was killed.
     """
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(_PRELOADED)
+    context.set_forkserver_preload([*preload])
     # A terminal's Ctrl-C also reaches the fork server, which would print a traceback. So it is
     # blocked in the server and its workers from the start; this process has it a moment later.
     resource_tracker.ensure_running()  # first, as it unblocks it
@@ -104,21 +101,21 @@ def _to_file(directory: Path, function: Callable[..., Any], *arguments: Any) -> 
 
 def _from_file(future: Future[Path]) -> Any:
     path = future.result()
-    result = pickle.loads(path.read_bytes())  # noqa: S301 - written by this study's own worker
+    result = pickle.loads(path.read_bytes())  # noqa: S301 - written by our own worker
     path.unlink()
     return result
 
 
-def _prepare(scratch: str, study: int) -> None:
+def _prepare(scratch: str, command: int) -> None:
     """Prepare a worker: its directory for temporary files, no warnings, and its end.
 
-    Warnings of single runs would break the progress bar. The worker ends with the study itself,
+    Warnings of single runs would break the progress bar. The worker ends with the command itself,
     because its parent, the fork server, stays while any of its children runs.
 
     Args:
-        scratch: directory for temporary files, which the study deletes.
-        study: process number of the study.
+        scratch: directory for temporary files, which the command deletes.
+        command: process number of the command.
     """
-    end_with(study)
+    end_with(command)
     tempfile.tempdir = scratch
     logging.getLogger("greenroof_ros").setLevel(logging.ERROR)

@@ -1,0 +1,57 @@
+"""Where a command's work is done: its options, and the workers that they ask for."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+
+from greenroof_ros.analysis.workers.processes import Workers, processes
+from greenroof_ros.common.command_line import make_number_type, refuse
+
+
+def add_worker_arguments(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the options that choose the workers; ``what`` they are handed, such as ``runs``."""
+    parser.add_argument(
+        "--jobs", type=make_number_type(1, 1024, int), metavar="N",
+        help=f"{what} at a time (default: one per core)",
+    )
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS",
+        help=f"hand the {what} to a Dask cluster, such as tcp://10.0.0.1:8786, instead of "
+        "processes of this machine; its workers need greenroof_ros[dask,study]",
+    )
+
+
+def check_workers(arguments: argparse.Namespace) -> None:
+    """Refuse options that contradict each other.
+
+    Raises:
+        ConfigurationError: both a cluster and a number of processes are asked for.
+    """
+    refuse((
+        arguments.scheduler is not None and arguments.jobs is not None, "--jobs", arguments.jobs,
+        "cannot be used with --scheduler: the cluster sets how many",
+    ))
+
+
+def open_workers(
+    arguments: argparse.Namespace, files: Mapping[str, bytes], preload: Sequence[str]
+) -> AbstractContextManager[Workers]:
+    """Return the workers that a command line asks for.
+
+    Args:
+        arguments: with the options of :func:`add_worker_arguments`.
+        files: contents of the input files, by name.
+        preload: modules that processes of this machine import once for all.
+
+    Raises:
+        ConfigurationError: the scheduler does not answer, has no worker, or workers with other
+            versions; raised when the context is entered.
+    """
+    if arguments.scheduler is None:
+        return processes(arguments.jobs or len(os.sched_getaffinity(0)), files, preload)
+    from greenroof_ros.analysis.workers.cluster import cluster  # needs an extra
+
+    return cluster(arguments.scheduler, files)
