@@ -63,6 +63,7 @@ GROUPS = {
     },
     "fit it to your site": {
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
+        "fetch-weather": Command("fetch_weather", "fetch years of weather from the internet"),
         "weather": Command("weather_file", "describe a weather file; write it as a plain CSV"),
         "verify": Command("verify", "compare forecasts of rain with records"),
     },

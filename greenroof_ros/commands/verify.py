@@ -134,7 +134,7 @@ def main() -> None:
     console.print(_make_table(
         f"{forecasts.name}: {count} issues, against {weather.source}", tallies
     ))
-    notes = [*weather.notes, *forecasts.notes]
+    notes = [*filter(None, [weather.rain_note]), *weather.notes, *forecasts.notes]
     if len(notes) > _MAX_NOTES:
         notes[_MAX_NOTES:] = [f"and {len(notes) - _MAX_NOTES} more of this kind"]
     for note in notes:

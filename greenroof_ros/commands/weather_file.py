@@ -120,6 +120,8 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
     yield from _sum_rain(measured)
     if measured.rain_late:
         yield "rain", "1 h late", "its time is the end of its hour; a run takes it as the start"
+    if measured.rain_kind:
+        yield "rain", measured.rain_kind, measured.rain_note
     missing = {name: np.isnan(weather.values[name]) for name in measured.values}
     for what, marked in (("MISSING", missing), ("interpolated", weather.filled)):
         for name, marks in marked.items():

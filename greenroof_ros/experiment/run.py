@@ -88,7 +88,7 @@ class Run:
         """Return what a reader must know before the results, in sentences."""
         return [
             *self._note_short(), *_note_far(self.weather, self.site),
-            *note_full_roof(self.site, self.x2),
+            *filter(None, [self.weather.rain_note]), *note_full_roof(self.site, self.x2),
         ]
 
     def _note_short(self) -> Iterator[str]:

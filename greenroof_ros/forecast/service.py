@@ -21,18 +21,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from email.utils import parsedate_to_datetime
-from functools import partial
-from http.client import HTTPException
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from urllib.error import HTTPError
-from urllib.parse import urlencode
-from urllib.request import urlopen
 
 import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import replace_text
+from greenroof_ros.common.http_client import ServiceError, check_url, read_reason, request
 from greenroof_ros.common.processes import IN_MEMORY, scratch_directory
 from greenroof_ros.common.times import to_people
 from greenroof_ros.formats.cells import HOUR
@@ -59,9 +54,6 @@ ATTRIBUTION = "forecasts by Open-Meteo.com, CC BY 4.0"
 
 _FORECAST_URL = "https://api.open-meteo.com/v1/forecast"
 _ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
-# Longest silence and longest answer (s), and the largest answer (bytes): 64 members of 36 days are
-# 3 MB.
-_SILENCE_S, _ANSWER_S, _MAX_BYTES = 30.0, 60.0, 50_000_000
 # Most by which the service's clock and ours may differ (s).
 _CLOCKS_S = 600.0
 # Wait after a failure (s): the first, the longest if the service asks for none, and the longest
@@ -71,18 +63,6 @@ _FIRST_WAIT_S, _LAST_WAIT_S, _MAX_WAIT_S = 60.0, 3600.0, 86_400.0
 # The names of kept forecasts, and how much of them is kept (bytes): half a year of hourly ensembles
 # of 50 members, or 20 years of single forecasts.
 _STORED_NAME, _MAX_STORED = re.compile(r"\d{14}\.csv"), 2_000_000_000
-
-
-class ServiceError(Exception):
-    """The service gave no forecast; the message states why.
-
-    Attributes:
-        wait: how long the service asks to be left alone (s); None if it does not state this.
-    """
-
-    def __init__(self, why: str, wait: float | None = None) -> None:
-        super().__init__(why)
-        self.wait = wait
 
 
 class Service:
@@ -113,13 +93,13 @@ class Service:
                 )
         self._site = site
         self._url = url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL)
-        if not self._url.startswith(("http://", "https://")):
-            raise ConfigurationError("must begin with http:// or https://", key="url", value=url)
+        check_url(self._url)
         self._parameters: dict[str, str | float] = {
             "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
             "hourly": ",".join(VARIABLES.values()), "forecast_days": days, "timezone": "GMT",
             **({"models": model} if model else {}),
         }
+
     def fetch(self, now: datetime) -> IssuedForecast:
         """Return the newest forecast, issued in the present hour, with evapotranspiration.
 
@@ -130,75 +110,16 @@ class Service:
             ServiceError: there is no usable forecast.
         """
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
+        began = time.monotonic()
+        answer = request(self._url, self._parameters)
+        arrived = now + timedelta(seconds=time.monotonic() - began)
+        _check_clock(answer.date, now)
         try:
-            began = time.monotonic()
-            answer = _within(_ANSWER_S, partial(self._request, now))
-            arrived = now + timedelta(seconds=time.monotonic() - began)
-            return replace(_read_issue(answer, self._site, hour), available=arrived)
-        except (HTTPException, OSError) as error:
-            why = " ".join(str(error).split()) or type(error).__name__
-            raise ServiceError(f"{self._url}: {why}") from error
+            return replace(_read_issue(answer.body, self._site, hour), available=arrived)
+        except OSError as error:
+            raise ServiceError(f"{self._url}: {error}") from error
         except ConfigurationError as error:
             raise ServiceError(f"{self._url}: its answer {error.wrong}") from error
-
-    def _request(self, now: datetime) -> bytes:
-        """Return an answer.
-
-        Raises:
-            ServiceError: the service refuses or sends too much, or a clock is wrong.
-            OSError, HTTPException: it cannot be reached, or breaks off.
-        """
-        url = f"{self._url}?{urlencode(self._parameters)}"
-        until = time.monotonic() + _ANSWER_S
-        try:
-            response = urlopen(url, timeout=_SILENCE_S)  # noqa: S310 - of the web, as was checked
-        except HTTPError as error:
-            response = error
-        answer = b""
-        with response:
-            while part := response.read1(1 << 16):
-                answer += part
-                if len(answer) > _MAX_BYTES:
-                    raise ServiceError(f"{self._url}: sent more than {_MAX_BYTES} bytes")
-                if time.monotonic() > until:
-                    raise _late(_ANSWER_S)
-        _check_clock(response.headers.get("Date", ""), now)
-        if response.status != 200:
-            raise ServiceError(
-                f"{self._url}: {response.status} {response.reason}: {_read_reason(answer)}",
-                _read_wait(response.headers.get("Retry-After", ""), now),
-            )
-        return answer
-
-
-def _late(seconds: float) -> TimeoutError:
-    return TimeoutError(f"gave no complete answer within {seconds:g} s")
-
-
-def _within(seconds: float, request: Callable[[], bytes]) -> bytes:
-    """Return what a request returns, or raise what it raises; give up after a time (s).
-
-    The library's timeout is for each part of the answer, and its head may come byte by byte.
-
-    Raises:
-        TimeoutError: it took longer. Its thread ends when the service does.
-    """
-    results: SimpleQueue[bytes | Exception] = SimpleQueue()
-
-    def work() -> None:
-        try:
-            results.put(request())
-        except Exception as error:  # raised by the caller
-            results.put(error)
-
-    threading.Thread(target=work, daemon=True).start()
-    try:
-        result = results.get(timeout=seconds)
-    except Empty:
-        raise _late(seconds) from None
-    if isinstance(result, Exception):
-        raise result
-    return result
 
 
 def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
@@ -212,7 +133,7 @@ def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
         ConfigurationError: the answer is not a forecast for that hour and site.
     """
     if not answer.lstrip().startswith(b"{"):
-        raise ConfigurationError(f"is not a forecast in JSON: {_read_reason(answer)}")
+        raise ConfigurationError(f"is not a forecast in JSON: {read_reason(answer)}")
     with scratch_directory(IN_MEMORY) as directory:  # a full disk costs no forecast
         file = directory / "answer.json"
         file.write_bytes(answer)
@@ -255,21 +176,6 @@ def _check_clock(date: str, now: datetime) -> None:
             f"it is {to_people(theirs)} at the service and {to_people(now)} here: check the clock "
             "of this machine"
         )
-
-
-def _read_reason(answer: bytes) -> str:
-    """Return the text of a refusal, cut to a line."""
-    return " ".join(answer.decode("utf-8", "replace").split())[:200]
-
-
-def _read_wait(text: str, now: datetime) -> float | None:
-    """Return the wait (s) in a Retry-After header, seconds or a date; None if it is neither."""
-    if text.isascii() and text.isdecimal():
-        return float(text)
-    try:
-        return max(0.0, (parsedate_to_datetime(text) - now).total_seconds())
-    except (ValueError, TypeError):
-        return None
 
 
 class ForecastFiles:

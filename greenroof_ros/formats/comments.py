@@ -19,13 +19,18 @@ STAMPED = "stamped"
 """what the time of a row is, one of :data:`STAMPS`"""
 START, END = STAMPS = ("start", "end")
 """The time of a row is the start of the row, or its end."""
+RAIN_KIND = "rain_kind"
+"""what the rain is of, if it was not measured by a gauge: :data:`REANALYSIS`"""
+REANALYSIS = "reanalysis"
+"""a weather model that follows measurements; its rain is the mean of a grid cell"""
 
 _NUMBERS = {
     LATITUDE: Range(-90.0, 90.0, "degrees"), LONGITUDE: Range(-180.0, 180.0, "degrees"),
     WIND_HEIGHT: Range(0.5, 100.0, "m"), RAIN_LATE: Range(0, 1, "h", whole=True),
 }
+_WORDS = {STAMPED: STAMPS, RAIN_KIND: (REANALYSIS,)}
 _COMMENT = re.compile(r"\s*(\"?#|$)")
-_KEY = rf"\b({'|'.join((*_NUMBERS, STAMPED))})\s*[:=]\s*"
+_KEY = rf"\b({'|'.join((*_NUMBERS, *_WORDS))})\s*[:=]\s*"
 # A value ends at the end of a clause, or before the next key, also an unknown one.
 _STATED = re.compile(
     rf"{_KEY}(.*?)(?=[;()|]|,(?!\d)|\.(?!\d)|\s+[^\W\d]\w*\s*[:=]|\s*$)", re.IGNORECASE
@@ -51,6 +56,8 @@ class Stated(NamedTuple):
     """by key, those of the file"""
     stamped: str
     """one of :data:`STAMPS`"""
+    rain_kind: str
+    """:data:`REANALYSIS`, or empty"""
     notes: list[str]
     """of what is not read"""
 
@@ -75,8 +82,10 @@ def read_comments(file: Path) -> Stated:
                 continue
             for match in _STATED.finditer(line.strip().strip('"')):
                 key, text = match[1].lower(), match[2].strip().rstrip(" -")
-                value: float | str | None = text.lower() if text.lower() in STAMPS else None
-                if key != STAMPED:
+                value: float | str | None
+                if key in _WORDS:
+                    value = text.lower() if text.lower() in _WORDS[key] else None
+                else:
                     value = _read_value(key, text, file, number)
                 if value is None:
                     notes.append(f"{file.name}: line {number} is not read: {match[0]}")
@@ -86,7 +95,9 @@ def read_comments(file: Path) -> Stated:
                         file=file, line=number, key=key, value=text,
                     )
     numbers = {key: value for key, value in stated.items() if not isinstance(value, str)}
-    return Stated(numbers, str(stated.get(STAMPED, START)), notes)
+    return Stated(
+        numbers, str(stated.get(STAMPED, START)), str(stated.get(RAIN_KIND, "")), notes
+    )
 
 
 def _read_value(key: str, text: str, file: Path, line: int) -> float | None:

@@ -40,6 +40,7 @@ class Records:
         wind_height: height at which the wind was measured (m); None if it is in the site file.
         minutes: rain of each minute (mm/h), shape (hours, 60), NaN where no row of less than an
             hour has it; None if there are none. The precipitation of their hours is their mean.
+        rain_kind: :data:`.comments.REANALYSIS` if any of the rain is; empty if none is known to be.
     """
 
     files: tuple[Path, ...]
@@ -53,6 +54,7 @@ class Records:
     places: dict[Path, tuple[float, float]] = field(default_factory=dict)
     wind_height: float | None = None
     minutes: NDArray[np.float64] | None = None
+    rain_kind: str = ""
 
     @property
     def hours(self) -> int:
@@ -71,6 +73,14 @@ class Records:
     def source(self) -> str:
         """Name of all files, for messages and tables."""
         return name_files(self.files)
+
+    @property
+    def rain_note(self) -> str:
+        """What every result that is computed from the rain must state; mostly empty."""
+        return self.rain_kind and (
+            f"rain is of a {self.rain_kind}, the mean of a grid cell: its peaks are lower than a "
+            "gauge's, so overflow, discharge and peaks of runoff are underestimated"
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -226,7 +236,8 @@ def join_records(parts: Sequence[Records]) -> Records:
     left_out = tuple(note for part in parts for note in part.left_out)
     places = {file: place for part in parts for file, place in part.places.items()}
     return replace(
-        first, files=files, values=values, left_out=left_out, places=places, minutes=minutes
+        first, files=files, values=values, left_out=left_out, places=places, minutes=minutes,
+        rain_kind=max(part.rain_kind for part in parts),
     )
 
 
@@ -284,6 +295,7 @@ def _add_quantities(first: Records, other: Records) -> Records:
         first, files=(*first.files, *other.files), first=begin, values=values,
         method=first.method or other.method, shifted=(*first.shifted, *other.shifted),
         rain_late=max(first.rain_late, other.rain_late),
+        rain_kind=max(first.rain_kind, other.rain_kind),
         left_out=(*first.left_out, *other.left_out), places={**first.places, **other.places},
         wind_height=heights[0] if heights else None, minutes=minutes,
     )

@@ -61,6 +61,7 @@ from greenroof_ros.common.times import (
     to_minutes,
 )
 from greenroof_ros.formats.cells import HOUR, Column, Table, number_lines, read_table
+from greenroof_ros.formats.comments import REANALYSIS
 from greenroof_ros.formats.forecasts import (
     ISSUE_HOURS,
     SERVICE_DELAY_H,
@@ -381,8 +382,8 @@ def _check_place(place: Table, site: Site) -> timezone:
 def read_records(file: Path, site: Site, /) -> Records:
     """Read past weather; an empty cell or ``NaN`` is a missing value.
 
-    Precipitation is required; what evapotranspiration is computed from is used if present, and
-    other variables are ignored.
+    All of it is of weather models. Precipitation is required; what evapotranspiration is computed
+    from is used if present, and other variables are ignored.
 
     Args:
         file: of one place.
@@ -406,7 +407,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last neither.
     nothing = np.array([math.nan])
-    return replace(records, first=records.first - HOUR, values={
+    return replace(records, first=records.first - HOUR, rain_kind=REANALYSIS, values={
         quantity: np.concatenate((series, nothing) if quantity in shifted else (nothing, series))
         for quantity, series in values.items()
     }, shifted=shifted)

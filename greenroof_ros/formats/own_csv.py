@@ -32,6 +32,7 @@ from greenroof_ros.formats.comments import (
     END,
     LATITUDE,
     LONGITUDE,
+    RAIN_KIND,
     RAIN_LATE,
     WIND_HEIGHT,
     read_comments,
@@ -92,6 +93,7 @@ class Rows:
         values: of each quantity in its unit in :data:`.quantities.QUANTITIES`, likewise; NaN if
             missing.
         about: what comments at the head of the file state; see :mod:`.comments`.
+        rain_kind: what they state of the rain.
     """
 
     table: Table
@@ -102,6 +104,7 @@ class Rows:
     since: NDArray[np.float64]
     values: dict[str, NDArray[np.float64]]
     about: dict[str, float]
+    rain_kind: str
 
 
 def read_rows(
@@ -177,7 +180,8 @@ def read_rows(
         for level in measured.keys() & set(_LEVELS):
             measured[level] = _move_to_next(measured[level], steps)
     table.notes[:0] = [*notes, *about.notes]
-    return Rows(table, columns, method, first, rows, since, measured, about.numbers)
+    return Rows(table, columns, method, first, rows, since, measured, about.numbers,
+                about.rain_kind)
 
 
 def _end_at_stamps(rows: RowSteps, since: Values) -> tuple[RowSteps, Values]:
@@ -324,6 +328,7 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
         (file,), first, add_dew_point(arrange_by_hour(values, hours)), rows.method,
         left_out=tuple(notes), rain_late=round(about.get(RAIN_LATE, 0.0)), places=here,
         wind_height=about.get(WIND_HEIGHT), minutes=minutes,
+        rain_kind=rows.rain_kind if PRECIPITATION in values else "",
     )
 
 
@@ -404,7 +409,7 @@ def write_records(records: Records, about: str) -> str:
 
     Args:
         records: hours of one place; gaps are empty cells.
-        about: the first comment.
+        about: the first comment, of one or more lines.
     """
     head = []
     places = {*records.places.values()}
@@ -417,12 +422,14 @@ def write_records(records: Records, about: str) -> str:
         head.append(f"{WIND_HEIGHT}: {records.wind_height:g}")
     if records.rain_late:
         head.append(f"{RAIN_LATE}: {records.rain_late}")
+    if records.rain_kind:
+        head += [f"{RAIN_KIND}: {records.rain_kind}", records.rain_note]
     names = {
         name: f"{records.method} {name}" if name == EVAPOTRANSPIRATION else name
         for name in records.values
     }
     lines = [
-        f"# {about}", *(f"# {line}" for line in head),
+        *(f"# {line}" for line in (*about.splitlines(), *head)),
         ",".join(["time", *(f"{text} [{QUANTITIES[name].unit}]" for name, text in names.items())]),
     ]
     table, step = np.array(list(records.values.values())), HOUR

@@ -1,0 +1,166 @@
+"""Fetch years of weather from the internet into one file: ``greenroof fetch-weather``."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    Parser,
+    add_site,
+    command,
+    make_number_type,
+    refuse_unwritable,
+)
+from greenroof_ros.common.files import replace_text
+from greenroof_ros.common.http_client import ServiceError
+from greenroof_ros.common.progress import ProgressBar
+from greenroof_ros.common.times import to_people
+from greenroof_ros.formats.cells import HOUR
+from greenroof_ros.formats.hourly import name_hours
+from greenroof_ros.formats.quantities import PRECIPITATION
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.fetching import (
+    FIRST_YEAR,
+    eccc_station,
+    fetch,
+    join_blocks,
+    open_meteo_archive,
+    prepare_directory,
+    write_weather,
+)
+
+_DESCRIPTION = """\
+Fetch years of hourly weather, with all that evapotranspiration needs, into one CSV that --weather
+of all commands reads. Without further options it is the reanalysis of Open-Meteo for the site's
+place. Its rain is the mean of a grid cell, so its peaks are lower than a gauge's; the file and all
+results state this. In Canada, --eccc fetches the observations of a station instead.
+
+Each year, or month, is kept in FILE.part until all are there. After an interruption the same
+command continues with what is missing. Requests pause, and wait after a failure, as the services
+ask.
+
+Open-Meteo: CC BY 4.0; the service is free for non-commercial use (https://open-meteo.com/en/terms).
+Environment and Climate Change Canada: Open Government Licence - Canada. Name the source.
+"""
+_EPILOG = """\
+examples:
+  greenroof fetch-weather --site my_site.yaml --years 2015-2024 --output weather.csv
+  greenroof fetch-weather --site my_site.yaml --years 2015-2024 --eccc 48549 --output toronto.csv
+  greenroof weather weather.csv --site my_site.yaml       # describe what came
+
+exit codes: 0 done, 1 the service did not give all, 2 wrong usage or configuration, 130 ended by
+Ctrl-C
+"""
+# Spans of missing hours that are named.
+_MAX_NAMED = 3
+
+
+def make_parser() -> Parser:
+    """Return the command's parser."""
+    parser = Parser(prog="greenroof fetch-weather", description=_DESCRIPTION, epilog=_EPILOG)
+    add_site(parser, "site file, with latitude, longitude and utc_offset")
+    parser.add_argument(
+        "--years", type=_parse_years, required=True, metavar="YEARS",
+        help="a year, or the first and the last, such as 2015-2024; the present year as far as the "
+        "service has it",
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="FILE.csv", help="new file to write"
+    )
+    parser.add_argument(
+        "--eccc", type=_parse_station, metavar="ID",
+        help="fetch the hourly bulk files of a station of Environment and Climate Change Canada, "
+        "by its stationID: the number in the address of the station's page at "
+        "climate.weather.gc.ca, such as 48549 for Toronto City Centre",
+    )
+    parser.add_argument(
+        "--pause", type=make_number_type(0.01, 3600), metavar="S",
+        help="wait S seconds between requests, and five times as long after a failure, doubled "
+        "with each further one (default: 3 for Open-Meteo, 1 for ECCC)",
+    )
+    parser.add_argument(
+        "--url", default="", help="another server with the same interface (default: the service's)"
+    )
+    return parser
+
+
+def _parse_years(text: str) -> range:
+    first, _, last = text.partition("-")
+    try:
+        years = range(int(first), int(last or first) + 1)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"must be a year, or two such as 2015-2024, not {text}"
+        ) from None
+    if not years:
+        raise argparse.ArgumentTypeError(f"must begin with the earlier year: {last}-{first}")
+    if years[0] < FIRST_YEAR:
+        raise argparse.ArgumentTypeError(f"must not begin before {FIRST_YEAR}, not {text}")
+    return years
+
+
+def _parse_station(text: str) -> int:
+    if len(text) == 7:
+        raise argparse.ArgumentTypeError(
+            f"{text} is a climate identifier; give the stationID, the number after 'StationID=' in "
+            "the address of the station's page at climate.weather.gc.ca"
+        )
+    if not (text.isascii() and text.isdecimal()):
+        raise argparse.ArgumentTypeError(f"must be a number such as 48549, not {text}")
+    return int(text)
+
+
+@command
+def main() -> int:
+    """Fetch the weather of the years named on the command line."""
+    arguments = make_parser().parse_args()
+    output: Path = arguments.output
+    refuse_unwritable(output, (".csv",), "--output")
+    site, now = read_site(arguments.site), datetime.now(timezone.utc)
+    if arguments.eccc is None:
+        source = open_meteo_archive(site, arguments.years, now.date(), arguments.url)
+    else:
+        source = eccc_station(arguments.eccc, site, arguments.years, now.date(), arguments.url)
+    part = output.with_name(f"{output.name}.part")
+    prepare_directory(part, source)
+    try:
+        with ProgressBar() as progress:
+            files = fetch(source, site, part, arguments.pause, progress)
+            progress.show("reading and joining", 1.0)
+            records = join_blocks(files, site, arguments.years)
+            replace_text(output, write_weather(source, records, now))
+    except BaseException as error:
+        kept = sum((part / block.file).exists() for block in source.blocks)
+        if isinstance(error, ServiceError):
+            print(f"error: {error}", file=sys.stderr)
+        if kept:
+            print(
+                f"{kept} of {len(source.blocks)} parts are kept in {part}; the same command "
+                "continues with the others", file=sys.stderr,
+            )
+        if isinstance(error, ServiceError):
+            return EXIT_FAILED
+        raise
+    shutil.rmtree(part)
+    rain = records.values[PRECIPITATION]
+    last = records.first + (records.hours - 1) * HOUR
+    print(
+        f"{output}: {records.hours} hours, {to_people(records.first)} to {to_people(last)}, "
+        f"{np.nansum(rain):.0f} mm of rain"
+    )
+    for name, series in records.values.items():
+        spans = name_hours(records.first, np.flatnonzero(np.isnan(series)))
+        if spans:
+            more = f", and {len(spans) - _MAX_NAMED} more" if len(spans) > _MAX_NAMED else ""
+            print(f"  {name} is missing: {', '.join(spans[:_MAX_NAMED])}{more}")
+    for note in filter(None, [*source.about.splitlines(), records.rain_note, *records.left_out]):
+        print(f"  {note}")
+    return EXIT_DONE

@@ -1,0 +1,283 @@
+"""``greenroof fetch-weather``: a real server sends what the services really send."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from datetime import date, datetime, timedelta, timezone
+from pathlib import Path
+from subprocess import CompletedProcess
+
+import numpy as np
+import pytest
+from commands import run_command
+from disks import small_disk
+from paper import site_file
+from places import CHECKOUT, DATA
+from refusals import refusal
+from weather_service import WeatherService, open_meteo_values
+
+from greenroof_ros.common import http_client
+from greenroof_ros.common.http_client import ServiceError
+from greenroof_ros.common.progress import ProgressBar
+from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
+from greenroof_ros.model.site import read_site
+from greenroof_ros.weather.fetching import (
+    Source,
+    eccc_station,
+    fetch,
+    open_meteo_archive,
+    prepare_directory,
+)
+from greenroof_ros.weather.reading import read_measured
+
+SITE = read_site(CHECKOUT / "config" / "site.yaml")
+LOW_PEAKS = "rain is of a reanalysis"
+TODAY = date(2026, 6, 15)
+
+
+@pytest.fixture
+def service() -> Iterator[WeatherService]:
+    served = WeatherService()
+    yield served
+    served.close()
+
+
+def words(service: WeatherService, *more: str) -> list[str]:
+    path = "/climate_data/bulk_data_e.html" if "--eccc" in more else "/v1/archive"
+    return ["--url", f"{service.address}{path}", "--pause", "0.01", "--output", "out.csv", *more]
+
+
+def run(service: WeatherService, directory: Path, *more: str) -> CompletedProcess[str]:
+    return run_command("fetch_weather", *words(service, *more), cwd=directory, env=os.environ)
+
+
+def simulate(directory: Path, *more: str) -> dict[str, object]:
+    done = run_command(
+        "simulate", "--controller", "onoff", "--trajectory-every", "3600", "--json", *more,
+        cwd=directory, env=os.environ,
+    )
+    assert done.returncode == 0, done.stderr
+    summary: dict[str, object] = json.loads(done.stdout)
+    return {
+        key: value for key, value in summary.items()
+        if key in ("pumped_m3", "rain_m3", "mean_deviation_mm", "evapotranspiration_m3",
+                   "final_roof_m3", "notes", "evapotranspiration_method")
+    }
+
+
+def test_two_years_come_in_spite_of_all_that_services_send(service, tmp_path):
+    service.faults = ["html", "half", "limit", "limit 1", "error", "JSON error", "", "short"]
+    done = run(service, tmp_path, "--years", "2023-2024")
+    assert (done.returncode, [*tmp_path.iterdir()]) == (0, [tmp_path / "out.csv"]), done.stderr
+    for reason in ("maintenance", "broke off after", "429 Too Many Requests", "503", "went wrong",
+                   "sent 8784 hours of 8808", "next attempt in 1 s"):
+        assert reason in done.stderr
+    # Each year until it came; years are of the site's clock, so there is a day more at both ends.
+    asked = [(query["start_date"], query["end_date"]) for query in service.requests]
+    assert asked == 7 * [("2022-12-31", "2023-12-31")] + 2 * [("2024-01-01", "2025-01-01")]
+    for text in ("17544 hours", "CC BY 4.0", "non-commercial", LOW_PEAKS):
+        assert text in done.stdout
+    head = [line for line in (tmp_path / "out.csv").read_text().splitlines() if line[0] == "#"]
+    for text in (
+        "Open-Meteo.com", "Licence: CC BY 4.0", f"{datetime.now(timezone.utc):%Y-%m-%d}",
+        "UTC-05:00", "rain_kind: reanalysis", LOW_PEAKS, "latitude: 43.6", "longitude: -79.4",
+    ):
+        assert any(text in line for line in head)
+    # Values of the service at their hours; rain is of the hour before its time.
+    records = read_measured([tmp_path / "out.csv"], SITE)
+    assert records.first == datetime.fromisoformat("2023-01-01T00:00-05:00")
+    for quantity, variable, hour in (
+        (PRECIPITATION, "precipitation", 1), (TEMPERATURE, "temperature_2m", 0),
+    ):
+        expected = open_meteo_values(variable, records.first + timedelta(hours=hour), 17544)
+        assert records.values[quantity].tolist() == expected
+
+
+def test_a_run_is_as_with_the_services_own_answer_and_says_that_peaks_are_low(service, tmp_path):
+    assert run(service, tmp_path, "--years", "2024").returncode == 0
+    query = service.requests[-1]
+    (tmp_path / "answer.json").write_bytes(service.answer("/v1/archive", query))
+    window = ["--start", "2024-07-01T00:00-05:00", "--hours", "72"]
+    ours, theirs = (
+        simulate(tmp_path, "--weather", file, *window) for file in ("out.csv", "answer.json")
+    )
+    assert ours == theirs
+    assert ours["evapotranspiration_method"] == "fao56"
+    assert any(LOW_PEAKS in note for note in ours["notes"])
+    assert float(ours["rain_m3"]) > 0
+
+
+def test_a_station_has_the_hours_of_its_bulk_files(service, tmp_path):
+    """2021 has two real files; the other months have rows without observations."""
+    service.faults = ["", "half", "html", "error"]
+    done = run(service, tmp_path, "--years", "2021", "--eccc", "48549")
+    assert done.returncode == 0, done.stderr
+    asked = [int(query["Month"]) for query in service.requests]
+    assert asked == [1, 2, 2, 2, 2, *range(3, 13)]
+    assert {query["stationID"] for query in service.requests} == {"48549"}
+    text = (tmp_path / "out.csv").read_text()
+    assert "Open Government Licence - Canada" in text
+    assert "rain_kind" not in text
+    assert "precipitation is missing: 2021-01-01T00:00-05:00 to 2021-02-28T23:00" in done.stdout
+    # All values of the real files, bit for bit, and no others.
+    ours = read_measured([tmp_path / "out.csv"], SITE)
+    assert (ours.hours, ours.rain_late) == (8760, 1)
+    known = 0
+    for month in ("03", "07"):
+        real = read_measured([DATA / f"en_climate_hourly_{month}-2021.csv"], SITE)
+        at = (real.first - ours.first) // timedelta(hours=1)
+        for name, series in real.values.items():
+            part = ours.values[name][at : at + real.hours]
+            assert np.array_equal(part, series, equal_nan=True)
+        known += np.count_nonzero(~np.isnan(real.values[PRECIPITATION]))
+    assert np.count_nonzero(~np.isnan(ours.values[PRECIPITATION])) == known
+    window = ["--start", "2021-07-07T00:00-05:00", "--hours", "48"]
+    real = str(DATA / "en_climate_hourly_07-2021.csv")
+    assert simulate(tmp_path, "--weather", "out.csv", *window) == (
+        simulate(tmp_path, "--weather", real, *window)
+    )
+
+
+def test_months_before_a_station_are_missing_and_a_station_without_hours_is_an_error(
+    service, tmp_path
+):
+    done = run(service, tmp_path, "--years", "1999", "--eccc", "48549")
+    assert done.returncode == 2
+    assert "the service has no hourly records of these years" in done.stderr
+
+
+@pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGINT])
+def test_what_came_before_the_end_is_not_requested_again(service, tmp_path, ended_by):
+    service.faults = ["", "", "slow"]
+    env = {**os.environ, "PYTHONPATH": str(CHECKOUT)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "greenroof_ros", "fetch-weather",
+         *words(service, "--years", "2021-2024")],
+        cwd=tmp_path, env=env, text=True, stderr=subprocess.PIPE,
+    )
+    while len(service.requests) < 3:
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(ended_by)
+    _, errors = process.communicate(timeout=15)
+    assert not (tmp_path / "out.csv").exists()
+    if ended_by == signal.SIGINT:
+        assert process.returncode == 130
+        assert "Traceback" not in errors
+        assert "2 of 4 parts are kept in out.csv.part; the same command continues" in errors
+    done = run(service, tmp_path, "--years", "2021-2024")
+    assert done.returncode == 0, done.stderr
+    starts = [query["start_date"][:4] for query in service.requests]
+    assert starts == ["2020", "2022", "2023", "2023", "2024"]
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "out.csv"]
+
+
+def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
+    with small_disk(tmp_path / "disk", "500k"):
+        done = run(service, tmp_path / "disk", "--years", "2023-2024")
+        assert done.returncode == 1
+        assert "No space left on device" in done.stderr
+        assert "1 of 2 parts are kept" in done.stderr
+        assert not (tmp_path / "disk" / "out.csv").exists()
+
+
+@pytest.mark.parametrize(("options", "reason"), [
+    (["--years", "2024-2015"], "must begin with the earlier year: 2015-2024"),
+    (["--years", "last"], "must be a year, or two such as 2015-2024, not last"),
+    (["--years", "1900-1950"], "must not begin before 1940"),
+    (["--years", "2020-2199"], "years = 2199: must end with"),
+    (["--years", "2199", "--eccc", "48549"], "years = 2199: is in the future"),
+    (["--years", "2020", "--eccc", "6158359"], "6158359 is a climate identifier"),
+    (["--years", "2020", "--eccc", "-1"], "must be a number such as 48549"),
+    (["--years", "2020", "--url", "ftp://a"], "must begin with http"),
+    (["--years", "2020", "--pause", "nan"], "--pause"),
+    (["--years", "2020", "--output", "old.csv"], "exists; name another file"),
+    (["--years", "2020", "--output", "a.json"], "ends in .csv"),
+    (["--years", "2020", "--output", "none/a.csv"], "directory that exists"),
+    (["--years", "2020", "--site", "nowhere.yaml"], "latitude: must be in the site file"),
+    (["--years", "2020", "--site", "nowhere.yaml", "--eccc", "1"], "utc_offset: must be in the"),
+    (["--years", "2020", "--site", "far.yaml"], "must be within 0.5 degrees of the site's"),
+])
+def test_what_cannot_be_is_refused_before_or_at_the_first_request(
+    service, tmp_path, monkeypatch, options, reason
+):
+    (tmp_path / "old.csv").write_text("mine")
+    site_file(tmp_path, longitude=10.0).rename(tmp_path / "far.yaml")
+    lines = site_file(tmp_path).read_text().splitlines()
+    place = ("latitude", "longitude", "utc_offset")
+    (tmp_path / "nowhere.yaml").write_text(
+        "\n".join(line for line in lines if not line.startswith(place))
+    )
+    if "far.yaml" in options:
+        original = service.answer
+        monkeypatch.setattr(
+            service, "answer", lambda path, query, fault: original(
+                path, {**query, "longitude": "-79.4"}, fault
+            ),
+        )
+    done = run(service, tmp_path, *options)
+    assert done.returncode == 2
+    assert reason in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    assert len(service.requests) == ("far.yaml" in options)
+    assert (tmp_path / "old.csv").read_text() == "mine"
+
+
+def archive(service: WeatherService, years: range = range(2020, 2021)) -> Source:
+    return open_meteo_archive(SITE, years, TODAY, f"{service.address}/v1/archive")
+
+
+def failure(service: WeatherService, directory: Path, source: Source) -> str:
+    prepare_directory(directory, source)
+    with pytest.raises(ServiceError) as caught:
+        fetch(source, SITE, directory, 0.001, ProgressBar())
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("fault", "requests", "reason"), [
+    ("refusal", 1, "400 Bad Request: .*out of allowed range"),
+    ("fewer", 1, "sent no shortwave_radiation"),
+    ("tomorrow", 1, "Daily API request limit exceeded"),
+    ("html", 8, "sent no JSON, or a part of it: <!DOCTYPE html>"),
+    ("half", 8, "broke off after"),
+    ("short", 8, "sent 8808 hours of 8832"),
+])
+def test_what_does_not_pass_is_tried_once_and_what_may_pass_eight_times(
+    service, tmp_path, fault, requests, reason
+):
+    service.faults = 9 * [fault]
+    told = failure(service, tmp_path / "part", archive(service))
+    with pytest.raises(ServiceError, match=reason):
+        raise ServiceError(told)
+    assert told.startswith("2019-12-31 to 2021-01-01: ")
+    assert len(service.requests) == requests
+
+
+def test_a_slow_service_is_given_up(service, tmp_path, monkeypatch):
+    monkeypatch.setattr(http_client, "ANSWER_S", 0.2)
+    service.faults = 9 * ["slow"]
+    assert "no complete answer within 0.2 s" in failure(service, tmp_path, archive(service))
+
+
+def test_parts_of_another_request_are_not_mixed_in(service, tmp_path):
+    service.faults = ["", "refusal"]
+    failure(service, tmp_path, archive(service, range(2019, 2021)))
+    other = eccc_station(1, SITE, range(2019, 2020), TODAY, f"{service.address}/bulk_data_e.html")
+    assert "keeps parts of another request" in refusal(prepare_directory, tmp_path, other)
+    prepare_directory(tmp_path, archive(service, range(2018, 2021)))
+
+
+def test_the_present_year_ends_where_the_archive_does_and_first_years_where_it_begins(service):
+    days = [(f"{block.first}", f"{block.last}") for block in archive(
+        service, range(2025, 2027)
+    ).blocks]
+    assert days == [("2024-12-31", "2025-12-31"), ("2026-01-01", "2026-06-09")]
+    assert archive(service, range(1940, 1941)).blocks[0].first == date(1940, 1, 1)
+    months = eccc_station(1, SITE, range(2026, 2027), TODAY).blocks
+    assert [block.first.month for block in months] == [1, 2, 3, 4, 5, 6]
