@@ -20,30 +20,22 @@ from greenroof_ros.common.errors import HangError, describe_value
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.failure import ControllerError, find_place, locate_error
+from greenroof_ros.controllers.outlet_plan import HORIZON_H, PlannedLevels
 from greenroof_ros.model.plant import low_outlet_flow
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import soil_of
-from greenroof_ros.model.storm_water import WET_RAIN, Intervals, find_wet_weather
+from greenroof_ros.model.sites import Sites
+from greenroof_ros.model.storm_water import WET_RAIN
 
 Array = NDArray[np.float64]
 
 POLICIES = CLOSED, OPEN, DRAIN, PLAN = "closed", "open", "drain", "plan"
-HORIZON_H = 48
-"""How far a plan looks ahead (h)."""
 PRICE = 0.3
 """Usual cost of a m3 of mains water, in m3 of discharge in wet weather (1)."""
 
-_HOUR_S, _DAY_S = 3600.0, 86_400.0
-# Nodes of the cistern's volume in a plan.
-_NODES = 121
-# A plan is made each hour, or if a member's total rain has changed by more than this (m).
-_CHANGED_M = 1e-3
-# Interval (s) at which it checks whether they have.
-_CHECK_S = 60.0
-# Levels whose costs differ by less than this share of the cistern cost the same.
-_TIE = 1e-3
-# Rates are rounded: an hour with 0.1 mm must not be one with less.
-_MIN_RAIN = WET_RAIN * (1 - 1e-9)
+_HOUR_S = 3600.0
+MIN_RAIN = WET_RAIN * (1 - 1e-9)
+"""Rain of 0.1 mm/h (m/s): rates are rounded, and an hour with 0.1 mm must not be one with less."""
+
 # The reserve, unless given: ten days of irrigation at 4 mm a day [assumed], but at most half of
 # the cistern.
 _RESERVE_M, _MAX_RESERVE = 0.04, 0.5
@@ -192,7 +184,7 @@ class Drain:
     def observe(self, rain: float) -> None:
         """Count the time without rain; call it once a tick, with the present rain (m/s)."""
         tau = self._site.tau
-        self._only_drizzle_s = 0.0 if rain >= _MIN_RAIN else self._only_drizzle_s + tau
+        self._only_drizzle_s = 0.0 if rain >= MIN_RAIN else self._only_drizzle_s + tau
         rains = rain > 0 and self._only_drizzle_s < _HOUR_S
         self._without_rain_s = 0.0 if rains else self._without_rain_s + tau
 
@@ -256,26 +248,11 @@ class Plan:
             price: of mains water, in m3 of discharge in wet weather (1).
             reach: days for which stored water is worth its price.
         """
-        self._site, self._soil, self._drain = site, soil_of(site), drain
-        self._ends, self._lengths = ends, np.diff(ends)
-        self._price, self._reach_s = price, reach * _DAY_S
-        hours = max(1, min(HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
-        self._hour_ends = np.minimum(_HOUR_S * np.arange(hours + 1), ends[-1])
-        full = site.cistern_volume(site.z_o)
-        floor = site.cistern_volume(max(site.suction_level, site.mains_level or 0.0))
-        self._nodes = np.linspace(floor, full, _NODES)
-        self._outlet = site.cistern_volume(site.min_outlet_level)
-        # The square root of the head over the outlet falls linearly in time.
-        self._fall = site.c_low / (2 * site.a1)  # of that root (m^0.5/s)
-        self._drained = self._drain_hour(self._nodes)
-        self._first = int(self._nodes.searchsorted(self._outlet))  # node that can be drained to
-        root = math.sqrt(max(0.0, drain.reserve - self._outlet) / site.a1)
-        root += self._fall * float(self._hour_ends[-1])
-        self._max_level = min(full, self._outlet + site.a1 * root**2)
-        self._level = full
-        self._age = math.inf  # of the level (s)
-        self._unchecked = math.inf  # since the forecast was last compared (s)
-        self._total = np.zeros(0)  # rain of each member in the last plan (m)
+        self._site, self._drain = site, drain
+        self._levels = PlannedLevels(
+            Sites.of([site]), ends, np.array([drain.reserve]), np.array([price]),
+            np.array([reach]),
+        )
 
     def command(
         self, cistern_level: float, roof_level: float, precipitation: Any,
@@ -287,126 +264,17 @@ class Plan:
         """
         site = self._site
         self._drain.observe(find_present(precipitation))
-        self._age += site.tau
-        self._unchecked += site.tau
-        if self._drain.wet_hours:
-            self._age = math.inf
-            return 0.0
-        if max(self._age - _HOUR_S, self._unchecked - _CHECK_S) > -site.tau / 2:
-            self._update_level(
-                cistern_level, roof_level, np.atleast_2d(np.asarray(precipitation, dtype=float)),
-                np.asarray(evapotranspiration, dtype=float),
-            )
-        return self._drain.drain_to(self._level, cistern_level)
-
-    def _update_level(
-        self, cistern_level: float, roof_level: float, rain: Array, evaporated: Array
-    ) -> None:
-        """Make a plan, if the last one is old or the forecast has changed."""
-        self._unchecked, old = 0.0, self._age > _HOUR_S - self._site.tau / 2
-        usable = rain.shape[1] == evaporated.size == len(self._lengths)
-        total = rain @ self._lengths if usable else np.full(1, math.nan)
-        if not math.isfinite(cistern_level + roof_level + float(total.sum() + evaporated.sum())):
-            if old:
-                self._age, self._level = math.inf, self._drain.reserve
-            return
-        changed = total.shape != self._total.shape or (
-            float(np.abs(total - self._total).max()) > _CHANGED_M
+        level = self._levels.update(
+            not self._drain.wet_hours, lambda: (
+                np.array([site.cistern_volume(cistern_level)]),
+                np.array([site.roof_volume(roof_level)]),
+                np.atleast_2d(np.asarray(precipitation, dtype=float)),
+                np.atleast_2d(np.asarray(evapotranspiration, dtype=float)),
+            ),
         )
-        if old or changed:
-            self._age, self._total = 0.0, total
-            needed = self._reach_s * float(evaporated @ self._lengths) / float(self._ends[-1])
-            self._level = min(
-                self._max_level, max(self._drain.reserve, float(self._nodes[0]) + needed),
-                self._find_level(
-                    self._site.cistern_volume(cistern_level), self._site.roof_volume(roof_level),
-                    self._hourly(rain), self._hourly(evaporated), needed,
-                ),
-            )
-
-    def _hourly(self, rates: Array) -> Array:
-        """Return the total of each hour, of rates per second on the last axis."""
-        totals = np.cumsum(rates * self._lengths, axis=-1)
-        place = self._ends[1:].searchsorted(self._hour_ends[1:])
-        before = np.concatenate((np.zeros_like(totals[..., :1]), totals), axis=-1)
-        since = self._hour_ends[1:] - self._ends[place]
-        at_ends = before[..., place] + rates[..., place] * since
-        return np.asarray(np.diff(at_ends, axis=-1, prepend=0.0))
-
-    def _find_level(
-        self, x1: float, x2: float, rain: Array, evaporated: Array, needed: float
-    ) -> float:
-        """Return the volume to which the cistern is drained in the first hour (m3).
-
-        Args:
-            x1: in the cistern (m3).
-            x2: on the roof (m3).
-            rain: in each hour (m), shape (members, hours).
-            evaporated: off the roof in each hour (m3), shape (hours,).
-            needed: what the roof needs within the reach (m3).
-        """
-        site, nodes = self._site, self._nodes
-        floor, full = float(nodes[0]), float(nodes[-1])
-        inflow, kept = rain * site.effective_catchment, site.drainage_to_cistern
-        most = float(rain.sum(axis=1).max()) * (site.effective_catchment + kept * site.a2)
-        if x1 + most + kept * max(0.0, x2 - site.x2_star) <= full:
-            return full  # whatever comes, it fits
-        flows = inflow - self._find_needs(x2, rain * site.a2, evaporated)
-        hourly = (Intervals(_HOUR_S, member, member) for member in rain)
-        wet = np.array([find_wet_weather(site, intervals) for intervals in hourly], float)
-        worth = self._price * np.minimum(nodes - floor, needed)
-        value = np.repeat(-worth[None], len(rain), axis=0)
-        for hour in reversed(range(rain.shape[1])):
-            held = nodes + flows[:, hour, None]
-            inside = np.minimum(np.maximum(held, floor), full)
-            value = (
-                self._at(value, inside) + self._price * (inside - np.minimum(held, inside))
-                + wet[:, hour, None] * (np.maximum(held, inside) - inside)
-            )
-            if hour:
-                value = self._before(value, wet[:, hour])
-        x1 = min(max(x1, floor), full)
-        reached = float(self._drain_hour(np.array([x1]))[0])
-        left = np.minimum(np.maximum(nodes, reached), x1)
-        costs = self._at(value, np.repeat(left[None], len(value), axis=0)).mean(axis=0)
-        return float(nodes[np.flatnonzero(costs <= costs.min() + _TIE * (full - floor))[-1]])
-
-    def _before(self, value: Array, wet: Array) -> Array:
-        """Return V from U of the class: the best that the valve can do in an hour.
-
-        Args:
-            value: U at each node, shape (members, nodes).
-            wet: 1 for each member for which the hour is in wet weather, else 0.
-        """
-        best = self._nodes[self._first + value[:, self._first :].argmin(axis=1)]
-        level = np.where(wet > 0, self._nodes[-1], best)[:, None]
-        return self._at(value, np.minimum(np.maximum(level, self._drained), self._nodes))
-
-    def _drain_hour(self, volumes: Array) -> Array:
-        """Return what the open valve leaves of volumes (m3) in an hour."""
-        root = np.sqrt(np.maximum(volumes - self._outlet, 0.0) / self._site.a1)
-        root = np.maximum(root - self._fall * _HOUR_S, 0.0)
-        return np.asarray(np.minimum(volumes, self._outlet + self._site.a1 * root**2))
-
-    def _at(self, value: Array, volumes: Array) -> Array:
-        """Return values at volumes between the nodes (m3), both of shape (members, n)."""
-        nodes, count = self._nodes, len(self._nodes)
-        place = (volumes - nodes[0]) * ((count - 1) / (nodes[-1] - nodes[0]))
-        node = np.minimum(place.astype(np.intp), count - 2)
-        start = np.arange(len(value))[:, None] * count + node
-        low = value.take(start)
-        return np.asarray(low + (place - node) * (value.take(start + 1) - low))
-
-    def _find_needs(self, x2: float, rain: Array, evaporated: Array) -> Array:
-        """Return what the roof takes from the cistern in each hour (m3), less what drains back."""
-        site, room = self._site, self._soil.above_target
-        above, needs = np.full(len(rain), x2 - site.x2_star), np.empty_like(rain)
-        for hour in range(rain.shape[1]):
-            above = above + rain[:, hour] - evaporated[hour]
-            drained = np.maximum(above - room, 0.0)
-            needs[:, hour] = np.maximum(-above, 0.0) - site.drainage_to_cistern * drained
-            above = np.clip(above, 0.0, room)
-        return needs
+        if self._drain.wet_hours:
+            return 0.0
+        return self._drain.drain_to(float(level[0]), cistern_level)
 
 
 def find_present(precipitation: Any) -> float:

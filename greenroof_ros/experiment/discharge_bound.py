@@ -117,7 +117,7 @@ def simulate_frontier(run: Run, watch: Callable[[Tick], object] | None = None) -
         ))
     times, highest, *sums = np.frombuffer(rows).reshape(-1, 5).T
     depths = sums[0][1:]
-    wet = find_wet_weather(site, Intervals(seconds, depths, depths))
+    wet = find_wet_weather(site.wet_after, Intervals(seconds, depths, depths))
     begins = np.arange(len(wet)) % max(1, round(_HOUR_S / seconds)) == 0
     begins |= np.diff(wet, prepend=wet[0])
     firsts = np.flatnonzero(begins)

@@ -331,7 +331,7 @@ def _intervals_of(site: Site, sums: Values) -> Intervals:
 
 def _wet_discharge(site: Site, sums: Values) -> float:
     intervals = _intervals_of(site, sums)
-    return _sum(0.0, intervals.discharge[find_wet_weather(site, intervals)])
+    return _sum(0.0, intervals.discharge[find_wet_weather(site.wet_after, intervals)])
 
 
 def _peak(site: Site, sums: Values, minutes: float) -> float:
@@ -349,7 +349,8 @@ def _overflow(site: Site, samples: Samples) -> Values | None:
     if samples.low_outlet is None or not samples.discharge_known:
         return None
     return np.stack((
-        _calendar_days(site, samples), samples.duration * (samples.outflow - samples.low_outlet)
+        find_calendar_days(site, samples.start, samples.time),
+        samples.duration * (samples.outflow - samples.low_outlet)
     ))
 
 
@@ -357,18 +358,24 @@ def _overflow_days(site: Site, days: Values) -> int:
     return int(np.count_nonzero(days[0] >= MIN_DEPTH * connected_area(site)))
 
 
-def _calendar_days(site: Site, samples: Samples) -> Values:
-    """Return the day of each sample on the site's clock, 0 for the day on which the run starts."""
-    middles = samples.start + samples.time + site.tau / 2
-    start, first, last = (
+def find_calendar_days(site: Site, start: float, times: Values) -> Values:
+    """Return the day of each tick on the site's clock, 0 for the day on which the run starts.
+
+    Args:
+        site: with the duration of a tick.
+        start: of the run (s since 1970).
+        times: at which the ticks begin (s since the run's start), shape (n,).
+    """
+    middles = start + times + site.tau / 2
+    begins, first, last = (
         datetime.fromtimestamp(float(time), site.zone).toordinal()
-        for time in (samples.start, middles[0], middles[-1])
+        for time in (start, middles[0], middles[-1])
     )
     midnights = [
         datetime.combine(date.fromordinal(day), datetime.min.time(), site.zone).timestamp()
         for day in range(first + 1, last + 1)
     ]
-    return np.asarray(first - start + np.searchsorted(midnights, middles, "right"), float)
+    return np.asarray(first - begins + np.searchsorted(midnights, middles, "right"), float)
 
 
 def _rain_and_discharge(site: Site, samples: Samples) -> Values | None:

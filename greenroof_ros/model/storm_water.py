@@ -107,8 +107,13 @@ def connected_area(site: Site) -> float:
     return site.effective_catchment + site.a2
 
 
-def find_wet_weather(site: Site, intervals: Intervals) -> NDArray[np.bool_]:
-    """Return which intervals are in wet weather, shape (n,)."""
+def find_wet_weather(wet_after: float, intervals: Intervals) -> NDArray[np.bool_]:
+    """Return which intervals are in wet weather, shape (n,).
+
+    Args:
+        wet_after: of the site (h).
+        intervals: of the run.
+    """
     seconds, rain = intervals.seconds, intervals.rain
     size, places = max(1, round(_HOUR_S / seconds)), np.arange(len(rain))
     # Which hours have enough, whenever they begin; and how many of these have an interval.
@@ -116,7 +121,7 @@ def find_wet_weather(site: Site, intervals: Intervals) -> NDArray[np.bool_]:
     enough = fallen[size:] - fallen[:-size] >= size * seconds * WET_RAIN * _ROUNDING
     hours = np.append(0, np.cumsum(enough))
     rains = (rain > 0) & (hours[size:] > hours[:-size])
-    after = round(site.wet_after * _HOUR_S / seconds)
+    after = round(wet_after * _HOUR_S / seconds)
     last = np.maximum.accumulate(np.where(rains, places, -after - 1))
     return np.asarray(places - last <= after)
 
@@ -150,7 +155,7 @@ def find_events(site: Site, intervals: Intervals) -> list[Event]:
     rains = np.flatnonzero(rain > 0)
     firsts = rains[np.diff(rains, prepend=-np.inf) > dry]
     lasts = rains[np.diff(rains, append=np.inf) > dry]
-    wet = np.where(find_wet_weather(site, intervals), intervals.discharge, 0.0)
+    wet = np.where(find_wet_weather(site.wet_after, intervals), intervals.discharge, 0.0)
     events = []
     for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
         until = last + 1 + dry  # no rain falls after the event

@@ -174,8 +174,8 @@ def test_an_hour_with_a_tenth_of_a_millimetre_is_wet() -> None:
     plan = make_outlet(SITE, HOUR * np.arange(4.0), "plan", 2.0, 0.1, REACH)
     assert isinstance(plan, outlet.Plan)
     for tenths in range(200):
-        (hourly,) = plan._hourly(np.array([[tenths / 10, 0.0, 0.1]]) / 1000 / HOUR)
-        assert find_wet_weather(SITE, Intervals(HOUR, hourly, hourly))[2]
+        (hourly,) = plan._levels._hourly(np.array([[tenths / 10, 0.0, 0.1]]) / 1000 / HOUR)
+        assert find_wet_weather(SITE.wet_after, Intervals(HOUR, hourly, hourly))[2]
 
 
 def test_plan_depends_on_all_members() -> None:
@@ -197,7 +197,7 @@ def test_the_hours_of_steps_that_are_none() -> None:
     ends = np.array([0.0, 1200, 5400, 27_000])
     plan = make_outlet(SITE, ends, "plan", 2.0, 0.1, REACH)
     assert isinstance(plan, outlet.Plan)
-    hourly = plan._hourly(np.array([[3.0, 6.0, 1.0]]) / HOUR)
+    hourly = plan._levels._hourly(np.array([[3.0, 6.0, 1.0]]) / HOUR)
     assert hourly[0] == pytest.approx([1 + 4, 3 + 0.5, 1, 1, 1, 1, 1, 0.5])
 
 
@@ -256,7 +256,10 @@ def test_level_against_all_ways(seed: int) -> None:
     needed = random.choice([0.0, 3.0, 20.0])
     plan = make_outlet(site, HOUR * np.arange(hours + 1.0), "plan", 0.0, price, 1.0)
     assert isinstance(plan, outlet.Plan)
-    level = plan._find_level(x1, x2, fallen / 1000, np.full(hours, evaporated), needed)
+    (level,) = plan._levels._find_levels(
+        np.array([x1]), np.array([x2]), fallen / 1000, np.full((1, hours), evaporated / HOUR),
+        np.array([needed]),
+    )
     grid, costs = find_costs(site, x2, fallen, evaporated, price, needed)
     low = 5.0 * (site.low_outlet_level or 0.0)
     root = max(0.0, math.sqrt(max(0, x1 - low) / 5.0) - site.c_low * HOUR / 10.0)

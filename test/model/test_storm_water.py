@@ -48,7 +48,7 @@ def intervals(
 
 def wet(hours: float, rain: dict[int, float], site: Site = SITE) -> list[int]:
     """Return the intervals in wet weather."""
-    return np.flatnonzero(find_wet_weather(site, intervals(hours, rain, {}))).tolist()
+    return np.flatnonzero(find_wet_weather(site.wet_after, intervals(hours, rain, {}))).tolist()
 
 
 def test_wet_weather_is_rain_and_two_hours_after() -> None:
@@ -85,12 +85,12 @@ def test_wet_weather_one_by_one(depths: list[float], after: int) -> None:
     expected = [any(rains[max(0, at - after):at + 1]) for at in range(len(depths))]
     site = replace(SITE, wet_after=after / 12)
     run = Intervals(300.0, np.array(depths) / 1000, np.zeros(len(depths)))
-    assert find_wet_weather(site, run).tolist() == expected
+    assert find_wet_weather(site.wet_after, run).tolist() == expected
 
 
 def test_hourly_rain_is_wet_for_its_hours() -> None:
     run = Intervals(3600.0, np.array([0, 0.1, 0, 0, 0, 0.09, 0.0]) / 1000, np.zeros(7))
-    assert find_wet_weather(SITE, run).tolist() == [False, True, True, True, False, False, False]
+    assert find_wet_weather(SITE.wet_after, run).tolist() == [False, True, True, True, False, False, False]
 
 
 def test_peaks() -> None:

@@ -1,0 +1,232 @@
+"""The plan of :class:`.outlet.Plan`, for one site or for many with the same weather.
+
+All arrays of the dynamic program have shape (sites, members, nodes).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.model.sites import Sites
+from greenroof_ros.model.storm_water import Intervals, find_wet_weather
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+Observe = Callable[[], tuple[Array, Array, Array, Array]]
+"""Returns the volumes in cisterns and on roofs (m3), shape (sites,), and the forecast: rain (m/s),
+shape (members, steps), and evapotranspiration off each bed (m3/s), shape (sites, steps)."""
+
+HORIZON_H = 48
+"""How far a plan looks ahead (h)."""
+
+_HOUR_S, _DAY_S = 3600.0, 86_400.0
+# Nodes of the cistern's volume in a plan.
+_NODES = 121
+# A plan is made each hour, or if a member's total rain has changed by more than this (m).
+_CHANGED_M = 1e-3
+# Interval (s) at which it checks whether they have.
+_CHECK_S = 60.0
+# Levels whose costs differ by less than this share of the cistern cost the same.
+_TIE = 1e-3
+# Sites and members that are computed together: they fit in the processor's cache.
+_TOGETHER = 256
+
+
+class PlannedLevels:
+    """The volumes to which cisterns are drained, by plans that are made in the same ticks."""
+
+    def __init__(
+        self, sites: Sites, ends: Array, reserves: Array, prices: Array, reaches: Array
+    ) -> None:
+        """Set the sites; the arrays have an entry for each.
+
+        Args:
+            sites: with valves, the same tau and the same ``wet_after``.
+            ends: of the steps of the forecasts (s from now), the first 0.
+            reserves: to which they are drained without a forecast (m3).
+            prices: of mains water, in m3 of discharge in wet weather (1).
+            reaches: days for which stored water is worth its price.
+        """
+        self._sites, self._tau = sites, float(sites.tau[0])
+        self._ends, self._lengths = ends, np.diff(ends)
+        self._reserves, self._prices, self._reaches_s = reserves, prices, reaches * _DAY_S
+        hours = max(1, min(HORIZON_H, round(float(ends[-1]) / _HOUR_S)))
+        self._hour_ends = np.minimum(_HOUR_S * np.arange(hours + 1), ends[-1])
+        self._full = sites.a1 * sites.z_o
+        self._floor = sites.a1 * np.maximum(sites.suction_level, sites.mains_level)
+        self._nodes = np.linspace(self._floor, self._full, _NODES, axis=-1)
+        self._outlet = sites.a1 * sites.low_outlet_level
+        # The square root of the head over the outlet falls linearly in time.
+        self._fall = sites.c_low / (2 * sites.a1)  # of that root (m^0.5/s)
+        self._drained = self._drain_hour(np.arange(len(sites)), self._nodes)
+        self._unreachable = np.where(self._nodes < self._outlet[:, None], math.inf, 0.0)
+        root = np.sqrt(np.maximum(reserves - self._outlet, 0.0) / sites.a1)
+        root += self._fall * float(self._hour_ends[-1])
+        self._max_levels = np.minimum(self._full, self._outlet + sites.a1 * root**2)
+        self._levels = self._full
+        self._age = math.inf  # of the levels (s)
+        self._unchecked = math.inf  # since the forecast was last compared (s)
+        self._total = np.zeros(0)  # rain of each member in the last plan (m)
+
+    def update(self, dry: bool, observe: Observe) -> Array:
+        """Return the volumes to which the cisterns are drained in a tick (m3); call it in each.
+
+        In wet weather no valve opens, so they have no meaning then. A forecast with a missing value
+        is treated as lost.
+
+        Args:
+            dry: whether the weather is dry.
+            observe: returns state and forecast; called only if they are needed.
+        """
+        self._age += self._tau
+        self._unchecked += self._tau
+        if not dry:
+            self._age = math.inf
+        elif max(self._age - _HOUR_S, self._unchecked - _CHECK_S) > -self._tau / 2:
+            self._plan(*observe())
+        return self._levels
+
+    def _plan(self, x1: Array, x2: Array, rain: Array, evaporated: Array) -> None:
+        """Make a plan, if the last one is old or the forecast has changed."""
+        self._unchecked, old = 0.0, self._age > _HOUR_S - self._tau / 2
+        usable = rain.shape[-1] == evaporated.shape[-1] == len(self._lengths)
+        total = rain @ self._lengths if usable else np.full(1, math.nan)
+        if not math.isfinite(float(x1.sum() + x2.sum() + total.sum() + evaporated.sum())):
+            if old:
+                self._age, self._levels = math.inf, self._reserves
+            return
+        changed = total.shape != self._total.shape or (
+            float(np.abs(total - self._total).max()) > _CHANGED_M
+        )
+        if old or changed:
+            self._age, self._total = 0.0, total
+            needed = self._reaches_s * (evaporated @ self._lengths) / float(self._ends[-1])
+            levels = self._find_levels(x1, x2, self._hourly(rain), evaporated, needed)
+            levels = np.minimum(levels, np.maximum(self._reserves, self._floor + needed))
+            self._levels = np.minimum(levels, self._max_levels)
+
+    def _hourly(self, rates: Array) -> Array:
+        """Return the total of each hour, of rates per second on the last axis."""
+        totals = np.cumsum(rates * self._lengths, axis=-1)
+        place = self._ends[1:].searchsorted(self._hour_ends[1:])
+        before = np.concatenate((np.zeros_like(totals[..., :1]), totals), axis=-1)
+        since = self._hour_ends[1:] - self._ends[place]
+        at_ends = before[..., place] + rates[..., place] * since
+        return np.asarray(np.diff(at_ends, axis=-1, prepend=0.0))
+
+    def _find_levels(
+        self, x1: Array, x2: Array, rain: Array, evaporated: Array, needed: Array
+    ) -> Array:
+        """Return the volumes to which the cisterns are drained in the first hour (m3).
+
+        Args:
+            x1: in each cistern (m3).
+            x2: on each roof (m3).
+            rain: in each hour (m), shape (members, hours).
+            evaporated: off each roof (m3/s), shape (sites, steps).
+            needed: what each roof needs within the reach (m3).
+        """
+        sites, kept = self._sites, self._sites.drainage_to_cistern
+        most = float(rain.sum(axis=1).max()) * (sites.effective_catchment + kept * sites.a2)
+        comes = x1 + most + kept * np.maximum(x2 - sites.x2_star, 0.0)
+        levels = self._full.copy()
+        planned, size = np.flatnonzero(comes > self._full), max(1, _TOGETHER // len(rain))
+        for first in range(0, len(planned), size):  # whatever comes to the others, it fits
+            rows = planned[first : first + size]
+            levels[rows] = self._solve(
+                rows, x1[rows], x2[rows], rain, self._hourly(evaporated[rows]), needed[rows]
+            )
+        return levels
+
+    def _solve(
+        self, rows: Rows, x1: Array, x2: Array, rain: Array, evaporated: Array, needed: Array
+    ) -> Array:
+        """Return the levels of some sites, by the dynamic program; see :meth:`_find_levels`.
+
+        Args:
+            rows: which sites; the other arrays are theirs.
+            x1: in each cistern (m3).
+            x2: on each roof (m3).
+            rain: in each hour (m), shape (members, hours).
+            evaporated: off each roof in each hour (m3), shape (sites, hours).
+            needed: what each roof needs within the reach (m3).
+        """
+        sites, nodes, price = self._sites, self._nodes[rows, None], self._prices[rows, None, None]
+        floor, full = nodes[..., :1], nodes[..., -1:]
+        inflow = rain * sites.effective_catchment[rows, None, None]
+        flows = inflow - self._find_needs(rows, x2, rain, evaporated)
+        hourly = (Intervals(_HOUR_S, member, member) for member in rain)
+        after = float(sites.wet_after[0])
+        wet = np.array([find_wet_weather(after, intervals) for intervals in hourly], float)
+        worth = price * np.minimum(nodes - floor, needed[:, None, None])
+        value = np.repeat(-worth, len(rain), axis=1)
+        for hour in reversed(range(rain.shape[1])):
+            held = nodes + flows[:, :, hour, None]
+            inside = np.minimum(np.maximum(held, floor), full)
+            value = (
+                _value_at(nodes, value, inside) + price * (inside - np.minimum(held, inside))
+                + wet[:, hour, None] * (np.maximum(held, inside) - inside)
+            )
+            if hour:
+                value = self._before(rows, value, wet[:, hour, None])
+        x1 = np.minimum(np.maximum(x1, floor[:, 0, 0]), full[:, 0, 0])
+        reached = self._drain_hour(rows, x1[:, None])
+        left = np.minimum(np.maximum(nodes[:, 0], reached), x1[:, None])
+        left = np.repeat(left[:, None], len(rain), axis=1)
+        costs = _value_at(nodes, value, left).mean(axis=1)
+        ties = costs <= costs.min(axis=1, keepdims=True) + _TIE * (full - floor)[:, 0]
+        highest = _NODES - 1 - ties[:, ::-1].argmax(axis=1)
+        return np.asarray(nodes[np.arange(len(rows)), 0, highest])
+
+    def _before(self, rows: Rows, value: Array, wet: Array) -> Array:
+        """Return V from U of :class:`.outlet.Plan`: the best that the valve can do in an hour.
+
+        Args:
+            rows: which sites.
+            value: U at each node, shape (sites, members, nodes).
+            wet: 1 for each member for which the hour is in wet weather, else 0, shape (members, 1).
+        """
+        nodes = self._nodes[rows, None]
+        node = (value + self._unreachable[rows, None]).argmin(axis=2, keepdims=True)
+        node = np.where(wet > 0, _NODES - 1, node)
+        level = np.take_along_axis(nodes, node, axis=2)
+        level = np.minimum(np.maximum(level, self._drained[rows, None]), nodes)
+        return _value_at(nodes, value, level)
+
+    def _drain_hour(self, rows: Rows, volumes: Array) -> Array:
+        """Return what the open valves leave of volumes (m3) in an hour, shape (sites, n)."""
+        outlet, a1 = self._outlet[rows, None], self._sites.a1[rows, None]
+        root = np.sqrt(np.maximum(volumes - outlet, 0.0) / a1)
+        root = np.maximum(root - self._fall[rows, None] * _HOUR_S, 0.0)
+        return np.asarray(np.minimum(volumes, outlet + a1 * root**2))
+
+    def _find_needs(self, rows: Rows, x2: Array, rain: Array, evaporated: Array) -> Array:
+        """Return what roofs take from cisterns in each hour (m3), less what drains back.
+
+        Of shape (sites, members, hours).
+        """
+        sites, kept = self._sites, self._sites.drainage_to_cistern[rows, None]
+        room, fallen = sites.above_target[rows, None], rain * sites.a2[rows, None, None]
+        above = np.repeat((x2 - sites.x2_star[rows])[:, None], len(rain), axis=1)
+        needs = np.empty_like(fallen)
+        for hour in range(rain.shape[1]):
+            above = above + fallen[..., hour] - evaporated[:, hour, None]
+            drained = np.maximum(above - room, 0.0)
+            needs[..., hour] = np.maximum(-above, 0.0) - kept * drained
+            above = np.minimum(np.maximum(above, 0.0), room)
+        return needs
+
+
+def _value_at(nodes: Array, value: Array, volumes: Array) -> Array:
+    """Return values at volumes between the nodes (m3), shape (sites, members, n)."""
+    first, last = nodes[..., :1], nodes[..., -1:]
+    place = (volumes - first) * ((_NODES - 1) / (last - first))
+    node = np.minimum(place.astype(np.intp), _NODES - 2)
+    sites, members, count = value.shape
+    start = (np.arange(sites * members) * count).reshape(sites, members, 1) + node
+    low = value.take(start)
+    return np.asarray(low + (place - node) * (value.take(start + 1) - low))

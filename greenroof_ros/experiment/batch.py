@@ -1,0 +1,367 @@
+"""Many sites at once: on/off control and a policy of the outlet, in seasons of minute ticks.
+
+The same ticks, metrics and forecasts as :class:`.closed_loop.Simulation` has for one site, on
+arrays. :mod:`greenroof_ros.model.plants` says how closely they agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.times import epoch_ns
+from greenroof_ros.controllers.onoff import FRACTION, LEVEL
+from greenroof_ros.controllers.outlet import PLAN, parameters_on
+from greenroof_ros.controllers.outlet_plan import HORIZON_H
+from greenroof_ros.controllers.outlets import OutletGroup, Outlets, find_dry_ticks
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.experiment.batch_metrics import BatchMetrics, Block, Clock
+from greenroof_ros.experiment.inputs import RunInputs
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.forecast.resampling import Forecast, make_forecast
+from greenroof_ros.model.look_ahead import look_ahead_ends
+from greenroof_ros.model.plants import Plants
+from greenroof_ros.model.site import Site
+from greenroof_ros.model.sites import Sites
+from greenroof_ros.model.storm_water import Intervals, find_wet_weather, interval_seconds
+from greenroof_ros.weather.evapotranspiration import COMPUTED
+
+Values = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+# Sites that are stepped together: their arrays fit in the processor's cache.
+_TOGETHER = 2000
+# Values of a block of ticks.
+_BLOCK = 200_000
+
+
+@dataclass(frozen=True, eq=False)
+class BatchWeather:
+    """Weather tick by tick, for all sites on which it falls; each array has shape (steps + 1,).
+
+    Attributes:
+        run: from which it is; its forecasts are those of plans.
+        rain: m/s.
+        evapotranspiration: off a bed with crop coefficient 1 (m/s).
+        frost: 1 in frost, else 0.
+    """
+
+    run: Run
+    rain: Values
+    evapotranspiration: Values
+    frost: Values
+
+    @classmethod
+    def of_run(cls, run: Run) -> BatchWeather:
+        """Return the weather of a run, from its readers."""
+        series, ticks = run.series, slice(0, run.steps + 1)
+        rain, evaporated, frost = (
+            np.array(values[ticks])
+            for values in (series.precipitation, series.evapotranspiration, series.frost)
+        )
+        return cls(run, rain, evaporated / find_bed(run.weather.method, run.site), frost)
+
+    @classmethod
+    def read(cls, inputs: RunInputs) -> BatchWeather:
+        """Read the weather of a run.
+
+        Raises:
+            ConfigurationError: see :meth:`.RunInputs.build`.
+        """
+        return cls.of_run(inputs.build())
+
+    @property
+    def steps(self) -> int:
+        """N."""
+        return self.run.steps
+
+    @property
+    def start(self) -> datetime:
+        """Time of tick 0."""
+        return self.run.start
+
+    def beds(self, sites: Sites) -> Values:
+        """Return the area of a bed with crop coefficient 1 that evaporates as each bed (m2)."""
+        return np.asarray(find_bed(self.run.weather.method, sites))
+
+    @cached_property
+    def ends(self) -> Values:
+        """Ends of the steps of the forecasts (s from now), the first 0."""
+        return look_ahead_ends(self.run.site, 0.0, HORIZON_H)
+
+    @cached_property
+    def forecast(self) -> Forecast:
+        """What plans know of the weather."""
+        run = self.run
+        return make_forecast(
+            run.weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
+            all_members=True, outlet_horizon=HORIZON_H,
+        )
+
+    def foresee(self, tick: int, with_rain: bool) -> tuple[Values, Values]:
+        """Return the forecast of a tick: rain (m/s), shape (members, steps), and evaporation.
+
+        Args:
+            tick: its number.
+            with_rain: whether rain is foreseen; otherwise only the present rain is known.
+        """
+        rain = np.atleast_2d(np.asarray(self.forecast.precipitation(tick)))
+        evaporated = np.asarray(self.forecast.evapotranspiration(tick))
+        if not with_rain:
+            rain = rain[:1].copy()
+            rain[:, 1:] = 0.0
+        return rain, evaporated / find_bed(self.run.weather.method, self.run.site)
+
+
+def find_bed(method: str, site: Any) -> Any:
+    """Return the area with crop coefficient 1 that evaporates as much as a site's bed (m2).
+
+    A crop coefficient is for evapotranspiration that is computed; a column of it is used as it is.
+    """
+    return site.a2 * site.crop_coefficient if method in COMPUTED else site.a2
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Sites to be simulated together, under on/off control.
+
+    Attributes:
+        sites: n of them, with the same tau.
+        weather: all with the same number of steps; they may start at different times.
+        weather_of: index of each site's weather, shape (n,).
+        parameters: of each site's controller, ``onoff``, and of its outlet's valve; those left out
+            have their defaults.
+        x1: initial volume in each cistern (m3), shape (n,).
+        x2: on each roof (m3), shape (n,).
+        with_forecast: whether plans see the forecasts of the weather's run; otherwise they know
+            the evapotranspiration and the present rain, and foresee no further rain.
+    """
+
+    sites: Sequence[Site]
+    weather: Sequence[BatchWeather]
+    weather_of: Rows
+    parameters: Sequence[Mapping[str, Any]]
+    x1: Values
+    x2: Values
+    with_forecast: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult:
+    """What a batch gives.
+
+    Attributes:
+        metrics: by the names of :data:`greenroof_ros.model.metrics.METRICS`, each of shape (n,).
+        hydrograph: discharge to the sewer of each group's sites in each interval of
+            :func:`greenroof_ros.model.storm_water.interval_seconds` (m3), shape (groups,
+            intervals); None without groups.
+    """
+
+    metrics: dict[str, Values]
+    hydrograph: Values | None
+
+
+def simulate_batch(
+    batch: Batch, groups: Rows | None = None, progress: Callable[[float], None] | None = None
+) -> BatchResult:
+    """Simulate a batch in this process.
+
+    Args:
+        batch: what to simulate.
+        groups: number of each site's group, from 0; None for no hydrograph.
+        progress: called now and then with the share that is done (1).
+
+    Raises:
+        ConfigurationError: a parameter is wrong; or ticks or steps differ.
+    """
+    if len({site.tau for site in batch.sites}) > 1 or len({
+        weather.steps for weather in batch.weather
+    }) > 1:
+        raise ConfigurationError("all sites of a batch must have the same tau and as many steps")
+    every = Sites.of(batch.sites)
+    steps, per_interval = batch.weather[0].steps, _count_per_interval(batch.sites[0])
+    hydrograph = None if groups is None else np.zeros((
+        int(groups.max()) + 1, -(-steps // per_interval)
+    ))
+    metrics: dict[str, Values] = {}
+    done = 0
+    for rows in _split(every, batch.weather_of):
+        part = _Part(batch, every, rows, groups, hydrograph)
+        for ticks in part.blocks():
+            done += ticks * len(rows)
+            if progress is not None:
+                progress(done / (steps * len(every)))
+        for name, values in part.results().items():
+            metrics.setdefault(name, np.empty(len(every)))[rows] = values
+    return BatchResult(metrics, hydrograph)
+
+
+def _count_per_interval(site: Site) -> int:
+    return round(interval_seconds(site) / site.tau)
+
+
+def _split(sites: Sites, weather_of: Rows) -> Iterator[Rows]:
+    """Yield rows that can be stepped together, those with the same weather next to each other."""
+    kind = 2 * sites.measured + sites.has_short_ticks
+    for value in np.unique(kind):
+        rows = np.flatnonzero(kind == value)
+        rows = rows[np.argsort(weather_of[rows], kind="stable")]
+        yield from np.array_split(rows, -(-len(rows) // _TOGETHER))
+
+
+class _Part:
+    """Sites of a batch that are stepped together."""
+
+    def __init__(
+        self, batch: Batch, every: Sites, rows: Rows, groups: Rows | None,
+        hydrograph: Values | None,
+    ) -> None:
+        self._batch, self._sites = batch, every.take(rows)
+        self._weather_of = batch.weather_of[rows]
+        self._steps = batch.weather[0].steps
+        own = [batch.sites[row] for row in rows]
+        self._per_interval = _count_per_interval(own[0])
+        given = [batch.parameters[row] for row in rows]
+        parameters = _complete(own, given)
+        self._level, self._fraction = parameters["level"], parameters["fraction"]
+        self._plants = Plants(self._sites, batch.x1[rows], batch.x2[rows])
+        self._beds = np.empty(len(rows))
+        for number, of_weather in self._by_weather():
+            self._beds[of_weather] = batch.weather[number].beds(self._sites)[of_weather]
+        self._outlets = Outlets(
+            self._sites, parameters["outlet"], parameters["outlet_reserve"],
+            parameters["outlet_price"], parameters["outlet_reach"], list(self._groups()),
+        )
+        self._clocks = self._find_clocks(own)
+        self._metrics = BatchMetrics(
+            self._sites, self._per_interval, list(self._find_wet()), self._clocks,
+            None if groups is None else groups[rows], hydrograph,
+        )
+
+    def _by_weather(self) -> Iterator[tuple[int, Rows]]:
+        for number in np.unique(self._weather_of).tolist():
+            yield number, np.flatnonzero(self._weather_of == number)
+
+    def _by_wet_after(self) -> Iterator[tuple[BatchWeather, float, Rows]]:
+        """Yield sites with the same weather and the same ``wet_after``."""
+        for number, rows in self._by_weather():
+            after = self._sites.wet_after[rows]
+            for value in np.unique(after).tolist():
+                yield self._batch.weather[number], value, rows[after == value]
+
+    def _groups(self) -> Iterator[OutletGroup]:
+        tau, with_rain = float(self._sites.tau[0]), self._batch.with_forecast
+
+        def make(weather: BatchWeather, rows: Rows, wet_after: float) -> OutletGroup:
+            def foresee(tick: int) -> tuple[Values, Values]:
+                rain, evaporated = weather.foresee(tick, with_rain)
+                return rain, self._beds[:, None] * evaporated
+
+            dry = find_dry_ticks(weather.rain, tau, wet_after)
+            return OutletGroup(rows, dry, weather.ends, foresee)
+
+        for weather, wet_after, rows in self._by_wet_after():
+            yield make(weather, rows, wet_after)
+
+    def _find_wet(self) -> Iterator[tuple[Rows, NDArray[np.bool_]]]:
+        """Yield sites, and which intervals are in wet weather for them."""
+        tau = float(self._sites.tau[0])
+        for weather, wet_after, rows in self._by_wet_after():
+            depths = tau * weather.rain[: self._steps]
+            depths = np.add.reduceat(depths, range(0, self._steps, self._per_interval))
+            seconds = tau * self._per_interval
+            yield rows, find_wet_weather(wet_after, Intervals(seconds, depths, depths))
+
+    def _find_clocks(self, sites: Sequence[Site]) -> list[Clock]:
+        """Return the sites with the same clock and quiet hours."""
+        clocks: dict[Any, list[int]] = {}
+        for row, (site, number) in enumerate(zip(sites, self._weather_of, strict=True)):
+            key = site.time_zone, site.utc_offset, site.quiet_hours, number
+            clocks.setdefault(key, []).append(row)
+        return [
+            Clock(
+                np.array(rows), sites[rows[0]],
+                epoch_ns(self._batch.weather[self._weather_of[rows[0]]].start) / 1e9,
+            ) for rows in clocks.values()
+        ]
+
+    def blocks(self) -> Iterator[int]:
+        """Simulate, and yield the number of ticks of each block after it."""
+        n, each = len(self._sites), self._per_interval
+        size = each * max(1, _BLOCK // n // each)
+        buffer = Block(*(np.empty((size, n)) for _ in Block._fields))
+        for first in range(0, self._steps, size):
+            last = min(first + size, self._steps)
+            block = Block(*(values[: last - first] for values in buffer))
+            self._simulate(first, block)
+            self._metrics.add(first, block)
+            yield last - first
+
+    def _simulate(self, first: int, block: Block) -> None:
+        """Simulate the ticks of a block, and write down what moves."""
+        batch, sites, plants = self._batch, self._sites, self._plants
+        last = first + len(block.roof)
+        ticks = slice(first, last)
+        weather = [
+            np.stack((each.rain[ticks], each.evapotranspiration[ticks], each.frost[ticks]))
+            for each in batch.weather
+        ]
+        rain, potential, frost = np.stack(weather, axis=-1)[..., self._weather_of]
+        potential = potential * self._beds
+        allowed = (frost == 0) & ~self._find_quiet(first, last)
+        closed = (frost != 0) & sites.valve_closed_in_frost
+        for k in range(last - first):
+            x1, x2 = plants.x1, plants.x2
+            dry = x2 / sites.a2 < self._level * sites.z_veg
+            enough = x1 / sites.a1 >= sites.suction_level
+            command = np.where(dry & enough & allowed[k], self._fraction, 0.0)
+            outlet = self._outlets.command(first + k, x1, x2)
+            if closed[k].any():
+                outlet = np.where(closed[k], 0.0, outlet)
+            block.roof[k] = x2
+            for values, moved in zip(
+                block[1:], plants.tick(rain[k], potential[k], command, outlet), strict=True
+            ):
+                values[k] = moved
+
+    def _find_quiet(self, first: int, last: int) -> NDArray[np.bool_]:
+        """Return in which ticks each pump must stand still, shape (ticks, n)."""
+        quiet = np.zeros((last - first, len(self._sites)), bool)
+        tick_ns = round(self._sites.tau[0] * 1e9)
+        for rows, site, start in self._clocks:
+            if site.quiet is not None:
+                start_ns = round(start * 1e9)
+                quiet[:, rows] = np.array([
+                    site.quiet.quiet_at(start_ns + tick * tick_ns) for tick in range(first, last)
+                ])[:, None]
+        return quiet
+
+    def results(self) -> dict[str, Values]:
+        """Return the metrics of the sites, after the last block."""
+        depths = np.array([
+            self._sites.tau[0] * weather.rain[: self._steps].sum()
+            for weather in self._batch.weather
+        ])
+        plants = self._plants
+        return self._metrics.results(
+            self._steps, plants.x1, plants.x2, plants.layer, depths[self._weather_of]
+        )
+
+
+def _complete(sites: Sequence[Site], given: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return each parameter of on/off control and the outlet, as an array over sites."""
+    onoff = find_controller("onoff")
+    complete = []
+    for site, own in zip(sites, given, strict=True):
+        values = onoff.complete_parameters(site, onoff.check_parameters(own))
+        for parameter in (FRACTION, LEVEL, *parameters_on(site, PLAN)):
+            values.setdefault(parameter.name, parameter.default)
+        complete.append(values)
+    return {name: np.array([values[name] for values in complete]) for name in complete[0]}

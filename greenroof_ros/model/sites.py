@@ -1,0 +1,105 @@
+"""Many sites at once: the parameters of :class:`.site.Site` as arrays, one entry for each site.
+
+A function of a site that only computes with its parameters broadcasts over them. What a site does
+not have takes part with a value that has no effect: a valve that lets in nothing, an outlet of no
+area at the level of the upper one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.model.plant import has_short_ticks
+from greenroof_ros.model.site import Site
+from greenroof_ros.model.soil import soil_of
+
+Values = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# Parameters that are not simply those of a site of the same name.
+_FROM_SITE: dict[str, Callable[[Site], Any]] = {
+    "low_outlet_level": lambda site: site.min_outlet_level,
+    "mains_level": lambda site: site.mains_level or 0.0,
+    "mains_flow": lambda site: site.mains_flow or 0.0,
+    "drainage_time": lambda site: site.drainage_time or 0.0,
+    "has_mains": lambda site: site.mains_level is not None,
+    "has_low_outlet": lambda site: site.low_outlet_level is not None,
+    "has_layer": lambda site: site.drainage_storage is not None,
+    "above_target": lambda site: soil_of(site).above_target,
+    "stress_volume": lambda site: soil_of(site).stress_volume,
+    "measured": lambda site: soil_of(site).measured,
+    "has_short_ticks": has_short_ticks,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Sites:
+    """Parameters of n sites, each of shape (n,); :class:`.site.Site` has meanings and units.
+
+    Attributes:
+        above_target: how far rain can raise the roof above its target (m3), see :mod:`.soil`.
+        stress_volume: roof's volume below which plants lack water (m3), see :mod:`.soil`.
+        measured: whether the soil is a measured one.
+        has_short_ticks: see :func:`.plant.has_short_ticks`.
+    """
+
+    a1: Values
+    a2: Values
+    z_o: Values
+    z_veg: Values
+    z_soil: Values
+    x2_star: Values
+    z_cap: Values
+    K: Values
+    d: Values
+    c_hat: Values
+    tau: Values
+    b: Values
+    c_out: Values
+    c_low: Values
+    low_outlet_level: Values
+    suction_level: Values
+    effective_catchment: Values
+    crop_coefficient: Values
+    mains_level: Values
+    mains_flow: Values
+    wilting_volume: Values
+    available_volume: Values
+    stress_onset: Values
+    layer_storage: Values
+    drainage_time: Values
+    drainage_to_cistern: Values
+    above_target: Values
+    stress_volume: Values
+    initial_layer: Values
+    wet_after: Values
+    has_mains: Flags
+    has_low_outlet: Flags
+    low_outlet_valve: Flags
+    valve_closed_in_frost: Flags
+    has_layer: Flags
+    measured: Flags
+    has_short_ticks: Flags
+
+    @classmethod
+    def of(cls, sites: Sequence[Site]) -> Sites:
+        """Return the parameters of sites."""
+        return cls(**{
+            field.name: np.array([
+                _FROM_SITE[field.name](site) if field.name in _FROM_SITE
+                else getattr(site, field.name) for site in sites
+            ]) for field in fields(cls)
+        })
+
+    def take(self, rows: NDArray[np.intp] | Flags) -> Sites:
+        """Return the parameters of some of them."""
+        return Sites(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(self.a1)
