@@ -90,7 +90,8 @@ def test_wet_weather_one_by_one(depths: list[float], after: int) -> None:
 
 def test_hourly_rain_is_wet_for_its_hours() -> None:
     run = Intervals(3600.0, np.array([0, 0.1, 0, 0, 0, 0.09, 0.0]) / 1000, np.zeros(7))
-    assert find_wet_weather(SITE.wet_after, run).tolist() == [False, True, True, True, False, False, False]
+    wet = find_wet_weather(SITE.wet_after, run)
+    assert wet.tolist() == [False, True, True, True, False, False, False]
 
 
 def test_peaks() -> None:
