@@ -46,6 +46,7 @@ from greenroof_ros.formats.quantities import QUANTITIES, ROOF
 from greenroof_ros.live.devices import drive_file, relay_file, sensor_file
 from greenroof_ros.live.pumping.limits import pump_parameters
 from greenroof_ros.model.metrics import METRICS
+from greenroof_ros.model.plain_keys import PLAIN, SUBSTRATES
 from greenroof_ros.model.site import read_site, site_parameters
 from greenroof_ros.model.storm_water import Event
 
@@ -255,6 +256,28 @@ def site() -> str:
             ),
         )
         for entry in site_parameters()
+    )
+
+
+def plain_keys() -> str:
+    """Return the keys of a site file in words that people have."""
+
+    def kind(entry: Parameter) -> str:
+        usual = "" if entry.usual is None else f"usually {entry.usual[0]:g} to {entry.usual[1]:g}"
+        return " ".join(filter(None, (usual, entry.unit))) or "name"
+
+    return entries((f"`{entry.name}`", kind(entry), entry.meaning) for entry in PLAIN.values())
+
+
+def substrates() -> str:
+    """Return the named substrates, with values and sources."""
+    return markdown(
+        ("`substrate`", "field capacity", "wilting point", "layer (mm)", "source"),
+        (
+            (f"`{name}`", f"{each.field_capacity:g}", f"{each.wilting_point:g}",
+             f"{1000 * each.drainage_storage:g}", each.about)
+            for name, each in SUBSTRATES.items()
+        ),
     )
 
 
@@ -636,6 +659,8 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "metrics": metrics,
     "events": events,
     "site": site,
+    "plain site keys": plain_keys,
+    "substrates": substrates,
     "pump settings": pump_settings,
     "interlocks": interlocks,
     "conditions": conditions,

@@ -48,6 +48,7 @@ class Parameter:
             that name, which is set between two ticks.
         among: the only texts allowed; empty if any text is.
         measured: default on a roof with a measured soil; None if it is the same.
+        usual: range of its usual values, for people; None if it is not stated.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Parameter:
     may_change: bool = False
     among: tuple[str, ...] = ()
     measured: Any = None
+    usual: tuple[float, float] | None = None
 
     @property
     def whole(self) -> bool:
@@ -113,6 +115,7 @@ def entry(
     choices: tuple[str, ...] = (),
     default: Any = MISSING,
     factory: Any = MISSING,
+    usual: tuple[float, float] | None = None,
 ) -> Any:
     """Return a dataclass field that is a key of a file.
 
@@ -124,9 +127,12 @@ def entry(
         choices: the only texts allowed.
         default: the default of an optional key.
         factory: makes the default, if that is a mapping.
+        usual: the range of usual values.
     """
     value = None if default is MISSING else default
-    metadata = {"entry": Parameter("", value, unit, low, high, meaning, among=choices)}
+    metadata = {
+        "entry": Parameter("", value, unit, low, high, meaning, among=choices, usual=usual)
+    }
     result: Any = field(default=default, default_factory=factory, metadata=metadata)
     return result
 

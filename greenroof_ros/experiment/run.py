@@ -20,6 +20,7 @@ from greenroof_ros.formats.hourly import Records
 from greenroof_ros.model.initial_state import note_full_roof
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.place import format_place, measure_distance
+from greenroof_ros.model.pump_size import note_pumps
 from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
@@ -89,6 +90,7 @@ class Run:
         return [
             *self._note_short(), *_note_far(self.weather, self.site),
             *filter(None, [self.weather.rain_note]), *note_full_roof(self.site, self.x2),
+            *note_pumps(self.site),
         ]
 
     def _note_short(self) -> Iterator[str]:

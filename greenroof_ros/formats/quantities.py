@@ -10,8 +10,9 @@ RADIATION = "solar radiation"
 TEMPERATURE = "temperature"
 HUMIDITY = "relative humidity"
 DEW_POINT = "dew point"
+PRESSURE = "station pressure"
 
-FOR_EVAPOTRANSPIRATION = (TEMPERATURE, DEW_POINT, "wind speed", "station pressure")
+FOR_EVAPOTRANSPIRATION = (TEMPERATURE, DEW_POINT, "wind speed", PRESSURE)
 """What evapotranspiration is computed from, if it is not given."""
 
 

@@ -10,18 +10,21 @@ from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta, timezone, tzinfo
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
 from greenroof_ros.common.files import is_there, read_yaml, shared_directory
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
 from greenroof_ros.common.times import LAST_YEAR
+from greenroof_ros.model.plain_keys import NO_VALUE, PLAIN, Entry, override, translate
 from greenroof_ros.model.quiet_hours import QuietHours
 
 # Bounds of all sites' parameters: nothing that is computed within them overflows.
-_POSITIVE, _NOT_NEGATIVE, _NEGATIVE = (1e-12, 1e9), (0.0, 1e9), (-1e9, -1e-12)
+_POSITIVE, _NOT_NEGATIVE = (1e-12, 1e9), (0.0, 1e9)
+# Of a pump curve; a constant flow of 1 l/h is -1.3e19 (model/plain_keys.py).
+_NEGATIVE = (-1e21, -1e-12)
 # Relative error up to which a product rounded by a person, such as x2_star, is consistent.
 _ROUNDING = 1e-6
 # By Eq. (4), water that the soil cannot hold stands on it until it drains. At most this much stands
@@ -51,8 +54,6 @@ _OF_CLOCK: dict[str, tuple[Callable[[Any], object], str]] = {
         "America/Toronto",
     ),
 }
-_Entry: TypeAlias = "tuple[Path | None, int | None, Any]"
-"""File and line of a value, None if a program gives it, and the value."""
 # Key of the file that has what a site file omits.
 _EXTENDS = "extends"
 # What the reader of weather may use, including for computed evapotranspiration.
@@ -403,6 +404,10 @@ def site_parameters() -> list[Parameter]:
     return parameters_of(Site)
 
 
+SITE_KEYS = (*(parameter.name for parameter in site_parameters()), *PLAIN)
+"""what a site file may have, besides the file that it extends"""
+
+
 def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
     """Return the text of a complete site file, which :func:`read_site` reads as a site.
 
@@ -419,18 +424,16 @@ def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
     return "".join(lines)
 
 
-def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, _Entry]:
-    """Return the entries of a site file, including the file that it extends.
+def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Entry]:
+    """Return the entries of a site file by key, including the file that it extends.
 
-    By key: file, line and value. The site file's own entries take precedence.
+    The site file's own entries take precedence.
     """
     mapping = read_yaml(path)
-    entries: dict[str, _Entry] = {
-        key: (path, mapping.lines[key], value) for key, value in mapping.items()
-    }
+    entries = {key: Entry(value, path, mapping.lines[key]) for key, value in mapping.items()}
     if _EXTENDS not in entries:
-        return entries
-    _, line, base = entries.pop(_EXTENDS)
+        return override({}, entries)
+    base, _, line, _ = entries.pop(_EXTENDS)
     chain = (*extended_by, path.resolve())
     expected = (
         "must be the name of another site file, such as site.yaml, next to this one or of this "
@@ -438,7 +441,7 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, _Entry
     )
     if isinstance(base, str) and is_there(following := _base(path, base)):
         if following.resolve() not in chain:
-            return {**_entries(following, chain), **entries}
+            return override(_entries(following, chain), entries)
         ring = [*chain[chain.index(following.resolve()):], following.resolve()]
         expected += f"; this is a ring: {' extends '.join(map(str, ring))}"
     raise ConfigurationError(expected, file=path, line=line, key=_EXTENDS, value=base)
@@ -458,8 +461,9 @@ def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
 
     Args:
         path: of the file.
-        changes: parameters with other values than in the file. Volumes that depend on them follow:
-            the products x2_star and z_cap, and the initial volumes (their levels stay the same).
+        changes: parameters, or plain keys, with other values than in the file. Volumes that depend
+            on them follow: the products x2_star and z_cap, and the initial volumes (their levels
+            stay the same).
 
     Raises:
         ConfigurationError: a parameter is missing, unknown, not a number, beyond its range, or
@@ -469,15 +473,14 @@ def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
     site = _site_of(entries, path)
     if not changes:
         return site
-    new = {**entries, **{name: (None, None, value) for name, value in changes.items()}}
-    with _add_place_to_errors(new, path):
-        changed = _record_of(new)
+    new = override(entries, {name: Entry(value) for name, value in changes.items()})
+    changed = _record_of(new, path)[0]
     for volume, factors in _FOLLOW.items():
         ratio = math.prod(
             (getattr(changed, name) or 1.0) / (getattr(site, name) or 1.0) for name in factors
         )
         if volume in entries and volume not in changes and ratio != 1:
-            new[volume] = (None, None, getattr(site, volume) * ratio)
+            new[volume] = Entry(getattr(site, volume) * ratio)
     return _site_of(new, path)
 
 
@@ -488,43 +491,59 @@ def check_site(site: Site) -> Site:
         ConfigurationError: as for :func:`read_site`; the message names key and value.
     """
     return _site_of({
-        name: (None, None, value) for name, value in asdict(site).items() if value is not None
+        name: Entry(value) for name, value in asdict(site).items() if value is not None
     })
 
 
-def _site_of(entries: Mapping[str, _Entry], path: Path | None = None) -> Site:
+def _site_of(entries: Mapping[str, Entry], path: Path | None = None) -> Site:
     """Return the site of checked entries, from a file unless a program gives them."""
-    with _add_place_to_errors(entries, path):
-        site = _record_of(entries)
-        for name, expected in _contradictions(site, entries):
-            raise ConfigurationError(expected, key=name, value=entries[name][2])
+    site, named = _record_of(entries, path)
+    with _add_place_to_errors(named, path):
+        for name, expected in _contradictions(site, named):
+            value = named[name].value
+            raise ConfigurationError(
+                expected, key=name, value=getattr(site, name) if named[name].plain else value
+            )
     return site
 
 
-def _record_of(entries: Mapping[str, _Entry]) -> Site:
-    """Return the site of entries, each checked alone."""
-    values = {name: value for name, (_, _, value) in entries.items()}
-    computed = _FOLLOW_FROM.keys() - values.keys()
-    site = make_record(Site, {**values, **dict.fromkeys(computed, 1.0)})
-    products: dict[str, Any] = {name: _product(name, asdict(site)) for name in computed}
-    return replace(site, **products)
+def _record_of(
+    entries: Mapping[str, Entry], path: Path | None
+) -> tuple[Site, dict[str, Entry]]:
+    """Return the site of entries, each checked alone, and its entries by the paper's names."""
+    with _add_place_to_errors(entries, path):
+        for name, (value, *_) in entries.items():
+            if name not in SITE_KEYS:
+                raise ConfigurationError(
+                    f"is not a key here; {suggest_names(name, SITE_KEYS)}", key=name, value=value
+                )
+        named, following = translate(entries)
+    with _add_place_to_errors(named, path):
+        values = {name: each.value for name, each in named.items()}
+        omitted = _FOLLOW_FROM.keys() - named.keys()
+        site = make_record(Site, {**values, **dict.fromkeys(omitted, 1.0)})
+    computed: dict[str, Any] = {name: compute(site) for name, compute in following.items()}
+    site = replace(site, **computed)
+    products: dict[str, Any] = {name: _product(name, asdict(site)) for name in omitted}
+    return replace(site, **products), named
 
 
 @contextmanager
-def _add_place_to_errors(entries: Mapping[str, _Entry], path: Path | None) -> Iterator[None]:
+def _add_place_to_errors(entries: Mapping[str, Entry], path: Path | None) -> Iterator[None]:
     """Add file and line to an error about an entry, or how to add a missing one."""
     try:
         yield
     except ConfigurationError as error:
         name, expected = str(error.key).partition(".")[0], error.expected
-        file, line, _ = entries.get(name, (path, None, None))
+        given = entries.get(name, Entry(None, path))
         if name not in entries:
             expected += (
                 "; add it, or begin the file with 'extends: site.yaml' to use the paper's values "
                 "for all keys that are missing"
             )
         raise ConfigurationError(
-            expected, file=file, line=line, key=error.key, value=error.value
+            expected, file=given.file, line=given.line, value=error.value,
+            key=f"{given.plain} ({error.key})" if given.plain else error.key,
         ) from None
 
 
@@ -559,7 +578,7 @@ def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str,
     """
     for name in entries:
         if getattr(site, name) is None:
-            yield name, "needs a value; leave this line out if there is none"
+            yield name, NO_VALUE
     for name, (make, expected) in _OF_CLOCK.items():
         try:
             if name in entries:

@@ -24,6 +24,7 @@ from greenroof_ros.formats.hourly import Records, find_gaps, name_hours, number_
 from greenroof_ros.formats.quantities import (
     EVAPOTRANSPIRATION,
     FOR_EVAPOTRANSPIRATION,
+    PRESSURE,
     QUANTITIES,
     RADIATION,
     TEMPERATURE,
@@ -34,7 +35,7 @@ from greenroof_ros.model.site import Site
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
 COMPUTED = (FAO56, HARGREAVES, MONTHLY)
 """Methods for records without a column of evapotranspiration, the most accurate first."""
-_PLACE = ("latitude", "longitude", "elevation", "utc_offset")
+_PLACE = ("latitude", "longitude")
 _MJ_PER_M2_AND_HOUR = 3600e-6  # per W/m2
 _LATITUDES = Range(-66.0, 66.0, "degrees")  # between the polar circles
 _METRES_PER_SECOND = 1 / 3.6  # per km/h
@@ -122,6 +123,7 @@ def compute_fao56(records: Records, site: Site) -> NDArray[np.float64]:
             f"{', '.join(lacking)}, from which {FAO56} is computed", file=records.source,
         )
     check_place(site, FAO56, _PLACE)
+    site = _complete_place(site, records)
     if records.wind_height is not None:
         site = replace(site, wind_height=records.wind_height)
     values = {name: records.values[name] for name in FOR_EVAPOTRANSPIRATION}
@@ -170,6 +172,21 @@ def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
             "monthly_evapotranspiration in the site file",
             key="latitude", value=site.latitude,
         )
+
+
+def _complete_place(site: Site, records: Records) -> Site:
+    """Return a site with what follows from its longitude and the weather, if its file omits it.
+
+    The offset from UTC, which only sets when its days begin, is the whole hour that is closest to
+    solar time. The elevation is that of the mean pressure by FAO-56 Eq. 7.
+    """
+    if site.utc_offset is None:
+        site = replace(site, utc_offset=float(round((site.longitude or 0.0) / 15)))
+    pressure = records.values.get(PRESSURE)
+    if site.elevation is None and pressure is not None:
+        mean = float(np.nanmean(pressure))
+        site = replace(site, elevation=293 / 0.0065 * (1 - (mean / 101.3) ** (1 / 5.26)))
+    return site
 
 
 def is_polar(site: Site) -> bool:
@@ -371,7 +388,8 @@ def compute_hargreaves(records: Records, site: Site) -> Values:
         raise ConfigurationError(
             f"has no {TEMPERATURE}, from which {HARGREAVES} is computed", file=records.source
         )
-    check_place(site, HARGREAVES, ("latitude", "longitude", "utc_offset"))
+    check_place(site, HARGREAVES, _PLACE)
+    site = _complete_place(site, records)
     seconds = _find_local_seconds(records, site)
     dates, day = np.unique((seconds // _DAY_S).astype("datetime64[D]"), return_inverse=True)
     hourly_values = records.values[TEMPERATURE]

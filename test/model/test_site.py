@@ -122,7 +122,7 @@ CLIMATE = "monthly_evapotranspiration"
     [
         # Out of range: with a unit, without one, and a whole number.
         (PAPERS, {"a2": "-68.8"}, "a2", "a number greater than 0 and at most 1e+09 m2 (bottom"),
-        (PAPERS, {"a_hat": "0"}, "a_hat", "a number of at least -1e+09 and less than 0 s2/m5 (co"),
+        (PAPERS, {"a_hat": "0"}, "a_hat", "a number of at least -1e+21 and less than 0 s2/m5 (co"),
         (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 ticks (look-ahead"),
         # A value that contradicts another.
         (PAPERS, {"x2_star": 3.145}, "x2_star", "a2 z_veg = 3.14416 m3"),

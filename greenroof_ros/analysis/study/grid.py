@@ -33,7 +33,7 @@ from greenroof_ros.formats.own_csv import write_forecasts
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.model.initial_state import INITIAL_STATES
 from greenroof_ros.model.sensor_and_pump import PARAMETERS, SensorAndPump
-from greenroof_ros.model.site import Site, format_site, read_site, site_parameters
+from greenroof_ros.model.site import SITE_KEYS, Site, format_site, read_site
 from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.weather.reading import read_weather
 
@@ -171,8 +171,7 @@ class _Grid:
         )
 
     def _expand_sites(self) -> Iterator[tuple[Site, InputFile]]:
-        symbols = [parameter.name for parameter in site_parameters()]
-        for values in self._expand(self._mapping, "site", ("file",), symbols):
+        for values in self._expand(self._mapping, "site", ("file",), SITE_KEYS):
             own = {name: value for name, value in values.items() if name != "file"}
             for file in self._find(values, "file"):
                 site, path = read_site(file), file

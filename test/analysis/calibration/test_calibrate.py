@@ -104,10 +104,10 @@ def test_volumes_follow_in_a_site_file_of_any_form(tmp_path: Path) -> None:
 
 
 def test_an_invalid_site_is_not_written() -> None:
-    steep = {"a_hat": (-4.1e17, "steep")}
+    steep = {"a_hat": (-4.1e22, "steep")}
     assert refusal(format_fitted_site, PAPER, steep, []).startswith(
         f"{PAPER}: the fitted values do not make a valid site; nothing is written: "
-        "a_hat = -4.1e+17: must be a number of at least -1e+09 and less than 0 s2/m5"
+        "a_hat = -4.1e+22: must be a number of at least -1e+21 and less than 0 s2/m5"
     )
 
 

@@ -1,0 +1,257 @@
+"""Keys of a site file in words that people have: each stands for parameters of the paper.
+
+A file may have either. Files that extend one another, and values that a program changes, are levels
+of a site: what a level gives takes precedence over all that stands for the same on the levels below
+it, by whatever name. Within a level, two keys for the same thing are an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import Parameter, entry, make_record, parameters_of
+
+if TYPE_CHECKING:
+    from greenroof_ros.model.site import Site
+
+LITRES_PER_HOUR = 1 / 3.6e6
+"""m3/s in a l/h; also m3/s on a m2 in a mm/h"""
+
+# Head of the pump curve that stands for a constant flow (m). By Eq. (3e) the flow is proportional
+# to the root of this head plus the cistern's level, so 3 m of level raise it by 1.5e-6 of itself.
+_HEAD_OF_CONSTANT_FLOW = 1e6
+
+
+@dataclass(frozen=True)
+class Substrate:
+    """A named substrate with its drainage layer; parameters of a measured soil.
+
+    Attributes:
+        about: what it is, with the sources of the values.
+        depth: usual depth (m), for a new site.
+        field_capacity: as of a site (1), likewise the others.
+        wilting_point: (1)
+        depletion_fraction: (1)
+        drainage_storage: (m)
+        drainage_time: (s)
+    """
+
+    about: str
+    depth: float
+    field_capacity: float
+    wilting_point: float
+    depletion_fraction: float = 0.5
+    drainage_storage: float = 0.0075
+    drainage_time: float = 500.0
+
+
+_OF_SUBSTRATE = (
+    "field_capacity", "wilting_point", "depletion_fraction", "drainage_storage", "drainage_time",
+)
+SUBSTRATES = {
+    "neubrandenburg": Substrate(
+        "a whole roof in Germany, plants and mat included, fitted to 16 months of runoff: "
+        "config/site_neubrandenburg.yaml", 0.108, 0.63, 0.02, drainage_storage=0.0055,
+    ),
+    "berlin": Substrate(
+        "a roof in Berlin, as calibrated for SWMM 5 (KWB-R/keys.lid, bbr18.inp): 10 cm; layer of "
+        "3 mm, half voids", 0.1, 0.2, 0.1, drainage_storage=0.0015,
+    ),
+    "extensive": Substrate(
+        "the minimum of the FLL guidelines (2018) for extensive roofs in several layers: maximum "
+        "water capacity 35 %; wilting point and layer within EPA's SWMM Reference Manual III "
+        "(2016), 0.05 to 0.2 and 3 to 20 mm", 0.1, 0.35, 0.1,
+    ),
+    "intensive": Substrate(
+        "likewise for intensive roofs: maximum water capacity 45 %", 0.3, 0.45, 0.1,
+    ),
+    "sandy_loam": Substrate(
+        "a garden soil: middle of FAO-56, Table 19 (0.18 to 0.28, and 0.06 to 0.16)",
+        0.3, 0.23, 0.11,
+    ),
+    "loam": Substrate(
+        "likewise (0.20 to 0.30, and 0.07 to 0.17)", 0.3, 0.25, 0.12,
+    ),
+}
+"""by name. The depletion fraction is the middle of FAO-56, Table 22, 0.3 to 0.7; the layer's time
+that of Neubrandenburg, the layer's storage of soils the middle of SWMM's range"""
+
+
+@dataclass(frozen=True)
+class PlainKeys:
+    """The keys; each can be left out."""
+
+    cistern_volume: float | None = entry(
+        "volume of the cistern below its overflow: a1 is this over its height", 0.01, 1e5,
+        unit="m3", default=None, usual=(1, 50),
+    )
+    cistern_height: float | None = entry(
+        "height of the cistern's overflow above its base: z_o", 0.1, 50.0, unit="m", default=None,
+        usual=(1, 3),
+    )
+    catchment_area: float | None = entry(
+        "area whose rain flows into the cistern: a_in", 0.1, 1e6, unit="m2", default=None,
+        usual=(50, 2000),
+    )
+    roof_area: float | None = entry(
+        "area of the green roof: a2", 0.1, 1e6, unit="m2", default=None, usual=(20, 2000),
+    )
+    substrate: str | None = entry(
+        "name of its substrate: field_capacity, wilting_point, depletion_fraction, "
+        "drainage_storage and drainage_time", choices=tuple(SUBSTRATES), default=None,
+    )
+    substrate_depth: float | None = entry(
+        "depth of its substrate: z_soil", 0.02, 2.0, unit="m", default=None, usual=(0.06, 0.5),
+    )
+    pump_flow: float | None = entry(
+        "flow of the pump at full command, at any level of the cistern: a_hat and c_hat", 1.0, 1e6,
+        unit="l/h", default=None, usual=(100, 5000),
+    )
+    irrigation_rate: float | None = entry(
+        "the same as a depth on the roof in an hour", 0.1, 1000.0, unit="mm/h", default=None,
+        usual=(2, 10),
+    )
+    emitters: int | None = entry(
+        "the same as a number of drip emitters, with emitter_flow", 1, 10_000_000, default=None,
+        usual=(100, 5000),
+    )
+    emitter_flow: float | None = entry(
+        "flow of one drip emitter", 0.1, 100.0, unit="l/h", default=None, usual=(1, 4),
+    )
+
+
+PLAIN: dict[str, Parameter] = {each.name: each for each in parameters_of(PlainKeys)}
+"""the keys by name"""
+
+# Keys that are another name for a parameter.
+_RENAMED = {
+    "cistern_height": "z_o", "catchment_area": "a_in", "roof_area": "a2",
+    "substrate_depth": "z_soil",
+}
+# Keys for the same quantity; those of one inner tuple belong together.
+_SAME: tuple[tuple[tuple[str, ...], ...], ...] = (
+    *(((plain,), (name,)) for plain, name in _RENAMED.items()),
+    (("cistern_volume",), ("a1",)),
+    (("pump_flow",), ("irrigation_rate",), ("emitters", "emitter_flow"), ("a_hat", "c_hat")),
+)
+_RIVALS: dict[str, tuple[str, ...]] = {
+    name: tuple(other for group in same if name not in group for other in group)
+    for same in _SAME for names in same for name in names
+}
+_PLACE = {"latitude", "longitude"}
+NO_VALUE = "needs a value; leave this line out if there is none"
+"""why an empty value is refused"""
+
+# What a file of another place does not take from the file that it extends.
+_FOLLOW_PLACE = (
+    "elevation", "utc_offset", "time_zone", "monthly_evapotranspiration", "k_Rs",
+)
+
+
+class Entry(NamedTuple):
+    """A value of a site, and where it is from."""
+
+    value: Any
+    file: Path | None = None
+    """None if a program gives the value"""
+    line: int | None = None
+    plain: str = ""
+    """the plain key that stands for it, if there is one"""
+
+
+class Translation(NamedTuple):
+    """A site's entries under the paper's names."""
+
+    entries: dict[str, Entry]
+    """those of `computed` have a value that stands in for it"""
+    computed: dict[str, Callable[[Site], float]]
+    """what follows from the other parameters of a site"""
+
+
+def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, Entry]:
+    """Return the entries of a level of a site and of those below it; its own take precedence.
+
+    Args:
+        base: of the levels below; may be empty.
+        own: of the level.
+
+    Raises:
+        ConfigurationError: two of the own ones give the same parameter; the message names both.
+    """
+    replaced = {rival for name in own for rival in _RIVALS.get(name, ())}
+    if "substrate" in own:
+        replaced.update(_OF_SUBSTRATE)
+    for name, (value, file, line, _) in own.items():
+        rivals = _OF_SUBSTRATE if name == "substrate" else _RIVALS.get(name, ())
+        for rival in (rival for rival in rivals if rival in own and name in PLAIN):
+            where = "" if own[rival].line is None else f" in line {own[rival].line}"
+            raise ConfigurationError(
+                f"contradicts {rival} = {own[rival].value}{where}, which gives the same: leave one "
+                "of them out", file=file, line=line, key=name, value=value,
+            )
+    if own.keys() >= _PLACE:
+        replaced.update(_FOLLOW_PLACE)
+    return {**{name: each for name, each in base.items() if name not in replaced}, **own}
+
+
+def translate(entries: Mapping[str, Entry]) -> Translation:
+    """Return entries under the paper's names.
+
+    Raises:
+        ConfigurationError: a plain key has a wrong value, or lacks another that it needs.
+    """
+    given = {name: each.value for name, each in entries.items() if name in PLAIN}
+    for name, value in given.items():
+        if value is None:
+            raise ConfigurationError(NO_VALUE, key=name)
+    keys = make_record(PlainKeys, given)
+    named = {name: each for name, each in entries.items() if name not in PLAIN}
+    computed: dict[str, Callable[[Site], float]] = {}
+
+    def place(plain: str, name: str, value: float) -> None:
+        named[name] = entries[plain]._replace(value=value, plain=plain)
+
+    for plain, name in _RENAMED.items():
+        if plain in given:
+            place(plain, name, getattr(keys, plain))
+    if keys.substrate is not None:
+        substrate = SUBSTRATES[keys.substrate]
+        for name in _OF_SUBSTRATE:
+            if name not in named:  # otherwise it is of a level above the substrate's
+                place("substrate", name, getattr(substrate, name))
+    if (volume := keys.cistern_volume) is not None:
+        place("cistern_volume", "a1", 1.0)
+        computed["a1"] = lambda site: volume / site.z_o
+    if (pump := _find_pump(keys)) is not None:
+        plain, flow = pump
+        place(plain, "c_hat", 1.0)
+        place(plain, "a_hat", -1.0)
+        computed["c_hat"] = lambda site: _HEAD_OF_CONSTANT_FLOW + site.d
+        computed["a_hat"] = lambda site: (
+            site.pipe_resistance - _HEAD_OF_CONSTANT_FLOW / flow(site) ** 2
+        )
+    return Translation(named, computed)
+
+
+def _find_pump(keys: PlainKeys) -> tuple[str, Callable[[Site], float]] | None:
+    """Return the key that gives the pump's flow, and the flow at a site (m3/s).
+
+    Raises:
+        ConfigurationError: a number or a flow of emitters is missing.
+    """
+    litres, rate = keys.pump_flow, keys.irrigation_rate
+    if litres is not None:
+        return "pump_flow", lambda _: litres * LITRES_PER_HOUR
+    if rate is not None:
+        return "irrigation_rate", lambda site: rate * site.a2 * LITRES_PER_HOUR
+    number, each = keys.emitters, keys.emitter_flow
+    if number is not None and each is not None:
+        return "emitters", lambda _: number * each * LITRES_PER_HOUR
+    for name, other in (("emitters", "emitter_flow"), ("emitter_flow", "emitters")):
+        if getattr(keys, name) is not None:
+            raise ConfigurationError(f"needs {other} as well", key=name)
+    return None
