@@ -65,7 +65,8 @@ setup(
     package_dir={"": "."},
     package_data={NAME: ["py.typed"],
                   f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
-                  f"{NAME}.analysis.calibration": ["page.html"]},
+                  f"{NAME}.analysis.calibration": ["page.html"],
+                  f"{NAME}.analysis.sizing": ["page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),

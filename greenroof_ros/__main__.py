@@ -62,6 +62,7 @@ GROUPS = {
         "bound": Command("bound", "compute the minimum possible deviation"),
     },
     "fit it to your site": {
+        "size": Command("size", "choose a cistern: sizes, targets and outlets over all seasons"),
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
         "fetch-weather": Command("fetch_weather", "fetch years of weather from the internet"),
         "weather": Command("weather_file", "describe a weather file; write it as a plain CSV"),

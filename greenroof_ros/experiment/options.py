@@ -42,13 +42,13 @@ def add_run_arguments(
     add_controller_arguments(parser, group, arguments)
     add_site_arguments(group)
     group = parser.add_argument_group("forecasts")
-    _add_option(group, INPUTS["forecast"], metavar=f"{{{','.join(MODELS)},FILE}}")
+    add_option(group, INPUTS["forecast"], metavar=f"{{{','.join(MODELS)},FILE}}")
     skill = {"metavar": f"{{{','.join(SKILLS)},FILE.yaml}}"}
     for name, parameter in choice.INPUTS.items():
-        _add_option(group, parameter, **(skill if name == "forecast_skill" else {}))
+        add_option(group, parameter, **(skill if name == "forecast_skill" else {}))
     group = parser.add_argument_group("sensor and pumps (default: as in the paper)")
     for parameter in sensor_and_pump.PARAMETERS.values():
-        _add_option(group, parameter)
+        add_option(group, parameter)
 
 
 def add_controller_arguments(
@@ -77,7 +77,7 @@ def add_controller_arguments(
     given = name.parse_known_args(arguments)[0].controller or default
     with rename_keys(_OPTIONS):
         controller = find_controller(given)
-    options = ", ".join(map(_option, controller.parameters))
+    options = ", ".join(map(option_of, controller.parameters))
     parser.hint = f"the parameters of {controller.name} are {options}"
     of_controller = parser.add_argument_group(
         f"parameters of {controller.name}",
@@ -88,21 +88,21 @@ def add_controller_arguments(
         help="ROS 2 parameter file of the controller; what it leaves out has its default",
     )
     for parameter in controller.parameters.values():
-        _add_option(of_controller, parameter)
+        add_option(of_controller, parameter)
 
 
 def add_site_arguments(group: argparse._ArgumentGroup) -> None:
     """Add the options for site, weather, initial state, start and length."""
     add_site(group)
-    _add_option(group, INPUTS["weather"], nargs="+", metavar="FILE")
-    _add_option(group, INPUTS["start"], metavar="ISO")
-    _add_option(group, INPUTS["initial"], choices=INITIAL_STATES)
+    add_option(group, INPUTS["weather"], nargs="+", metavar="FILE")
+    add_option(group, INPUTS["start"], metavar="ISO")
+    add_option(group, INPUTS["initial"], choices=INITIAL_STATES)
     for name in ("hours", "cistern", "roof", "gaps"):
-        _add_option(group, INPUTS[name])
-    _add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
+        add_option(group, INPUTS[name])
+    add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
 
 
-def _add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:
+def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:
     """Add the option of an input; its value is None unless it is given."""
     about = [] if parameter.unit in ("", "1") else [parameter.unit]
     if isinstance(parameter.default, (int, float)) or math.isfinite(parameter.low):
@@ -115,15 +115,16 @@ def _add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings
     elif parameter.default is not None and not isinstance(parameter.default, float):
         about.append(f"default: {parameter.default}")
     end = f" ({', '.join(about)})" if about else ""
-    group.add_argument(_option(parameter.name), help=f"{parameter.meaning}{end}", **settings)
+    group.add_argument(option_of(parameter.name), help=f"{parameter.meaning}{end}", **settings)
 
 
-def _option(name: str) -> str:
+def option_of(name: str) -> str:
+    """Return the option of an input."""
     return f"--{name.replace('_', '-')}"
 
 
 # How messages name the inputs of a command line.
-_OPTIONS = {name: _option(name) for name in ("controller", *INPUTS)}
+_OPTIONS = {name: option_of(name) for name in ("controller", *INPUTS)}
 
 
 def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import itertools
 import math
 from collections.abc import Iterable, Sequence
@@ -61,6 +62,29 @@ class Panel(NamedTuple):
         return sized
 
 
+class _Picture:
+    """A chart that a notebook shows as a picture, without scripts from the internet.
+
+    That is unless another of Altair's renderers was enabled.
+    """
+
+    def _repr_mimebundle_(self, *given: Any, **further: Any) -> Any:
+        if alt.renderers.active != "default":
+            return super()._repr_mimebundle_(*given, **further)  # type: ignore[misc]
+        picture = vl_convert.vegalite_to_png(self.to_dict(), VEGA_LITE, scale=2)  # type: ignore[attr-defined]
+        width = int.from_bytes(picture[16:20], "big") // 2  # on the screen
+        kind = "image/png"
+        return {kind: base64.b64encode(picture).decode()}, {kind: {"width": width}}
+
+
+class PictureColumn(_Picture, alt.VConcatChart):
+    """Charts below each other."""
+
+
+class PictureGrid(_Picture, alt.ConcatChart):
+    """Charts in rows."""
+
+
 @dataclass(frozen=True)
 class Figure:
     """A figure: its panels and their data.
@@ -81,12 +105,22 @@ class Figure:
     columns: int
     data: dict[str, Rows] = field(default_factory=dict)
 
+    def chart(self) -> alt.ConcatChart:
+        """Return the figure with its data as one chart."""
+        whole = self._concatenate()
+        whole.datasets = self.data
+        return whole
+
+    def _concatenate(self) -> alt.ConcatChart:
+        whole = PictureGrid(
+            concat=[panel.sized() for panel in self.panels], columns=self.columns, title=self.title
+        ).resolve_scale(color="independent", shape="independent", strokeDash="independent")
+        configured: alt.ConcatChart = whole.configure(**CONFIG)
+        return configured
+
     def save(self, directory: Path) -> None:
         """Write the figure as SVG and as PNG."""
-        whole = alt.concat(
-            *(panel.sized() for panel in self.panels), columns=self.columns, title=self.title
-        ).resolve_scale(color="independent", shape="independent", strokeDash="independent")
-        specification = whole.configure(**CONFIG).to_dict()
+        specification = self._concatenate().to_dict()
         # Added here, as altair would check every row. The PNG is made from the SVG, laid out once.
         specification.setdefault("datasets", {}).update(self.data)
         vectors = vl_convert.vegalite_to_svg(specification, VEGA_LITE)

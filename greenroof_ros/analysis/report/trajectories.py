@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
@@ -10,14 +9,13 @@ from typing import Any, NamedTuple
 
 import altair as alt
 import numpy as np
-import vl_convert
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.report.drawing import (
     CONFIG,
-    VEGA_LITE,
     Figure,
     Panel,
+    PictureColumn,
     Rows,
     distinguish_series,
     make_tooltips,
@@ -155,21 +153,6 @@ def _lines(
     return lines, references, rows
 
 
-class Picture(alt.VConcatChart):
-    """A chart that a notebook shows as a picture, without scripts from the internet.
-
-    That is unless another of Altair's renderers was enabled.
-    """
-
-    def _repr_mimebundle_(self, *given: Any, **further: Any) -> Any:
-        if alt.renderers.active != "default":
-            return super()._repr_mimebundle_(*given, **further)
-        picture = vl_convert.vegalite_to_png(self.to_dict(), VEGA_LITE, scale=2)
-        width = int.from_bytes(picture[16:20], "big") // 2  # on the screen
-        kind = "image/png"
-        return {kind: base64.b64encode(picture).decode()}, {kind: {"width": width}}
-
-
 def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatChart:
     """Return the chart of simulations: rain, roof level, cistern and pump, with a line for each.
 
@@ -207,7 +190,7 @@ def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> a
         charts.append(alt.layer(*references, lines.encode(**series)).properties(
             width=_WIDTH, height=_HEIGHT
         ))
-    chart: alt.VConcatChart = Picture(vconcat=charts, spacing=10).resolve_scale(
+    chart: alt.VConcatChart = PictureColumn(vconcat=charts, spacing=10).resolve_scale(
         x="shared", color="shared", strokeDash="shared"
     ).configure(**CONFIG).configure_axisY(minExtent=_EXTENT)
     return chart

@@ -1,0 +1,56 @@
+"""Sizing from Python."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from greenroof_ros.analysis.sizing.run import OPTIONS, Progress, size_site
+from greenroof_ros.analysis.sizing.sizes import Sizes
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
+
+
+def size(**options: Any) -> Sizes:
+    """Compare cisterns, targets and outlets over all seasons of a record, as ``greenroof size``.
+
+    Args:
+        options: those below; None for the default.
+
+            - ``site``: a site file or what ``gr.read_site`` returns; by default the paper's.
+            - ``weather``: files, a pattern or a data frame, as for ``gr.simulate``; at least one
+              season.
+            - ``evapotranspiration``, ``gaps``: as for ``gr.simulate``.
+            - ``volumes``: of the cistern up to its overflow (m3); by default eight that suit roof
+              and catchment.
+            - ``targets``: water to keep on the roof, as depths (mm); by default the site's, and
+              4 mm below and above it.
+            - ``outlets``: some of ``"none"``, ``"drain"`` and ``"plan"``; by default all.
+            - ``season``: its first and last day, as ``"05-01/10-31"``; by default May to October,
+              south of the equator November to April.
+            - ``knee``: water that another m3 of cistern must save in a season (m3), by default 1.
+            - ``mains_price``, ``waste_water_price``, ``cistern_price`` (each for a m3), and
+              ``cistern_years`` over which the last is spread: all of them, or none.
+            - ``jobs``: number of processes, by default 1. With more, a script must start under
+              ``if __name__ == "__main__":``.
+
+    Returns:
+        The results: ``.sentence``, ``.table``, ``.table_of_seasons``, ``.plot()`` and
+        ``.save(directory)``, which writes the page.
+
+    Raises:
+        ConfigurationError: an input is wrong; the message states which, and what would be right.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> sizes = gr.size(
+        ...     site="config/site_valve.yaml", weather="config/weather/toronto_2021-07.csv",
+        ...     season="07-07/07-08", volumes=[5, 10], outlets=["none"],
+        ... )
+        >>> sizes.targets
+        [35.0, 39.0, 43.0]
+    """
+    for name in options:
+        if name not in OPTIONS:
+            raise ConfigurationError(
+                f"is no option; {suggest_names(name, OPTIONS)}", key=name, value=options[name]
+            )
+    return size_site(options, Progress())

@@ -1,0 +1,1 @@
+"""Which cistern: many sizes, targets and outlets over all seasons of a record."""

@@ -1,0 +1,218 @@
+"""The designs that are compared: cistern volumes, targets and outlets of one site."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from greenroof_ros.common.errors import ConfigurationError, describe_choices
+from greenroof_ros.common.ranges import Range
+from greenroof_ros.controllers.outlet import DRAIN, PLAN
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.model.site import Site, check_site
+from greenroof_ros.model.storm_water import connected_area
+
+NONE = "none"
+OUTLETS = (NONE, DRAIN, PLAN)
+"""What empties the cistern for storms: nothing, or a valve with one of two policies."""
+CONTROLLER = "onoff"
+TAU = 60.0
+"""duration of a tick (s)"""
+
+VOLUMES, TARGETS = Range(0.05, 1e6, "m3"), Range(1.0, 1000.0, "mm")
+# R5 of ISO 3, preferred numbers: each is 60 % larger than the one before.
+_PREFERRED = (1.0, 1.6, 2.5, 4.0, 6.3)
+# The default volumes begin with the one that holds this depth on the connected area [assumed].
+_SMALLEST_M, _COUNT = 0.004, 8
+# The default targets are the site's, and a day's irrigation in summer above and below it, as
+# assumed for the reserve of drain.
+_DAY_MM = 4.0
+
+# What a site needs to be sized and its file may lack [assumed].
+_MAINS_ABOVE_SUCTION_M, _MAINS_MM_PER_H = 0.02, 10.0
+_OUTLET_ABOVE_MAINS_M, _EMPTIED_IN_H = 0.03, 12.0
+
+
+@dataclass(frozen=True)
+class Design:
+    """A site with one cistern, target and outlet.
+
+    Attributes:
+        volume: of the cistern up to its overflow (m3).
+        target: desired water on the roof, as a depth (mm).
+        outlet: one of :data:`OUTLETS`.
+        site: with all that.
+        parameters: of the controller, and of the outlet's policy if there is a valve.
+    """
+
+    volume: float
+    target: float
+    outlet: str
+    site: Site
+    parameters: Mapping[str, Any]
+
+
+def choose_volumes(site: Site) -> list[float]:
+    """Return the default volumes (m3): eight preferred numbers, from 4 to about 100 mm of rain."""
+    smallest = _SMALLEST_M * connected_area(site)
+    decade = math.floor(math.log10(smallest))
+    numbers = (
+        float(f"{number * 10.0**power:.3g}")
+        for power in range(decade, decade + 4) for number in _PREFERRED
+    )
+    larger = (volume for volume in numbers if volume >= smallest and volume in VOLUMES)
+    return list(itertools.islice(larger, _COUNT))
+
+
+def choose_targets(site: Site) -> list[float]:
+    """Return the default targets (mm): the site's, and those a day's irrigation from it."""
+    own, full = 1000 * site.z_veg, 1000 * site.roof_level(site.z_cap)
+    wilting = 1000 * site.roof_level(site.wilting_volume)
+    return [
+        float(f"{target:.6g}") for target in (own - _DAY_MM, own, own + _DAY_MM)
+        if target == own or wilting + _DAY_MM < target < full
+    ]
+
+
+def read_numbers(values: Sequence[Any] | None, key: str, allowed: Range) -> list[float] | None:
+    """Return the numbers under a key in rising order, each once.
+
+    Raises:
+        ConfigurationError: one is not in the range, or given twice, or there is none.
+    """
+    if values is None:
+        return None
+    if isinstance(values, str) or not hasattr(values, "__iter__"):
+        values = [values]
+    numbers = sorted(allowed.read(value, key=key) for value in values)
+    if not numbers:
+        raise ConfigurationError("must have at least one number", key=key)
+    for one, other in itertools.pairwise(numbers):
+        if one == other:
+            raise ConfigurationError("is given twice", key=key, value=one)
+    return numbers
+
+
+def read_outlets(names: Sequence[str] | None) -> list[str]:
+    """Return the outlets in the order of :data:`OUTLETS`; all of them if none is given.
+
+    Raises:
+        ConfigurationError: there is no such outlet.
+    """
+    given = [names] if isinstance(names, str) else list(names or OUTLETS)
+    for name in given:
+        if name not in OUTLETS:
+            raise ConfigurationError(
+                describe_choices(OUTLETS, str(name)), key="outlets", value=name
+            )
+    return [name for name in OUTLETS if name in given]
+
+
+def make_designs(
+    site: Site, volumes: Sequence[float], targets: Sequence[float], outlets: Sequence[str]
+) -> tuple[list[Design], list[str]]:
+    """Return the designs, by outlet, target and volume, and what was assumed, in sentences.
+
+    Args:
+        site: the site; of its own cistern only the height is used.
+        volumes: m3, rising.
+        targets: mm, rising.
+        outlets: of :data:`OUTLETS`.
+
+    Raises:
+        ConfigurationError: a target is above what the soil holds, or leaves plants no water.
+    """
+    full, wilting = site.roof_level(site.z_cap), site.roof_level(site.wilting_volume)
+    for target in targets:
+        if not wilting < target / 1000 < full:
+            raise ConfigurationError(
+                f"must be above {1000 * wilting:.4g} mm, where plants take no more water, and "
+                f"below {1000 * full:.4g} mm, above which the soil drains (field_capacity and "
+                "z_soil of the site)", key="targets", value=target,
+            )
+    notes = [
+        f"Cisterns are as high as the site file's up to the overflow, {site.z_o:g} m, and differ "
+        "in their area. A season begins with half of the cistern full and the roof at its target.",
+        f"The pump is controlled by on/off, which fills the roof to its target, in ticks of "
+        f"{TAU:g} s. No forecast is used: plan keeps what the roof needs for 20 days, and makes "
+        "room in dry weather.",
+    ]
+    topped_up = _add_mains(site, notes)
+    designs = []
+    for outlet in outlets:
+        valved = _add_valve(topped_up, notes) if outlet != NONE else _without_outlet(topped_up)
+        for target, volume in itertools.product(targets, volumes):
+            designs.append(_make_design(valved, volume, target, outlet))
+    return designs, list(dict.fromkeys(notes))
+
+
+def _make_design(site: Site, volume: float, target: float, outlet: str) -> Design:
+    sized = replace(
+        site, a1=volume / site.z_o, z_veg=target / 1000, x2_star=site.a2 * target / 1000,
+        tau=TAU, M=1, initial_cistern=None, initial_roof=None,
+    )
+    parameters: dict[str, Any] = {}
+    if outlet != NONE:
+        parameters["outlet"] = outlet
+        if math.isnan(site.low_outlet_radius or 0.0):
+            sized = replace(sized, low_outlet_radius=_find_radius(sized))
+    sized = check_site(sized)
+    complete = find_controller(CONTROLLER).complete_parameters(sized, parameters)
+    return Design(volume, target, outlet, sized, complete)
+
+
+def _add_mains(site: Site, notes: list[str]) -> Site:
+    """Return a site with a mains top-up, without which no share of a demand is met."""
+    if site.mains_level is not None:
+        return site
+    above = min(_MAINS_ABOVE_SUCTION_M, (site.min_outlet_level - site.suction_level) / 2)
+    level, flow = site.suction_level + above, _MAINS_MM_PER_H / 1000 / 3600 * site.a2
+    notes.append(
+        "Assumed, as the site file has no mains top-up: below a level of "
+        f"{level:.3g} m, {1000 * above:.3g} mm above the pumps' suction level, mains water flows "
+        f"in at {3600 * flow:.3g} m³/h, {_MAINS_MM_PER_H:g} mm/h over the roof."
+    )
+    return replace(site, mains_level=level, mains_flow=flow)
+
+
+def _without_outlet(site: Site) -> Site:
+    return replace(
+        site, low_outlet_level=None, low_outlet_radius=None, low_outlet_valve=False,
+        valve_closed_in_frost=False,
+    )
+
+
+def _add_valve(site: Site, notes: list[str]) -> Site:
+    """Return a site with a valve on a low outlet; a radius that depends on the cistern is NaN."""
+    assert site.mains_level is not None
+    if site.low_outlet_valve:
+        return site
+    if site.low_outlet_level is not None:
+        notes.append(
+            "Assumed: the low outlet of the site file, which has no valve, gets one for drain and "
+            "plan, and is closed for none."
+        )
+        return replace(site, low_outlet_valve=True)
+    above = min(_OUTLET_ABOVE_MAINS_M, (site.z_o - site.mains_level) / 2)
+    level = site.mains_level + above
+    notes.append(
+        "Assumed, as the site file has no low outlet: for drain and plan a valve at a level of "
+        f"{level:.3g} m, {1000 * above:.3g} mm above that of the mains, so large that it empties "
+        f"a full cistern down to there in {_EMPTIED_IN_H:g} h."
+    )
+    return replace(
+        site, low_outlet_level=level, low_outlet_radius=math.nan, low_outlet_valve=True
+    )
+
+
+def _find_radius(site: Site) -> float:
+    """Return the radius of the low outlet that empties a full cistern in 12 h (m).
+
+    The root of the head falls linearly in time, by Eq. (2): it takes 2 a1 sqrt(head) / c.
+    """
+    head = site.z_o - (site.low_outlet_level or 0.0)
+    coefficient = 2 * site.a1 * math.sqrt(head) / (3600 * _EMPTIED_IN_H)
+    return max(0.001, math.sqrt(coefficient / (site.c_d * math.pi * math.sqrt(2 * site.g))))

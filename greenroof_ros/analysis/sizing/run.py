@@ -1,0 +1,130 @@
+"""From a site and a record of weather to the compared sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from greenroof_ros.analysis.sizing import designs as plans
+from greenroof_ros.analysis.sizing.choice import KNEE, Prices
+from greenroof_ros.analysis.sizing.seasons import find_seasons, list_notes, read_window
+from greenroof_ros.analysis.sizing.simulation import Case, simulate_cases
+from greenroof_ros.analysis.sizing.sizes import COST, KEPT, Sizes, Starts
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.parameter import make_record, parameters_of
+from greenroof_ros.common.ranges import Range
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.experiment.batch import BatchWeather
+from greenroof_ros.experiment.inputs import make_inputs
+
+PRICES = {parameter.name: parameter for parameter in parameters_of(Prices)}
+KNEE_RANGE = Range(0.0, 1e6, "m3")
+JOBS = Range(1, 1024, whole=True)
+
+_OF_RUN = ("site", "weather", "evapotranspiration", "gaps")
+_OWN = ("volumes", "targets", "outlets", "season", "knee", "jobs", *PRICES)
+OPTIONS = (*_OF_RUN, *_OWN)
+"""names of what a user gives"""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Shows what is done, and ends the runs.
+
+    Attributes:
+        show: called with the present task, and the share of all that is done, 0 to 1.
+        check: raises an error if the runs must end.
+    """
+
+    show: Callable[[str, float], None] = lambda text, share: None
+    check: Callable[[], None] = lambda: None
+
+
+def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
+    """Compare the designs of a site over the seasons of its weather.
+
+    Args:
+        given: values of :data:`OPTIONS` by name; None, or none at all, stands for the default.
+        progress: of the runs.
+
+    Raises:
+        ConfigurationError: an input is wrong; its key is the name.
+        WorkersLostError: a process ended unexpectedly.
+    """
+    values = {name: value for name, value in given.items() if value is not None}
+    volumes = plans.read_numbers(values.get("volumes"), "volumes", plans.VOLUMES)
+    targets = plans.read_numbers(values.get("targets"), "targets", plans.TARGETS)
+    outlets = plans.read_outlets(values.get("outlets"))
+    knee = KNEE_RANGE.read(values.get("knee", KNEE), key="knee")
+    jobs = int(JOBS.read(values.get("jobs", 1), key="jobs"))
+    prices = _read_prices({name: values[name] for name in PRICES if name in values})
+    if "weather" not in values:
+        raise ConfigurationError("is missing: records of at least one season", key="weather")
+    inputs = make_inputs(
+        find_controller(plans.CONTROLLER),
+        {name: values[name] for name in _OF_RUN if name in values},
+    )
+    site = inputs.read_site()
+    window = read_window(values.get("season"), site)
+    designs, notes = plans.make_designs(
+        site, volumes or plans.choose_volumes(site), targets or plans.choose_targets(site), outlets
+    )
+    progress.show("reading weather", 0.0)
+    weather, _ = inputs.read_records(site)
+    progress.check()
+    runs, incomplete = find_seasons(inputs, designs[0].site, weather, window)
+    seasons = [BatchWeather.of_run(run) for run in runs.values()]
+
+    def simulate(cases: list[Case], text: str, first: float, last: float) -> dict[str, Any]:
+        return simulate_cases(
+            cases, seasons, jobs, lambda share: progress.show(text, first + (last - first) * share),
+            progress.check,
+        )
+
+    shape = len(designs), len(seasons)
+    cases = [Case(design, season) for design in designs for season in range(len(seasons))]
+    text = f"{shape[0]} designs in {shape[1]} season{'s' * (shape[1] > 1)}"
+    metrics = {
+        name: series.reshape(shape)
+        for name, series in simulate(cases, text, 0.05, 0.8).items()
+    }
+    metrics[KEPT] = 1 - np.divide(
+        metrics["wet_discharge_m3"], metrics["rain_m3"], where=metrics["rain_m3"] > 0,
+        out=np.full(shape, np.nan),
+    )
+    if prices is not None:
+        cistern = np.array([[prices.yearly_cistern_price * design.volume] for design in designs])
+        metrics[COST] = cistern + prices.cost_water(metrics["mains_m3"], metrics["discharge_m3"])
+    sizes = Sizes(
+        site, designs, list(runs), f"{window}", 24.0 * window.days, metrics, incomplete,
+        [*notes, *list_notes(runs)], prices, knee,
+    )
+    own = sizes.recommended
+    others = [Case(own, season, filled) for filled in (0.0, 1.0) for season in range(len(seasons))]
+    means = {
+        name: np.nanmean(series.reshape(2, -1), axis=1)
+        for name, series in simulate(others, "other initial states", 0.8, 1.0).items()
+        if name in ("demand_met_share", "mains_m3", "wet_discharge_m3")
+    }
+    starts = Starts(*({name: float(mean[end]) for name, mean in means.items()} for end in (0, 1)))
+    return replace(sizes, starts=starts)
+
+
+def _read_prices(given: Mapping[str, Any]) -> Prices | None:
+    """Return the prices; None if there are none.
+
+    Raises:
+        ConfigurationError: one is wrong, or some are missing.
+    """
+    if not given:
+        return None
+    for name in PRICES:
+        if name not in given:
+            raise ConfigurationError(
+                "is missing: costs need all prices, 0 for what costs nothing, and the years",
+                key=name,
+            )
+    return make_record(Prices, given)

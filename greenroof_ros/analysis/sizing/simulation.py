@@ -1,0 +1,106 @@
+"""The runs of all designs over all seasons, many at once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.analysis.sizing.designs import Design
+from greenroof_ros.analysis.study.workers import processes
+from greenroof_ros.common.processes import scratch_directory
+from greenroof_ros.experiment.batch import Batch, BatchWeather, simulate_batch
+
+Values = NDArray[np.float64]
+
+HALF = 0.5
+"""share of the cistern that is full when a season begins"""
+
+_REFRESH_S = 0.5
+
+
+class Case(NamedTuple):
+    """A design in a season."""
+
+    design: Design
+    season: int
+    filled: float = HALF
+    """share of the cistern that is full at its start"""
+
+
+def simulate_cases(
+    cases: Sequence[Case], weather: Sequence[BatchWeather], jobs: int,
+    show: Callable[[float], None], check: Callable[[], None],
+) -> dict[str, Values]:
+    """Return the metrics of cases by their names, each of shape (cases,).
+
+    Args:
+        cases: to run.
+        weather: of the seasons.
+        jobs: number of processes; 1 to run in this one.
+        show: shows the share that is done, 0 to 1.
+        check: raises an error if the runs must end.
+
+    Raises:
+        WorkersLostError: a process ended unexpectedly.
+    """
+    def report(share: float) -> None:
+        check()
+        show(share)
+
+    if jobs == 1:
+        return simulate_batch(_make_batch(cases, weather), progress=report).metrics
+    # Each process gets designs of every kind, since plans take longest.
+    parts = [cases[first::jobs] for first in range(min(jobs, len(cases)))]
+    with scratch_directory() as scratch, processes(jobs, {}) as workers:
+        files = [scratch / f"{number}" for number in range(len(parts))]
+        pending = {
+            workers.submit(_simulate_part, _make_batch(part, weather), file): number
+            for number, (part, file) in enumerate(zip(parts, files, strict=True))
+        }
+        results: dict[int, dict[str, Values]] = {}
+        while len(results) < len(parts):
+            report(sum(map(_read_share, files)) / len(parts))
+            for future in wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED).done:
+                results[pending.pop(future)] = workers.result(future)
+    metrics = {name: np.empty(len(cases)) for name in results[0]}
+    for number, result in results.items():
+        for name, values in result.items():
+            metrics[name][number::jobs] = values
+    return metrics
+
+
+def _make_batch(cases: Sequence[Case], weather: Sequence[BatchWeather]) -> Batch:
+    return Batch(
+        sites=[case.design.site for case in cases], weather=weather,
+        weather_of=np.array([case.season for case in cases], dtype=np.intp),
+        parameters=[case.design.parameters for case in cases],
+        x1=np.array([case.filled * case.design.volume for case in cases]),
+        x2=np.array([case.design.site.x2_star for case in cases]),
+        forecast="none",
+    )
+
+
+def _simulate_part(_: Path, batch: Batch, progress: Path) -> dict[str, Values]:
+    """Simulate a batch in a worker, which writes the share that is done to a file."""
+    written = 0.0
+
+    def write(share: float) -> None:
+        nonlocal written
+        if time.monotonic() - written > _REFRESH_S:
+            written = time.monotonic()
+            progress.write_text(f"{share:.3f}")
+
+    return simulate_batch(batch, progress=write).metrics
+
+
+def _read_share(file: Path) -> float:
+    with suppress(OSError, ValueError):  # not there yet, or just being written
+        return float(file.read_text())
+    return 0.0

@@ -1,0 +1,364 @@
+"""The result of sizing: its table, its sentence, its chart and its page."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.analysis.sizing.choice import Prices, find_knee, find_target
+from greenroof_ros.analysis.sizing.designs import NONE, Design
+from greenroof_ros.common.errors import require_extra
+from greenroof_ros.common.files import add_path_to_errors
+from greenroof_ros.common.processes import refuse_forked_polars
+from greenroof_ros.controllers.outlet import PLAN
+from greenroof_ros.experiment.run_directory import writable
+from greenroof_ros.model.metrics import METRICS, Metric
+from greenroof_ros.model.site import Site
+
+if TYPE_CHECKING:
+    import altair
+    import polars
+
+Values = NDArray[np.float64]
+
+PAGE, TABLE = "sizes.html", "sizes.csv"
+
+KEPT = "storm_water_kept_share"
+COST = "cost"
+"""Columns beside the metrics: the share of the storm water kept out of the sewer, and the cost."""
+
+ENDS = ("", "_min", "_max")
+"""What the names of columns end with: means of the seasons, the lowest, the highest."""
+
+_DESIGN = ("volume_m3", "target_mm", "outlet")
+
+
+class Spread(NamedTuple):
+    """A result over the seasons."""
+
+    mean: float
+    low: float
+    high: float
+
+
+class Starts(NamedTuple):
+    """Means of the recommended design from cisterns that begin a season empty and full."""
+
+    empty: Mapping[str, float]
+    full: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sizes:
+    """Cisterns, targets and outlets compared over the seasons of a record.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> sizes = gr.size(
+        ...     site="config/site_valve.yaml", weather="config/weather/toronto_2021-07.csv",
+        ...     season="07-07/07-08", volumes=[5, 10], targets=[39], outlets=["none"],
+        ... )
+        >>> sizes
+        <Sizes: 2 designs, 1 season>
+        >>> sizes.table["volume_m3", "target_mm", "outlet"].rows()
+        [(5.0, 39.0, 'none'), (10.0, 39.0, 'none')]
+
+    Attributes:
+        site: of all designs.
+        designs: by outlet, target and volume.
+        seasons: their names.
+        window: the days of a season, for people.
+        hours: length of a season.
+        values: each metric of each design in each season, shape (designs, seasons), by name.
+        incomplete: seasons that the record has only in part, and what they lack.
+        notes: what was assumed, and what a reader must know of the weather.
+        prices: of water and cistern; None without costs.
+        knee_m3: m3 of water that another m3 of cistern must save in a season.
+        starts: the recommended design from other initial states; None if that was not run.
+    """
+
+    site: Site
+    designs: Sequence[Design]
+    seasons: Sequence[str]
+    window: str
+    hours: float
+    values: Mapping[str, Values]
+    incomplete: Mapping[str, str]
+    notes: Sequence[str]
+    prices: Prices | None
+    knee_m3: float
+    starts: Starts | None = None
+
+    def __repr__(self) -> str:
+        """Return how many designs and seasons there are."""
+        many = "s" * (len(self.seasons) != 1)
+        return f"<Sizes: {len(self.designs)} designs, {len(self.seasons)} season{many}>"
+
+    @property
+    def volumes(self) -> list[float]:
+        """The volumes of the cistern (m3), rising."""
+        return sorted({design.volume for design in self.designs})
+
+    @property
+    def targets(self) -> list[float]:
+        """The targets (mm), rising."""
+        return sorted({design.target for design in self.designs})
+
+    @property
+    def outlets(self) -> list[str]:
+        """The outlets."""
+        return list(dict.fromkeys(design.outlet for design in self.designs))
+
+    @property
+    def metrics(self) -> list[Metric]:
+        """The metrics that there are."""
+        return [metric for metric in METRICS if metric.name in self.values]
+
+    def spread(self, name: str, design: Design) -> Spread:
+        """Return the mean, the lowest and the highest of a column over the seasons."""
+        values = self.values[name][self.designs.index(design)]
+        known = values[~np.isnan(values)]
+        if not known.size:
+            return Spread(np.nan, np.nan, np.nan)
+        return Spread(float(known.mean()), float(known.min()), float(known.max()))
+
+    def select(self, target: float, outlet: str) -> list[Design]:
+        """Return the designs of a target (mm) and an outlet, by volume."""
+        return [
+            design for design in self.designs
+            if (design.target, design.outlet) == (target, outlet)
+        ]
+
+    # --- what is recommended ----------------------------------------------------------------------
+
+    def find_knee(self, target: float, outlet: str) -> Design | None:
+        """Return the smallest cistern beyond which another m3 brings less than it must.
+
+        See :mod:`greenroof_ros.analysis.sizing.choice`.
+
+        Returns:
+            None if the largest cistern is not yet beyond it.
+        """
+        designs = self.select(target, outlet)
+        means = [
+            [self.spread(name, design).mean for design in designs]
+            for name in ("mains_m3", "wet_discharge_m3", "discharge_m3")
+        ]
+        mains, wet, discharge = np.array(means)
+        saved, amount = -(mains + wet), self.knee_m3
+        if self.prices is not None:
+            saved = -self.prices.cost_water(mains, discharge)
+            amount = self.prices.yearly_cistern_price
+        place = find_knee([design.volume for design in designs], saved, amount)
+        return None if place is None else designs[place]
+
+    @cached_property
+    def outlet(self) -> str:
+        """The outlet of the recommended design: the site file's, with plan if it has a valve."""
+        own = PLAN if self.site.low_outlet_valve else NONE
+        return own if own in self.outlets else self.outlets[0]
+
+    @cached_property
+    def recommended(self) -> Design:
+        """The recommended design: lowest target without stress, the site's outlet, the knee."""
+        stress = [
+            np.mean([
+                self.spread("stress_hours", design).mean / self.hours
+                for design in self.select(target, self.outlet)
+            ]) for target in self.targets
+        ]
+        target = find_target(self.targets, np.array(stress))
+        return self.find_knee(target, self.outlet) or self.select(target, self.outlet)[-1]
+
+    @property
+    def by_interest(self) -> list[float]:
+        """The targets (mm), the recommended one first."""
+        own = self.recommended.target
+        return [own, *(target for target in self.targets if target != own)]
+
+    @cached_property
+    def sentence(self) -> str:
+        """The result in a sentence: the recommended cistern, and the next larger one."""
+        own = self.recommended
+        group = self.select(own.target, own.outlet)
+        text = self.describe(own)
+        for larger in group[group.index(own) + 1 :][:1]:
+            met, kept = (self.spread(name, larger).mean for name in ("demand_met_share", KEPT))
+            met_text = "" if np.isnan(met) else f"{format_share(met)} % and "
+            text += f"; {larger.volume:g} m³: {met_text}{format_share(kept)} %"
+        return f"{text}."
+
+    def describe(self, design: Design) -> str:
+        """Return what a design does, in a clause."""
+        met, kept = (self.spread(name, design) for name in ("demand_met_share", KEPT))
+        meets = "has nothing to irrigate" if np.isnan(met.mean) else (
+            f"meets {_percent(met)} of the demand"
+        )
+        return (
+            f"A cistern of {design.volume:g} m³ {meets} and keeps {_percent(kept)} of the storm "
+            "water out of the sewer"
+        )
+
+    def describe_knee(self) -> str:
+        """Return why the recommended cistern is recommended, in a sentence."""
+        amount = f"another m³ of cistern saves less than {self.knee_m3:g} m³ of water in a season"
+        what = "mains water and storm water in the sewer together"
+        if self.prices is not None:
+            amount = "another m³ of cistern saves less than it costs"
+            what = f"mains and waste water against {self.prices.yearly_cistern_price:.4g} a year"
+        if self.find_knee(self.recommended.target, self.outlet) is None:
+            return (
+                f"the largest of all: there is no size from which on {amount} ({what}), so larger "
+                "ones are worth a try."
+            )
+        return f"from this size on {amount} ({what})."
+
+    def describe_starts(self) -> str:
+        """Return how much the initial state of a season matters, in a sentence."""
+        assert self.starts is not None
+        ends = [
+            f"{format_share(start['demand_met_share'])} % of the demand, "
+            f"{start['mains_m3']:.1f} m³ of mains water and {start['wet_discharge_m3']:.1f} m³ of "
+            "discharge in wet weather"
+            for start in self.starts
+        ]
+        return (
+            "Each season begins with half of the cistern full. From an empty cistern the "
+            f"recommended one gives {ends[0]}, from a full one {ends[1]}, on average."
+        )
+
+    # --- tables and files -------------------------------------------------------------------------
+
+    @property
+    def _columns(self) -> list[str]:
+        """The columns of results: the metrics, and those beside them."""
+        return [*(metric.name for metric in self.metrics), KEPT, *([COST] if self.prices else [])]
+
+    @property
+    def table(self) -> polars.DataFrame:
+        """The results, a row for each design: means over the seasons, with lowest and highest.
+
+        The columns have the names of ``summary.json``; ``_min`` and ``_max`` are added for the
+        lowest and the highest season. ``storm_water_kept_share`` is the share of the rain on roof
+        and catchment that did not reach the sewer in wet weather, and ``cost``, with prices, is
+        that of a season's water and a year's cistern.
+
+        Raises:
+            ConfigurationError: polars is not installed.
+        """
+        return _frame([
+            {
+                **_name(design),
+                **{
+                    f"{name}{end}": value for name in self._columns
+                    for end, value in zip(ENDS, self.spread(name, design), strict=True)
+                },
+            } for design in self.designs
+        ])
+
+    @property
+    def table_of_seasons(self) -> polars.DataFrame:
+        """The results of each season, a row for each design and season; see :attr:`table`.
+
+        Raises:
+            ConfigurationError: polars is not installed.
+        """
+        return _frame(self._rows())
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [
+            {
+                **_name(design), "season": season,
+                **{name: float(self.values[name][row, column]) for name in self._columns},
+            }
+            for (row, design), (column, season) in itertools.product(
+                enumerate(self.designs), enumerate(self.seasons)
+            )
+        ]
+
+    def plot(self, target: float | None = None) -> altair.ConcatChart:
+        """Return a chart of the results over the volume of the cistern, with a line per outlet.
+
+        A line is the mean of the seasons; its band reaches from the lowest to the highest.
+
+        Args:
+            target: mm, one of :attr:`targets`; by default the recommended one.
+
+        Raises:
+            ConfigurationError: altair is not installed.
+        """
+        with require_extra("study"):
+            from greenroof_ros.analysis.sizing.page import draw
+        chart: altair.ConcatChart = draw(self, target or self.recommended.target).chart()
+        return chart
+
+    def save(self, directory: str | os.PathLike[str]) -> Path:
+        """Write the page ``sizes.html``, the table ``sizes.csv``, and the figures; return the page.
+
+        Args:
+            directory: is made if there is none; earlier files of the same names are replaced.
+
+        Raises:
+            ConfigurationError: it cannot be written, or the packages of a page are not installed.
+        """
+        with require_extra("study"):
+            from greenroof_ros.analysis.sizing.page import draw, render
+        made = Path(directory)
+        with writable(made):
+            made.mkdir(parents=True, exist_ok=True)
+            (made / TABLE).write_text(self.to_csv(), encoding="utf-8")
+        figures = [draw(self, target) for target in self.by_interest]
+        for figure in figures:
+            figure.save(made)
+        page = made / PAGE
+        with add_path_to_errors(page):
+            page.write_text(render(self, figures), encoding="utf-8")
+        return page
+
+    def to_csv(self) -> str:
+        """Return the results of each design in each season, with what was assumed as comments."""
+        text = io.StringIO()
+        for note in (*self.notes, *self.list_incomplete()):
+            text.write(f"# {note}\n")
+        rows = self._rows()
+        writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(
+            {name: "" if value != value else value for name, value in row.items()} for row in rows
+        )
+        return text.getvalue()
+
+    def list_incomplete(self) -> list[str]:
+        """Return which seasons were left out, in sentences."""
+        return [f"season {name} is left out: {why}" for name, why in self.incomplete.items()]
+
+
+def _name(design: Design) -> dict[str, Any]:
+    return dict(zip(_DESIGN, (design.volume, design.target, design.outlet), strict=True))
+
+
+def format_share(share: float) -> str:
+    """Return a share in whole percents."""
+    return f"{100 * share:.0f}"
+
+
+def _percent(spread: Spread) -> str:
+    mean, low, high = map(format_share, spread)
+    return f"{mean} %" if low == high else f"{mean} % ({low} to {high})"
+
+
+def _frame(rows: Sequence[Mapping[str, Any]]) -> polars.DataFrame:
+    refuse_forked_polars()
+    with require_extra("study"):
+        import polars
+    return polars.DataFrame(rows)

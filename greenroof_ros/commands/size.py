@@ -1,0 +1,188 @@
+"""Which cistern, target and outlet: ``greenroof size``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Column, Table
+
+from greenroof_ros.analysis.sizing.choice import KNEE
+from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
+from greenroof_ros.analysis.sizing.run import JOBS, KNEE_RANGE, OPTIONS, PRICES, Progress, size_site
+from greenroof_ros.analysis.sizing.sizes import PAGE, TABLE, Sizes
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    Parser,
+    add_site,
+    command,
+    make_number_type,
+)
+from greenroof_ros.common.errors import ConfigurationError, rename_keys, require_extra
+from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.common.progress import ProgressBar
+from greenroof_ros.experiment.inputs import INPUTS
+from greenroof_ros.experiment.options import add_option, option_of
+from greenroof_ros.experiment.run_directory import writable
+
+_DESCRIPTION = """\
+Compare cisterns, targets and outlets of a site over all seasons of a weather record: how much of
+the irrigation the cistern meets, and how much storm water it keeps out of the sewer. The result is
+a sentence, a page for a client, and a table. Nothing is forecast.
+"""
+_EPILOG = """\
+The outlets are none; drain, a valve that empties the cistern to a reserve in dry weather; and plan,
+a valve that keeps what the roof needs for 20 days. What the site file lacks for them, a mains
+top-up or a valve, is assumed and named.
+
+The output holds sizes.html, which prints as a PDF, sizes.csv with a row for each design and season,
+and the figures as SVG and PNG.
+
+exit codes: 0 done, 1 a process was lost, 2 bad usage or configuration, 130 interrupted
+
+examples:
+  greenroof size --site my_site.yaml --weather 'record/*.csv' --gaps fill --output sizes
+  greenroof size --site my_site.yaml --weather record.csv --volumes 3 5 8 12 --targets 39
+  greenroof size --site my_site.yaml --weather record.csv --mains-price 2 --waste-water-price 3
+                 --cistern-price 600 --cistern-years 30
+"""
+
+
+def make_parser() -> Parser:
+    """Return the parser of the command line."""
+    parser = Parser(prog="greenroof size", description=_DESCRIPTION, epilog=_EPILOG)
+    group = parser.add_argument_group("site and weather")
+    add_site(group)
+    group.add_argument(
+        "--weather", nargs="+", required=True, metavar="FILE",
+        help="weather files, joined in order of time, or a pattern, as for greenroof simulate; at "
+        "least one season",
+    )
+    add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
+    add_option(group, INPUTS["gaps"])
+    group.add_argument(
+        "--season", metavar="MM-DD/MM-DD",
+        help="first and last day of a season (default: 05-01/10-31, south of the equator "
+        "11-01/04-30); seasons that the record has only in part are left out and named",
+    )
+    group = parser.add_argument_group("designs")
+    group.add_argument(
+        "--volumes", nargs="+", type=make_number_type(VOLUMES.low, VOLUMES.high), metavar="M3",
+        help="volumes of the cistern up to its overflow (m3; default: eight preferred numbers, "
+        "from 4 to about 100 mm of rain on roof and catchment)",
+    )
+    group.add_argument(
+        "--targets", nargs="+", type=make_number_type(TARGETS.low, TARGETS.high), metavar="MM",
+        help="water to keep on the roof, as depths (mm; default: z_veg of the site, and 4 mm, a "
+        "day's irrigation, below and above it)",
+    )
+    group.add_argument(
+        "--outlets", nargs="+", choices=OUTLETS, help="what empties the cistern (default: all)"
+    )
+    group = parser.add_argument_group("what is worth a larger cistern")
+    group.add_argument(
+        "--knee", type=make_number_type(KNEE_RANGE.low, KNEE_RANGE.high), metavar="M3",
+        help="recommend the smallest cistern beyond which another m3 saves less than this much "
+        "mains water and storm water in the sewer in a season (m3; default: "
+        f"{KNEE:g}, one filling); with prices, beyond which it saves less than it costs",
+    )
+    for parameter in PRICES.values():
+        add_option(group, parameter)
+    group = parser.add_argument_group("output and pace")
+    group.add_argument(
+        "--output", type=Path, default=Path("sizes"), metavar="DIR",
+        help=f"write {PAGE}, {TABLE} and the figures to DIR, new, empty or with those of before "
+        "(default: %(default)s)",
+    )
+    group.add_argument(
+        "--jobs", type=make_number_type(JOBS.low, JOBS.high, int), metavar="N",
+        help="number of processes (default: one per core)",
+    )
+    return parser
+
+
+@command
+def main() -> int:
+    """Size the site of the command line."""
+    arguments = make_parser().parse_args()
+    with require_extra("study"):
+        import altair  # noqa: F401 - before the runs, not after them
+        import jinja2  # noqa: F401
+    _refuse_other_files(arguments.output)
+    given: dict[str, Any] = {name: getattr(arguments, name) for name in OPTIONS}
+    if given["jobs"] is None:
+        given["jobs"] = len(os.sched_getaffinity(0))
+    signals = Signals()  # a signal ends the runs between two looks at them
+    try:
+        with ProgressBar() as progress, rename_keys({name: option_of(name) for name in OPTIONS}):
+            sizes = size_site(given, Progress(progress.show, signals.check))
+            progress.show("drawing", 1.0)
+            page = sizes.save(arguments.output)
+    except (BrokenExecutor, InterruptedRun) as error:
+        received = signals.received
+        print(
+            f"error: {error}" if received is None else f"interrupted by {received.name}",
+            file=sys.stderr,
+        )
+        return EXIT_FAILED if received is None else EXIT_INTERRUPTED
+    show(sizes, page)
+    return EXIT_DONE
+
+
+def _refuse_other_files(directory: Path) -> None:
+    """Refuse a directory with files that are not of a sizing.
+
+    Raises:
+        ConfigurationError: it has such files, or cannot be written.
+    """
+    with writable(directory):
+        directory.mkdir(parents=True, exist_ok=True)
+        others = [file.name for file in directory.iterdir() if not file.name.startswith("sizes")]
+    if others:
+        raise ConfigurationError(
+            f"holds {min(others)}, which is not of a sizing; choose another directory",
+            key="--output", value=str(directory),
+        )
+
+
+def show(sizes: Sizes, page: Path) -> None:
+    """Print the sentence, and the designs with the recommended target."""
+    from greenroof_ros.analysis.sizing.page import format_per_roof, format_spread, list_columns
+
+    console, own = Console(), sizes.recommended
+    console.print(sizes.sentence, style="bold", highlight=False)
+    many = f"means of {len(sizes.seasons)} seasons, in brackets the lowest and the highest"
+    console.print(
+        f"Target {own.target:g} mm, outlet {own.outlet}, on/off control; {sizes.window}; "
+        f"{many if len(sizes.seasons) > 1 else sizes.seasons[0]}. The cistern: "
+        f"{sizes.describe_knee()}", highlight=False,
+    )
+    columns = list_columns(sizes)
+    for outlet in sizes.outlets:
+        table = Table(
+            Column("m³", justify="right"),
+            *(Column(f"{one.label} ({one.unit})", justify="right") for one in columns.values()),
+            title=f"Target {own.target:g} mm, outlet {outlet}", title_justify="left",
+        )
+        for design in sizes.select(own.target, outlet):
+            cells = []
+            for name, column in columns.items():
+                spread = sizes.spread(name, design)
+                per_roof = f"\n{format_per_roof(sizes, spread)}" if column.per_roof else ""
+                cells.append(format_spread(spread, column) + per_roof)
+            table.add_row(f"{design.volume:g}", *cells, style="bold" if design is own else None)
+        console.print(table)
+    if sizes.starts is not None:
+        console.print(sizes.describe_starts(), highlight=False)
+    for note in (*sizes.notes, *sizes.list_incomplete()):
+        console.print(f"NOTE: {note}", highlight=False)
+    others = [f"{target:g} mm" for target in sizes.targets if target != own.target]
+    if others:
+        console.print(f"The page has the tables of {', '.join(others)}, too.", highlight=False)
+    console.print(f"written to {page} and {TABLE}", soft_wrap=True, highlight=False)

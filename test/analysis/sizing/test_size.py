@@ -1,0 +1,257 @@
+"""Sizing as a user does it: the command, its page in a browser, and wrong inputs."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browsers import drawn_page
+from commands import Forked, run_command
+from graphs import alive, wait_for
+from places import CONFIG, DATA, Once
+
+import greenroof_ros as gr
+from greenroof_ros.analysis.sizing.sizes import Sizes
+from greenroof_ros.common.errors import ConfigurationError
+
+VALVE = CONFIG / "site_valve.yaml"
+JULIES = [DATA / f"en_climate_hourly_07-{year}.csv" for year in (2021, 2022)]
+WEEK = ["--season", "07-02/07-09", "--gaps", "fill"]
+OPTIONS: dict[str, Any] = {
+    "site": VALVE, "weather": JULIES, "season": "07-02/07-09", "gaps": "fill",
+    "volumes": [2, 5, 10],
+}
+
+
+def size(directory: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    """Run the command on the two Julies until it ends."""
+    return run_command(
+        "size", "--site", str(VALVE), "--weather", *map(str, JULIES), *options,
+        cwd=directory, env=dict(os.environ),
+    )
+
+
+@pytest.fixture(scope="module")
+def sized(once: Once) -> Path:
+    """The directory of a whole run with prices: three cisterns, targets and outlets, two weeks."""
+
+    def fill(directory: Path) -> None:
+        result = size(
+            directory, *WEEK, "--volumes", "2", "5", "10", "--output", "out", "--mains-price", "2",
+            "--waste-water-price", "1", "--cistern-price", "600", "--cistern-years", "30",
+        )
+        assert result.returncode == 0, result.stderr
+        (directory / "printed").write_text(result.stdout)
+
+    return once("sized", fill)
+
+
+@pytest.fixture(scope="module")
+def sizes() -> Sizes:
+    """The same from Python, in this process and without prices."""
+    return gr.size(**OPTIONS)
+
+
+def rows_of(directory: Path) -> list[dict[str, str]]:
+    """Return the rows of the table, without its comments."""
+    lines = (directory / "out" / "sizes.csv").read_text().splitlines()
+    return list(csv.DictReader(line for line in lines if not line.startswith("#")))
+
+
+def test_the_sentence_comes_first(sized: Path) -> None:
+    """And its numbers are those of the table: means, lowest and highest of the two seasons."""
+    printed = " ".join((sized / "printed").read_text().split())
+    match = re.match(
+        r"A cistern of (\S+) m³ meets (\d+) %(?: \((\d+) to (\d+)\))? of the demand and keeps "
+        r"(\d+) %(?: \((\d+) to (\d+)\))? of the storm water out of the sewer", printed,
+    )
+    assert match is not None, printed[:300]
+    target = re.search(r"Target (\S+) mm, outlet plan", printed)
+    assert target is not None
+    own = [
+        row for row in rows_of(sized)
+        if (row["volume_m3"], row["target_mm"], row["outlet"])
+        == (f"{float(match[1])}", f"{float(target[1])}", "plan")
+    ]
+    for first, name in ((2, "demand_met_share"), (5, "storm_water_kept_share")):
+        shares = [100 * float(row[name]) for row in own]
+        expected = [sum(shares) / 2, min(shares), max(shares)]
+        for group, value in zip(range(first, first + 3), expected, strict=True):
+            if match[group] is not None:
+                assert abs(float(match[group]) - value) <= 0.5
+
+
+def test_the_table_has_each_design_and_season(sized: Path) -> None:
+    """Nothing that was varied is averaged over; costs and shares follow from the volumes."""
+    rows = rows_of(sized)
+    assert len({
+        (row["volume_m3"], row["target_mm"], row["outlet"], row["season"]) for row in rows
+    }) == len(rows) == 3 * 3 * 3 * 2
+    for row in rows:
+        value = {name: float(text) for name, text in row.items() if name not in ("outlet", "season")
+                 and text}
+        assert value["storm_water_kept_share"] == pytest.approx(
+            1 - value["wet_discharge_m3"] / value["rain_m3"]
+        )
+        assert value["cost"] == pytest.approx(
+            2 * value["mains_m3"] + value["discharge_m3"] + 20 * value["volume_m3"]
+        )
+    comments = (sized / "out" / "sizes.csv").read_text().partition("volume_m3")[0]
+    assert "half of the cistern full" in comments and "filled in" in comments
+
+
+def test_python_gives_the_same(sized: Path, sizes: Sizes) -> None:
+    """In one process as in several; the table's ranges are those of the seasons."""
+    rows = rows_of(sized)
+    ours = sizes.table_of_seasons.to_dicts()
+    for row, other in zip(rows, ours, strict=True):
+        for name, value in other.items():
+            if isinstance(value, float):
+                assert float(row[name] or "nan") == pytest.approx(value, nan_ok=True), name
+    for row in sizes.table.to_dicts():
+        seasons = [
+            other["wet_discharge_m3"] for other in ours
+            if all(other[name] == row[name] for name in ("volume_m3", "target_mm", "outlet"))
+        ]
+        assert row["wet_discharge_m3_min"] == min(seasons)
+        assert row["wet_discharge_m3_max"] == max(seasons)
+        assert row["wet_discharge_m3"] == pytest.approx(sum(seasons) / 2)
+
+
+@pytest.mark.parametrize("outlet", ["none", "drain"])
+def test_a_design_alone_gives_the_same(sizes: Sizes, outlet: str) -> None:
+    """The paper's plant, tick by tick and one at a time, with the same site and weather."""
+    (design,) = (one for one in sizes.select(39.0, outlet) if one.volume == 5.0)
+    place = sizes.designs.index(design)
+    for number, year in enumerate(sizes.seasons):
+        alone = gr.simulate(
+            "onoff", site=design.site, weather=JULIES, start=f"{year}-07-02", hours=192,
+            gaps="fill", initial=(2.5, design.site.x2_star), **design.parameters,
+        ).metrics
+        for name in ("pumped_m3", "mains_m3", "wet_discharge_m3", "overflow_days", "stress_hours"):
+            assert sizes.values[name][place, number] == pytest.approx(alone[name], abs=1e-6), name
+
+
+def test_other_initial_states_bracket_the_half_full_one(sizes: Sizes) -> None:
+    """More water in the cistern at the start is less from the mains, and no less in the sewer."""
+    assert sizes.starts is not None
+    empty, full = sizes.starts
+    half = {name: sizes.spread(name, sizes.recommended).mean for name in empty}
+    assert empty["mains_m3"] >= half["mains_m3"] >= full["mains_m3"]
+    assert empty["wet_discharge_m3"] <= half["wet_discharge_m3"] <= full["wet_discharge_m3"]
+
+
+def test_chart_and_page_of_python(sizes: Sizes, tmp_path: Path) -> None:
+    """The chart has its data with it, and the page needs no command."""
+    sizes.plot().save(tmp_path / "chart.svg")
+    sizes.plot(target=43.0).save(tmp_path / "chart.png")
+    assert "Days of overflow" in (tmp_path / "chart.svg").read_text()
+    page = sizes.save(tmp_path / "out")
+    assert sizes.sentence in page.read_text()
+
+
+def test_the_page_in_a_browser(sized: Path, tmp_path: Path) -> None:
+    """It draws a panel for each result and target, fits a phone, and prints on A4."""
+    with drawn_page(sized / "out" / "sizes.html", 3 * 7) as page:
+        assert page.inner_text("#sentence").startswith("A cistern of ")
+        assert page.locator("tr.chosen").count() == 1
+        assert page.locator("section table tbody tr").count() == 27
+        for width in (400, 1280):
+            page.set_viewport_size({"width": width, "height": 900})
+            page.wait_for_function(f"document.documentElement.scrollWidth <= {width}")
+        document = page.pdf(path=tmp_path / "sizes.pdf", prefer_css_page_size=True)
+        assert 3 <= document.count(b"/Type /Page\n") <= 12
+
+
+def test_a_signal_ends_it(tmp_path: Path) -> None:
+    """With exit code 130, one line, no page, and no process left."""
+    process = Forked(
+        [sys.executable, "-m", "greenroof_ros", "size", "--site", str(VALVE), "--weather",
+         *map(str, JULIES), "--season", "07-01/07-30", "--gaps", "fill", "--output", "out",
+         "--jobs", "2"],
+        cwd=tmp_path, env=dict(os.environ), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, start_new_session=True,
+    )
+
+    def workers() -> list[int]:
+        found = []
+        for status in Path("/proc").glob("[0-9]*/stat"):
+            with suppress(OSError):  # it has just ended
+                if status.read_text().rsplit(")", 1)[1].split()[3] == f"{process.pid}":
+                    found.append(int(status.parent.name))
+        return found
+
+    wait_for(lambda: len(workers()) >= 4, 120, "two workers")
+    os.killpg(process.pid, signal.SIGINT)
+    out, errors = process.communicate(timeout=60)
+    assert (process.returncode, out) == (130, "")
+    assert errors.splitlines()[-1] == "interrupted by SIGINT"
+    assert not (tmp_path / "out" / "sizes.html").exists()
+    wait_for(lambda: not any(map(alive, workers())), 30, "the end of the workers")
+
+
+# Options that change, and what the message says.
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"volumes": [0]}, "volumes = 0: must be a number from 0.05 to"),
+    ({"volumes": [-5.0]}, "volumes = -5.0: must be"),
+    ({"volumes": [float("nan")]}, "volumes = nan: must be"),
+    ({"volumes": ["5"]}, "volumes = '5': must be"),
+    ({"volumes": [5, 10, 5.0]}, "volumes = 5.0: is given twice"),
+    ({"volumes": []}, "volumes: must have at least one"),
+    ({"targets": [90]}, "targets = 90.0: must be above 2.16 mm.*below 68.04 mm"),
+    ({"targets": [0.039]}, "targets = 0.039: must be a number from 1 to 1000 mm"),
+    ({"outlets": ["dry"]}, "outlets = 'dry': is unknown; did you mean drain"),
+    ({"season": "05-01/10-31"}, "no complete season, 1 May to 31 October"),
+    ({"season": "summer"}, "season = 'summer': must be the first and the last day"),
+    ({"knee": -1}, "knee = -1: must be"),
+    ({"jobs": 0}, "jobs = 0: must be"),
+    ({"mains_price": 2.0}, "waste_water_price: is missing: costs need all prices"),
+    ({"mains_price": -2.0, "waste_water_price": 1, "cistern_price": 1, "cistern_years": 30},
+     "mains_price = -2.0: must be"),
+    ({"mains_price": 2, "waste_water_price": 1, "cistern_price": 1, "cistern_years": 0},
+     "cistern_years = 0: must be"),
+    ({"weather": None}, "weather: is missing"),
+    ({"hours": 5}, "hours = 5: is no option"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), WRONG, ids=str)
+def test_wrong_inputs(changes: dict[str, Any], message: str) -> None:
+    """Each is refused before anything is simulated, by its name."""
+    with pytest.raises(ConfigurationError, match=message):
+        gr.size(**{**OPTIONS, **changes})
+
+
+def test_a_site_without_its_place(tmp_path: Path) -> None:
+    """Evapotranspiration cannot be computed without it; the message names the keys."""
+    text = "".join(
+        line for line in (CONFIG / "site.yaml").read_text().splitlines(keepends=True)
+        if not line.startswith(("latitude", "longitude", "monthly_evapotranspiration"))
+    )
+    (tmp_path / "my_site.yaml").write_text(text)
+    with pytest.raises(ConfigurationError, match="latitude"):
+        gr.size(**{**OPTIONS, "site": tmp_path / "my_site.yaml"})
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    (["--volumes", "5,0"], "--volumes: must be a number from 0.05 to 1000000, with a decimal"),
+    (["--volumes", "5", "5"], "error: --volumes = 5.0: is given twice"),
+    (["--cistern-price", "600"], "error: --mains-price: is missing: costs need all prices"),
+    (["--season", "04-01/10-31"], "has no complete season, 1 April to 31 October"),
+    (["--output", "mine"], "error: --output = 'mine': holds letter.txt, which is not of a sizing"),
+])
+def test_wrong_options(tmp_path: Path, options: list[str], message: str) -> None:
+    """Exit code 2, one line, no traceback."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").write_text("")
+    result = size(tmp_path, *WEEK, *options)
+    assert result.returncode == 2
+    assert message in result.stderr and "Traceback" not in result.stderr
