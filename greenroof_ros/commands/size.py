@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from greenroof_ros.analysis.sizing.choice import KNEE
+from greenroof_ros.analysis.sizing.columns import format_per_roof, format_spread
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
 from greenroof_ros.analysis.sizing.run import JOBS, KNEE_RANGE, OPTIONS, PRICES, Progress, size_site
 from greenroof_ros.analysis.sizing.sizes import PAGE, TABLE, Sizes
@@ -153,8 +154,6 @@ def _refuse_other_files(directory: Path) -> None:
 
 def show(sizes: Sizes, page: Path) -> None:
     """Print the sentence, and the designs with the recommended target."""
-    from greenroof_ros.analysis.sizing.page import format_per_roof, format_spread, list_columns
-
     console, own = Console(), sizes.recommended
     console.print(sizes.sentence, style="bold", highlight=False)
     many = f"means of {len(sizes.seasons)} seasons, in brackets the lowest and the highest"
@@ -163,7 +162,7 @@ def show(sizes: Sizes, page: Path) -> None:
         f"{many if len(sizes.seasons) > 1 else sizes.seasons[0]}. The cistern: "
         f"{sizes.describe_knee()}", highlight=False,
     )
-    columns = list_columns(sizes)
+    columns = sizes.columns
     for outlet in sizes.outlets:
         table = Table(
             Column("m³", justify="right"),
@@ -174,7 +173,7 @@ def show(sizes: Sizes, page: Path) -> None:
             cells = []
             for name, column in columns.items():
                 spread = sizes.spread(name, design)
-                per_roof = f"\n{format_per_roof(sizes, spread)}" if column.per_roof else ""
+                per_roof = f"\n{format_per_roof(spread, sizes.site.a2)}" if column.per_roof else ""
                 cells.append(format_spread(spread, column) + per_roof)
             table.add_row(f"{design.volume:g}", *cells, style="bold" if design is own else None)
         console.print(table)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import altair as alt
-import numpy as np
 
 from greenroof_ros.analysis.report.drawing import (
     Figure,
@@ -17,71 +16,24 @@ from greenroof_ros.analysis.report.drawing import (
 )
 from greenroof_ros.analysis.report.page import make_page
 from greenroof_ros.analysis.sizing.choice import MAX_STRESS
+from greenroof_ros.analysis.sizing.columns import (
+    COLUMNS,
+    ENDS,
+    Column,
+    format_per_roof,
+    format_share,
+    format_spread,
+)
 from greenroof_ros.analysis.sizing.designs import Design
-from greenroof_ros.analysis.sizing.sizes import COST, ENDS, KEPT, Sizes, Spread, format_share
-from greenroof_ros.model.metrics import METRICS
 
-_METRICS = {metric.name: metric for metric in METRICS}
-
-
-class Column(NamedTuple):
-    """How a result is shown."""
-
-    label: str
-    unit: str
-    form: Callable[[float], str]
-    per_roof: bool = False
-    """whether it is also shown for each m2 of green roof"""
-
-
-def _format_volume(value: float) -> str:
-    return f"{value:.{1 if abs(value) < 99.95 else 0}f}"
-
-
-def _format_count(value: float) -> str:
-    return f"{value:.0f}"
-
-
-def _of_metric(
-    name: str, unit: str, form: Callable[[float], str], per_roof: bool = False
-) -> Column:
-    return Column(_METRICS[name].label, unit, form, per_roof)
-
-
-COLUMNS = {
-    "demand_met_share": _of_metric("demand_met_share", "%", format_share),
-    "mains_m3": _of_metric("mains_m3", "m³", _format_volume, True),
-    "wet_discharge_m3": _of_metric("wet_discharge_m3", "m³", _format_volume, True),
-    KEPT: Column("storm water kept out of the sewer", "%", format_share),
-    "overflow_days": _of_metric("overflow_days", "days", _format_count),
-    "stress_hours": _of_metric("stress_hours", "h", _format_count),
-    COST: Column("cost of a season", "in the prices' currency", _format_volume),
-}
-"""the results that are printed and drawn"""
-
-
-def list_columns(sizes: Sizes) -> dict[str, Column]:
-    """Return the columns of a table; costs only with prices."""
-    return {name: column for name, column in COLUMNS.items() if name in sizes.values}
-
-
-def format_spread(spread: Spread, column: Column) -> str:
-    """Return mean, lowest and highest as text: ``3.5 (1.2 to 7.9)``."""
-    if np.isnan(spread.mean):
-        return "none"
-    mean, low, high = map(column.form, spread)
-    return mean if low == high else f"{mean} ({low} to {high})"
-
-
-def format_per_roof(sizes: Sizes, spread: Spread) -> str:
-    """Return the mean of a volume (m3) for each m2 of green roof, as text."""
-    return f"{1000 * spread.mean / sizes.site.a2:.0f} L/m²"
+if TYPE_CHECKING:
+    from greenroof_ros.analysis.sizing.sizes import Sizes
 
 
 def render(sizes: Sizes, figures: Sequence[Figure]) -> str:
     """Return the page."""
     return make_page(
-        __package__, figures, sizes=sizes, columns=list_columns(sizes),
+        __package__, figures, sizes=sizes, columns=sizes.columns,
         spread=format_spread, per_roof=format_per_roof, max_stress=MAX_STRESS, warnings=(),
         percent=format_share,
     )
@@ -95,11 +47,11 @@ _VOLUME = "cistern (m³)"
 def draw(sizes: Sizes, target: float) -> Figure:
     """Return the results of a target (mm) over the volume of the cistern, a panel for each."""
     name = f"sizes-{target:g}mm"
-    panels = [_draw_panel(sizes, key, column, name) for key, column in list_columns(sizes).items()]
+    panels = [_draw_panel(sizes, key, column, name) for key, column in sizes.columns.items()]
     rows = [
         {
             "outlet": design.outlet, "volume": design.volume,
-            **{key: value for column in list_columns(sizes)
+            **{key: value for column in sizes.columns
                for key, value in _cells(sizes, column, design).items()},
         }
         for outlet in sizes.outlets for design in sizes.select(target, outlet)

@@ -10,9 +10,10 @@ import numpy as np
 
 from greenroof_ros.analysis.sizing import designs as plans
 from greenroof_ros.analysis.sizing.choice import KNEE, Prices
+from greenroof_ros.analysis.sizing.columns import COST, KEPT
 from greenroof_ros.analysis.sizing.seasons import find_seasons, list_notes, read_window
 from greenroof_ros.analysis.sizing.simulation import Case, simulate_cases
-from greenroof_ros.analysis.sizing.sizes import COST, KEPT, Sizes, Starts
+from greenroof_ros.analysis.sizing.sizes import Sizes, Starts
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import make_record, parameters_of
 from greenroof_ros.common.ranges import Range

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.sizing.designs import Design
-from greenroof_ros.analysis.study.workers import processes
+from greenroof_ros.analysis.workers.processes import processes
 from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.experiment.batch import Batch, BatchWeather, simulate_batch
 
@@ -58,7 +58,7 @@ def simulate_cases(
         return simulate_batch(_make_batch(cases, weather), progress=report).metrics
     # Each process gets designs of every kind, since plans take longest.
     parts = [cases[first::jobs] for first in range(min(jobs, len(cases)))]
-    with scratch_directory() as scratch, processes(jobs, {}) as workers:
+    with scratch_directory() as scratch, processes(jobs, {}, [__name__]) as workers:
         files = [scratch / f"{number}" for number in range(len(parts))]
         pending = {
             workers.submit(_simulate_part, _make_batch(part, weather), file): number
@@ -83,7 +83,7 @@ def _make_batch(cases: Sequence[Case], weather: Sequence[BatchWeather]) -> Batch
         parameters=[case.design.parameters for case in cases],
         x1=np.array([case.filled * case.design.volume for case in cases]),
         x2=np.array([case.design.site.x2_star for case in cases]),
-        forecast="none",
+        with_forecast=False,
     )
 
 

@@ -16,13 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.analysis.sizing.choice import Prices, find_knee, find_target
+from greenroof_ros.analysis.sizing.columns import (
+    COLUMNS,
+    COST,
+    ENDS,
+    KEPT,
+    Column,
+    Spread,
+    format_share,
+)
 from greenroof_ros.analysis.sizing.designs import NONE, Design
 from greenroof_ros.common.errors import require_extra
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.processes import refuse_forked_polars
 from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.experiment.run_directory import writable
-from greenroof_ros.model.metrics import METRICS, Metric
+from greenroof_ros.model.metrics import METRICS
 from greenroof_ros.model.site import Site
 
 if TYPE_CHECKING:
@@ -33,22 +42,7 @@ Values = NDArray[np.float64]
 
 PAGE, TABLE = "sizes.html", "sizes.csv"
 
-KEPT = "storm_water_kept_share"
-COST = "cost"
-"""Columns beside the metrics: the share of the storm water kept out of the sewer, and the cost."""
-
-ENDS = ("", "_min", "_max")
-"""What the names of columns end with: means of the seasons, the lowest, the highest."""
-
 _DESIGN = ("volume_m3", "target_mm", "outlet")
-
-
-class Spread(NamedTuple):
-    """A result over the seasons."""
-
-    mean: float
-    low: float
-    high: float
 
 
 class Starts(NamedTuple):
@@ -120,9 +114,9 @@ class Sizes:
         return list(dict.fromkeys(design.outlet for design in self.designs))
 
     @property
-    def metrics(self) -> list[Metric]:
-        """The metrics that there are."""
-        return [metric for metric in METRICS if metric.name in self.values]
+    def columns(self) -> dict[str, Column]:
+        """The results that are printed and drawn; costs only with prices."""
+        return {name: column for name, column in COLUMNS.items() if name in self.values}
 
     def spread(self, name: str, design: Design) -> Spread:
         """Return the mean, the lowest and the highest of a column over the seasons."""
@@ -240,9 +234,10 @@ class Sizes:
     # --- tables and files -------------------------------------------------------------------------
 
     @property
-    def _columns(self) -> list[str]:
-        """The columns of results: the metrics, and those beside them."""
-        return [*(metric.name for metric in self.metrics), KEPT, *([COST] if self.prices else [])]
+    def _names(self) -> list[str]:
+        """The names of all results: the metrics, and those beside them."""
+        order = [*(metric.name for metric in METRICS), KEPT, COST]
+        return [name for name in order if name in self.values]
 
     @property
     def table(self) -> polars.DataFrame:
@@ -260,7 +255,7 @@ class Sizes:
             {
                 **_name(design),
                 **{
-                    f"{name}{end}": value for name in self._columns
+                    f"{name}{end}": value for name in self._names
                     for end, value in zip(ENDS, self.spread(name, design), strict=True)
                 },
             } for design in self.designs
@@ -279,7 +274,7 @@ class Sizes:
         return [
             {
                 **_name(design), "season": season,
-                **{name: float(self.values[name][row, column]) for name in self._columns},
+                **{name: float(self.values[name][row, column]) for name in self._names},
             }
             for (row, design), (column, season) in itertools.product(
                 enumerate(self.designs), enumerate(self.seasons)
@@ -345,11 +340,6 @@ class Sizes:
 
 def _name(design: Design) -> dict[str, Any]:
     return dict(zip(_DESIGN, (design.volume, design.target, design.outlet), strict=True))
-
-
-def format_share(share: float) -> str:
-    """Return a share in whole percents."""
-    return f"{100 * share:.0f}"
 
 
 def _percent(spread: Spread) -> str:

@@ -55,7 +55,7 @@ def test_default_window_is_the_local_summer() -> None:
 ])
 def test_wrong_windows(text: Any) -> None:
     """The message shows the form."""
-    with pytest.raises(ConfigurationError, match="season = .*such as 05-01/10-31"):
+    with pytest.raises(ConfigurationError, match=r"season = .*such as 05-01/10-31"):
         read_window(text, SITE)
 
 

@@ -1,0 +1,79 @@
+"""The results that are printed and drawn, and how their numbers are written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from greenroof_ros.model.metrics import METRICS
+
+KEPT, COST = "storm_water_kept_share", "cost"
+"""Results beside the metrics: the share of the storm water kept out of the sewer, and the cost."""
+
+ENDS = ("", "_min", "_max")
+"""What the names of columns end with: means of the seasons, the lowest, the highest."""
+
+_METRICS = {metric.name: metric for metric in METRICS}
+
+
+class Spread(NamedTuple):
+    """A result over the seasons."""
+
+    mean: float
+    low: float
+    high: float
+
+
+class Column(NamedTuple):
+    """How a result is shown."""
+
+    label: str
+    unit: str
+    form: Callable[[float], str]
+    per_roof: bool = False
+    """whether it is also shown for each m2 of green roof"""
+
+
+def format_share(share: float) -> str:
+    """Return a share in whole percents."""
+    return f"{100 * share:.0f}"
+
+
+def _format_volume(value: float) -> str:
+    return f"{value:.{1 if abs(value) < 99.95 else 0}f}"
+
+
+def _format_count(value: float) -> str:
+    return f"{value:.0f}"
+
+
+def _of_metric(
+    name: str, unit: str, form: Callable[[float], str], per_roof: bool = False
+) -> Column:
+    return Column(_METRICS[name].label, unit, form, per_roof)
+
+
+COLUMNS = {
+    "demand_met_share": _of_metric("demand_met_share", "%", format_share),
+    "mains_m3": _of_metric("mains_m3", "m³", _format_volume, True),
+    "wet_discharge_m3": _of_metric("wet_discharge_m3", "m³", _format_volume, True),
+    KEPT: Column("storm water kept out of the sewer", "%", format_share),
+    "overflow_days": _of_metric("overflow_days", "days", _format_count),
+    "stress_hours": _of_metric("stress_hours", "h", _format_count),
+    COST: Column("cost of a season", "in the prices' currency", _format_volume),
+}
+"""the results by their names"""
+
+
+def format_spread(spread: Spread, column: Column) -> str:
+    """Return mean, lowest and highest as text: ``3.5 (1.2 to 7.9)``."""
+    if math.isnan(spread.mean):
+        return "none"
+    mean, low, high = map(column.form, spread)
+    return mean if low == high else f"{mean} ({low} to {high})"
+
+
+def format_per_roof(spread: Spread, roof: float) -> str:
+    """Return the mean of a volume (m3) for each m2 of a green roof (m2), as text."""
+    return f"{1000 * spread.mean / roof:.0f} L/m²"
