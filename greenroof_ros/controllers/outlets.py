@@ -5,6 +5,7 @@ Whether the weather is dry depends on the rain alone, so it is known for a whole
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -30,14 +31,14 @@ class OutletGroup:
         rows: the sites.
         dry: whether the weather is dry in each tick, from :func:`find_dry_ticks`.
         ends: of the steps of the forecasts (s from now), the first 0.
-        foresee: returns a tick's forecast for the group: rain (m/s), shape (members, steps), and
-            evapotranspiration off each bed (m3/s), shape (sites of the batch, steps).
+        foresee: returns a tick's forecast for some of the sites: rain (m/s), shape (members,
+            steps), and evapotranspiration off each bed (m3/s), shape (sites, steps).
     """
 
     rows: Rows
     dry: Flags
     ends: Array
-    foresee: Callable[[int], tuple[Array, Array]]
+    foresee: Callable[[int, Rows], tuple[Array, Array]]
 
 
 def find_dry_ticks(rain: Array, tau: float, wet_after: float) -> Flags:
@@ -73,52 +74,68 @@ class Outlets:
             groups: each site is in one of them.
         """
         self._sites, names = sites, np.array(policies)
-        self._fixed = np.where(sites.low_outlet_valve & (names != OPEN), 0.0, 1.0)
         moves = sites.low_outlet_valve & np.isin(names, (DRAIN, PLAN))
-        self._groups = [(group, group.rows[moves[group.rows]]) for group in groups]
-        plans = ((group, rows[names[rows] == PLAN]) for group, rows in self._groups)
-        self._plans = [
-            (group, rows, PlannedLevels(
-                sites.take(rows), group.ends, reserves[rows], prices[rows], reaches[rows]
-            )) for group, rows in plans if len(rows)
-        ]
-        self._volumes = reserves.copy()  # to which the cisterns are drained
+        self._fixed = np.where(sites.low_outlet_valve & (names != OPEN), 0.0, 1.0)
         self._low, self._full = sites.a1 * sites.low_outlet_level, sites.tau * sites.c_low
+        self._volumes = reserves.copy()  # to which the cisterns are drained
+        # Volume above which each valve opens in the present weather.
+        self._opens_above = np.full(len(sites), math.inf)
+        self._moving = [
+            _Moving(group, rows) for group in groups if len(rows := group.rows[moves[group.rows]])
+        ]
+        self._planning = [
+            (_Moving(group, rows), PlannedLevels(
+                sites.take(rows), group.ends, reserves[rows], prices[rows], reaches[rows]
+            ))
+            for group in groups
+            if len(rows := group.rows[moves[group.rows] & (names[group.rows] == PLAN)])
+        ]
 
     def command(self, tick: int, x1: Array, x2: Array) -> Array:
         """Return the share to which each low outlet is open (1); call it once in each tick.
+
+        It is the same array as long as no valve opens.
 
         Args:
             tick: its number.
             x1: in each cistern (m3).
             x2: on each roof (m3).
         """
-        for group, rows, plans in self._plans:
-            self._volumes[rows] = plans.update(bool(group.dry[tick]), lambda: self._observe(
-                group, rows, tick, x1, x2  # noqa: B023 - called at once
+        for planning, plans in self._planning:
+            group, rows, dry = planning.group, planning.rows, bool(planning.group.dry[tick])
+            levels = plans.update(dry, lambda: (
+                x1[rows], x2[rows], *group.foresee(tick, rows)  # noqa: B023 - called at once
             ))
-        shares = self._fixed
-        for group, rows in self._groups:
-            if group.dry[tick]:
-                held = x1[rows]
-                above = held - np.maximum(self._volumes[rows], self._low[rows])
-                if (above > 0).any():
-                    if shares is self._fixed:
-                        shares = self._fixed.copy()
-                    shares[rows] = self._drain(rows, held)
+            if levels is not planning.levels:
+                planning.levels = self._volumes[rows] = levels
+                self._set_dry(rows, dry)
+        for moving in self._moving:
+            dry = bool(moving.group.dry[tick])
+            if dry != moving.dry:
+                moving.dry = dry
+                self._set_dry(moving.rows, dry)
+        rows = (x1 > self._opens_above).nonzero()[0]
+        if not len(rows):
+            return self._fixed
+        sites, shares = self._sites, self._fixed.copy()
+        head = x1[rows] / sites.a1[rows] - sites.low_outlet_level[rows]
+        full = self._full[rows] * np.sqrt(np.maximum(head, 0.0))
+        above = np.maximum(x1[rows] - self._volumes[rows], 0.0)
+        share = np.divide(above, full, out=np.zeros_like(full), where=full > 0)
+        shares[rows] = np.minimum(share, 1.0)
         return shares
 
-    def _drain(self, rows: Rows, held: Array) -> Array:
-        """Return the shares with which cisterns are not below their volumes after the tick."""
-        sites = self._sites
-        head = held / sites.a1[rows] - sites.low_outlet_level[rows]
-        full = self._full[rows] * np.sqrt(np.maximum(head, 0.0))
-        above = np.maximum(held - self._volumes[rows], 0.0)
-        share = np.divide(above, full, out=np.zeros_like(full), where=full > 0)
-        return np.asarray(np.minimum(share, 1.0))
+    def _set_dry(self, rows: Rows, dry: bool) -> None:
+        """Set whether the weather is dry at some sites."""
+        opens = np.maximum(self._volumes[rows], self._low[rows])
+        self._opens_above[rows] = opens if dry else math.inf
 
-    def _observe(
-        self, group: OutletGroup, rows: Rows, tick: int, x1: Array, x2: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        rain, evaporated = group.foresee(tick)
-        return x1[rows], x2[rows], rain, evaporated[rows]
+
+@dataclass(eq=False)
+class _Moving:
+    """Sites of a group whose valves open and close."""
+
+    group: OutletGroup
+    rows: Rows
+    dry: bool = False
+    levels: Array | None = None

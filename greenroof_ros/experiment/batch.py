@@ -27,7 +27,7 @@ from greenroof_ros.experiment.inputs import RunInputs
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
 from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.plants import Plants
+from greenroof_ros.model.plants import Moved, Plants
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.sites import Sites
 from greenroof_ros.model.storm_water import Intervals, find_wet_weather, interval_seconds
@@ -38,8 +38,8 @@ Rows = NDArray[np.intp]
 
 # Sites that are stepped together: their arrays fit in the processor's cache.
 _TOGETHER = 2000
-# Values of a block of ticks.
-_BLOCK = 200_000
+# Values of a block of ticks, and its ticks.
+_BLOCK, _BLOCK_TICKS = 200_000, 240
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +230,8 @@ class _Part:
         self._per_interval = _count_per_interval(own[0])
         given = [batch.parameters[row] for row in rows]
         parameters = _complete(own, given)
-        self._level, self._fraction = parameters["level"], parameters["fraction"]
+        self._fraction = parameters["fraction"]
+        self._dry_below = parameters["level"] * self._sites.z_veg
         self._plants = Plants(self._sites, batch.x1[rows], batch.x2[rows])
         self._beds = np.empty(len(rows))
         for number, of_weather in self._by_weather():
@@ -240,6 +241,8 @@ class _Part:
             parameters["outlet_price"], parameters["outlet_reach"], list(self._groups()),
         )
         self._clocks = self._find_clocks(own)
+        self._has_quiet_hours = any(site.quiet for site in own)
+        self._changes = self._find_changes()
         self._metrics = BatchMetrics(
             self._sites, self._per_interval, list(self._find_wet()), self._clocks,
             None if groups is None else groups[rows], hydrograph,
@@ -260,9 +263,9 @@ class _Part:
         tau, with_rain = float(self._sites.tau[0]), self._batch.with_forecast
 
         def make(weather: BatchWeather, rows: Rows, wet_after: float) -> OutletGroup:
-            def foresee(tick: int) -> tuple[Values, Values]:
+            def foresee(tick: int, rows: Rows) -> tuple[Values, Values]:
                 rain, evaporated = weather.foresee(tick, with_rain)
-                return rain, self._beds[:, None] * evaporated
+                return rain, self._beds[rows, None] * evaporated
 
             dry = find_dry_ticks(weather.rain, tau, wet_after)
             return OutletGroup(rows, dry, weather.ends, foresee)
@@ -295,52 +298,65 @@ class _Part:
     def blocks(self) -> Iterator[int]:
         """Simulate, and yield the number of ticks of each block after it."""
         n, each = len(self._sites), self._per_interval
-        size = each * max(1, _BLOCK // n // each)
-        buffer = Block(*(np.empty((size, n)) for _ in Block._fields))
+        size = each * max(1, min(_BLOCK_TICKS, _BLOCK // n) // each)
+        buffer = np.empty((1 + len(Moved._fields), size, n))
         for first in range(0, self._steps, size):
-            last = min(first + size, self._steps)
-            block = Block(*(values[: last - first] for values in buffer))
+            block = buffer[:, : min(size, self._steps - first)]
             self._simulate(first, block)
-            self._metrics.add(first, block)
-            yield last - first
+            self._metrics.add(first, Block(*block))
+            yield block.shape[1]
 
-    def _simulate(self, first: int, block: Block) -> None:
+    def _simulate(self, first: int, block: Values) -> None:
         """Simulate the ticks of a block, and write down what moves."""
-        batch, sites, plants = self._batch, self._sites, self._plants
-        last = first + len(block.roof)
-        ticks = slice(first, last)
-        weather = [
-            np.stack((each.rain[ticks], each.evapotranspiration[ticks], each.frost[ticks]))
-            for each in batch.weather
-        ]
-        rain, potential, frost = np.stack(weather, axis=-1)[..., self._weather_of]
-        potential = potential * self._beds
-        allowed = (frost == 0) & ~self._find_quiet(first, last)
-        closed = (frost != 0) & sites.valve_closed_in_frost
-        for k in range(last - first):
-            x1, x2 = plants.x1, plants.x2
-            dry = x2 / sites.a2 < self._level * sites.z_veg
-            enough = x1 / sites.a1 >= sites.suction_level
-            command = np.where(dry & enough & allowed[k], self._fraction, 0.0)
-            outlet = self._outlets.command(first + k, x1, x2)
-            if closed[k].any():
-                outlet = np.where(closed[k], 0.0, outlet)
-            block.roof[k] = x2
-            for values, moved in zip(
-                block[1:], plants.tick(rain[k], potential[k], command, outlet), strict=True
-            ):
-                values[k] = moved
+        plants, outlets, quiet = self._plants, self._outlets, self._has_quiet_hours
+        for k in range(block.shape[1]):
+            tick = first + k
+            if self._changes[tick]:
+                self._set_weather(tick)
+            allowed = self._allowed & ~self._find_quiet(tick) if quiet else self._allowed
+            command = self._control(allowed)
+            outlet = outlets.command(tick, plants.x1, plants.x2)
+            if self._closed is not None:
+                outlet = np.where(self._closed, 0.0, outlet)
+            block[0, k] = plants.x2
+            plants.tick(command, outlet, Moved(*block[1:, k]))
 
-    def _find_quiet(self, first: int, last: int) -> NDArray[np.bool_]:
-        """Return in which ticks each pump must stand still, shape (ticks, n)."""
-        quiet = np.zeros((last - first, len(self._sites)), bool)
+    def _find_changes(self) -> NDArray[np.bool_]:
+        """Return in which ticks the weather is not that of the tick before."""
+        changes = np.zeros(self._steps + 1, bool)
+        changes[0] = True
+        for number in np.unique(self._weather_of):
+            weather = self._batch.weather[number]
+            for values in (weather.rain, weather.evapotranspiration, weather.frost):
+                changes[1:] |= np.diff(values) != 0
+        return changes
+
+    def _set_weather(self, tick: int) -> None:
+        """Set the weather of a tick."""
+        rain, reference, frost = np.array([
+            (weather.rain[tick], weather.evapotranspiration[tick], weather.frost[tick])
+            for weather in self._batch.weather
+        ]).T[:, self._weather_of]
+        self._plants.set_weather(rain, reference * self._beds)
+        self._allowed = frost == 0
+        closed = ~self._allowed & self._sites.valve_closed_in_frost
+        self._closed = closed if closed.any() else None
+
+    def _control(self, allowed: NDArray[np.bool_]) -> Values | None:
+        """Return the command of on/off control to each pump; None if all stand still."""
+        cistern, roof = self._plants.levels()
+        runs = roof < self._dry_below
+        runs &= cistern >= self._sites.suction_level
+        runs &= allowed
+        return self._fraction * runs if runs.any() else None
+
+    def _find_quiet(self, tick: int) -> NDArray[np.bool_]:
+        """Return which pumps must stand still in a tick, because of their quiet hours."""
+        quiet = np.zeros(len(self._sites), bool)
         tick_ns = round(self._sites.tau[0] * 1e9)
         for rows, site, start in self._clocks:
             if site.quiet is not None:
-                start_ns = round(start * 1e9)
-                quiet[:, rows] = np.array([
-                    site.quiet.quiet_at(start_ns + tick * tick_ns) for tick in range(first, last)
-                ])[:, None]
+                quiet[rows] = site.quiet.quiet_at(round(start * 1e9) + tick * tick_ns)
         return quiet
 
     def results(self) -> dict[str, Values]:

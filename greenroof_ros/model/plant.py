@@ -24,11 +24,16 @@ Values = NDArray[np.float64]
 _new = tuple.__new__
 
 # A short tick: see :func:`has_short_ticks`.
-_SHORT_SHARE, _SHORT_HEAD = 0.01, 1e-4
-# Steps in which the cistern is computed in a longer tick (s).
-_MAX_STEP_S = 10.0
-# A cistern that is pumped down to the suction level ends above it, not a bit below it (share).
-_ROUNDING = 1e-9
+_SHORT_HEAD = 1e-4
+
+SHORT_SHARE = 0.01
+"""Pumps at full flow move at most this share of the roof's target in a short tick."""
+
+MAX_STEP_S = 10.0
+"""Steps in which the cistern is computed in a longer tick (s)."""
+
+ABOVE_SUCTION = 1e-9
+"""A cistern that is pumped down to the suction level ends this share above it, not a bit below."""
 
 RUNNING_SHARE = 0.01
 """The pumps run above this share of their maximum flow."""
@@ -65,7 +70,7 @@ def has_short_ticks(site: Site) -> bool:
     """
     pumped = site.tau * maximum_pump_flow(site, site.a1 * site.z_o)
     overdrawn = (site.tau * max(site.c_out, site.c_low) / site.a1) ** 2
-    return pumped <= _SHORT_SHARE * site.x2_star and overdrawn <= _SHORT_HEAD
+    return pumped <= SHORT_SHARE * site.x2_star and overdrawn <= _SHORT_HEAD
 
 
 def mains_flow(site: Site, x1: float, drawn: float, seconds: float) -> float:
@@ -294,14 +299,14 @@ class Plant:
             in each step (m3), and whether the cistern held less than another program pumped.
         """
         site, x1, tau = self._site, self.x1, self._tau
-        lowest, min_run = self._a1 * site.suction_level * (1 + _ROUNDING), MIN_RUN_S
+        lowest, min_run = self._a1 * site.suction_level * (1 + ABOVE_SUCTION), MIN_RUN_S
         flow = command * maximum_pump_flow(site, x1) if missing > 0 else 0.0
         if pumped is not None:
             flow, missing, lowest, min_run = pumped, math.inf, 0.0, 0.0
         filled = max(x1, self._a1 * (site.mains_level or 0.0)) + tau * collected
         overflows = filled > self._fits(outlet)
-        quick = overflows or tau * flow > _SHORT_SHARE * site.x2_star
-        steps = math.ceil(tau / _MAX_STEP_S) if quick else 1
+        quick = overflows or tau * flow > SHORT_SHARE * site.x2_star
+        steps = math.ceil(tau / MAX_STEP_S) if quick else 1
         seconds, running, limited = tau / steps, False, False
         out = let_out = lifted = let_in = 0.0  # m3
         volumes = []
@@ -345,7 +350,7 @@ class Plant:
             outlet: share to which the valve of the low outlet is open (1).
         """
         x1, tau = self.x1, self._tau
-        steps = math.ceil(tau / _MAX_STEP_S)
+        steps = math.ceil(tau / MAX_STEP_S)
         if len(volumes) < steps:
             volumes = [volumes[0] / steps] * steps
         seconds = tau / steps

@@ -32,6 +32,7 @@ _FROM_SITE: dict[str, Callable[[Site], Any]] = {
     "has_layer": lambda site: site.drainage_storage is not None,
     "above_target": lambda site: soil_of(site).above_target,
     "stress_volume": lambda site: soil_of(site).stress_volume,
+    "overdraws": lambda site: soil_of(site).overdraws,
     "measured": lambda site: soil_of(site).measured,
     "has_short_ticks": has_short_ticks,
 }
@@ -44,6 +45,7 @@ class Sites:
     Attributes:
         above_target: how far rain can raise the roof above its target (m3), see :mod:`.soil`.
         stress_volume: roof's volume below which plants lack water (m3), see :mod:`.soil`.
+        overdraws: see :mod:`.soil`.
         measured: whether the soil is a measured one.
         has_short_ticks: see :func:`.plant.has_short_ticks`.
     """
@@ -83,6 +85,7 @@ class Sites:
     low_outlet_valve: Flags
     valve_closed_in_frost: Flags
     has_layer: Flags
+    overdraws: Flags
     measured: Flags
     has_short_ticks: Flags
 

@@ -21,9 +21,9 @@ Drainage = Callable[[Site, float], tuple[float, float]]  # at a volume, and its 
 
 # Rain raises the paper's roof by at most this much above its target (m).
 _ABOVE_M = 0.15
-# Only an infinite volume would fill the soil to field capacity: this share of TAW is treated as
-# full.
-_ALMOST_FULL = 1 - 1e-9
+ALMOST_FULL = 1 - 1e-9
+"""Only an infinite volume would fill the soil to field capacity: this share of TAW is treated as
+full."""
 # Eq. (4) by Euler's method takes at most this much (m) in a tick from a soil at its capacity.
 _MAX_OVERDRAWN_M = 1e-4
 # predict_lasting_share adds at least this share of the water that plants can take (1): smaller
@@ -55,6 +55,7 @@ class PaperSoil:
         above_target: how far rain can raise it above its target (m3).
         retains_all_below: volume below which all arriving water stays, and evaporation is only
             limited by the water that is there (m3); 0 if there is no such volume.
+        overdraws: whether a tick of Eq. (4) would take much more than stands above the capacity.
         excess: what water above its capacity does, in words.
         stress_volume: volume below which :meth:`water_stress` is less than 1 (m3).
     """
@@ -66,7 +67,7 @@ class PaperSoil:
     def __init__(self, site: Site) -> None:
         self._site, self.retains_all_below = site, site.z_cap
         self.above_target = site.a2 * _ABOVE_M
-        self._overdraws = 2 * site.K * site.tau > _MAX_OVERDRAWN_M
+        self.overdraws = 2 * site.K * site.tau > _MAX_OVERDRAWN_M
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
         """Return the drainage off the soil in a tick, if it holds that much (m3/s), Eq. (4).
@@ -83,7 +84,7 @@ class PaperSoil:
         if above < 0:
             return 0.0
         drainage = self._darcy(x2)
-        return min(drainage, above / seconds + arriving) if self._overdraws else drainage
+        return min(drainage, above / seconds + arriving) if self.overdraws else drainage
 
     def retained_share(self, x2: float) -> float:
         """Return the share of the arriving water that stays (1) in a soil holding x2 (m3)."""
@@ -238,6 +239,7 @@ class MeasuredSoil:
     measured = True
     excess = "drain at once"
     retains_all_below = 0.0
+    overdraws = False
 
     def __init__(self, site: Site) -> None:
         self._site, self._a2, self._tau, self._capacity = site, site.a2, site.tau, site.z_cap
@@ -365,12 +367,12 @@ class MeasuredSoil:
 
     def water_to_fill(self, x2: Any) -> Any:
         """Solve dS/dt = (1 - S^2) i / TAW; up to the wilting point all of it stays."""
-        share = np.clip((x2 - self._wilting) / self._available, 0.0, _ALMOST_FULL)
+        share = np.clip((x2 - self._wilting) / self._available, 0.0, ALMOST_FULL)
         return np.minimum(x2, self._wilting) + self._available * np.arctanh(share)
 
     def water_to_raise(self, x2: float, to: float) -> float:
         """Return the inverse of :meth:`drained`: what must arrive in a tick that ends at ``to``."""
-        filled, reached = self.filled_share(x2), min(self.filled_share(to), _ALMOST_FULL)
+        filled, reached = self.filled_share(x2), min(self.filled_share(to), ALMOST_FULL)
         first = max(0.0, min(to, self._wilting) - x2)
         g = max(0.0, (reached - filled) / (1 - filled * reached))
         return first + self._available * math.atanh(g)

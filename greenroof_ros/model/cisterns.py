@@ -1,0 +1,234 @@
+"""The cisterns of many sites: what flows in and out in a tick, as in :class:`.plant.Plant`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.model.plant import ABOVE_SUCTION, MIN_RUN_S, SHORT_SHARE
+from greenroof_ros.model.sites import Sites
+
+Values = NDArray[np.float64]
+Rows = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+
+class CisternFlows(NamedTuple):
+    """What moves in a tick (m3), each of shape (n,)."""
+
+    volumes: Values
+    """pumped in each step, shape (steps, n)"""
+    outflow: Values
+    low_outlet: Values
+    mains: Values
+
+
+@dataclass(frozen=True, eq=False)
+class Cisterns:
+    """What of the sites' parameters decides the flows of cisterns, each of shape (n,).
+
+    Attributes:
+        upper: volume up to the upper outlet (m3).
+        lower: volume up to the low outlet, or to the upper one if there is none (m3).
+        lowest: volume that the pumps leave (m3).
+        filled: volume up to which the mains fill (m3).
+        much: of more than this volume (m3) in a tick, pumping is quick.
+    """
+
+    a1: Values
+    b: Values
+    c_hat: Values
+    d: Values
+    c_out: Values
+    c_low: Values
+    mains_flow: Values
+    upper: Values
+    lower: Values
+    lowest: Values
+    filled: Values
+    much: Values
+
+    @classmethod
+    def of(cls, sites: Sites) -> Cisterns:
+        """Return those of sites."""
+        a1 = sites.a1
+        derived = {
+            "upper": a1 * sites.z_o,
+            "lower": a1 * sites.low_outlet_level,
+            "lowest": a1 * sites.suction_level * (1 + ABOVE_SUCTION),
+            "filled": a1 * sites.mains_level,
+            "much": SHORT_SHARE * sites.x2_star,
+        }
+        own = (field.name for field in fields(cls) if field.name not in derived)
+        return cls(**{name: getattr(sites, name) for name in own}, **derived)
+
+    def take(self, rows: Rows) -> Cisterns:
+        """Return some of them."""
+        return Cisterns(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def pump_flow(self, x1: Values) -> Values:
+        """Return the pumps' flow at command 1 (m3/s), Eq. (3e)."""
+        head = x1 / self.a1
+        head += self.c_hat
+        head -= self.d
+        return np.asarray(self.b * np.sqrt(np.maximum(head, 0.0)))
+
+    def hold(self, outlet: Values) -> Values:
+        """Return the volume above which water leaves for the sewer (m3)."""
+        return np.where(outlet > 0, self.lower, self.upper)
+
+    def mains(self, x1: Values, drawn: Values, seconds: float) -> Values:
+        """Return the mean flow of the mains in a step (m3/s); see :func:`.plant.mains_flow`."""
+        missing = self.filled - x1
+        before = np.where(missing > 0, self.mains_flow, 0.0)
+        towards = before - drawn
+        reaches = np.where(
+            missing * towards > 0, missing / towards, np.where(missing != 0, seconds, 0.0)
+        )
+        share = np.minimum(reaches / seconds, 1.0)
+        later = np.minimum(np.maximum(drawn, 0.0), self.mains_flow)
+        return np.asarray(before * share + later * (1 - share))
+
+    def step_short(
+        self, tau: float, x1: Values, collected: Values, flow: Values, outlet: Values
+    ) -> tuple[CisternFlows, Flags]:
+        """Return what moves in a short tick, and where less was there than was demanded.
+
+        Args:
+            tau: duration of the tick (s).
+            x1: in each cistern (m3).
+            collected: rain that flows in (m3/s).
+            flow: of the pumps (m3/s).
+            outlet: share to which each low outlet is open (1).
+        """
+        pump, level = tau * flow, x1 / self.a1
+        low = tau * outlet * self.c_low * _root(level - self.lower / self.a1)
+        out = low + tau * self.c_out * _root(level - self.upper / self.a1)
+        demand = out + pump
+        mains = tau * self.mains(x1, demand / tau - collected, tau)
+        available = x1 + tau * collected + mains
+        limited = demand > available
+        share = np.where(limited, available / demand, 1.0)
+        return CisternFlows((share * pump)[None], share * out, share * low, mains), limited
+
+    def step_long(
+        self, tau: float, steps: int, x1: Values, collected: Values, command: Values,
+        outlet: Values, missing: Values, rise: Values,
+    ) -> CisternFlows:
+        """Return what moves in a long tick.
+
+        Args:
+            tau: duration of the tick (s).
+            steps: into which it is divided if something is quick; otherwise what is pumped is
+                shared among them.
+            x1: in each cistern (m3).
+            collected: rain that flows in (m3/s).
+            command: to the pumps (share of the maximum flow).
+            outlet: share to which each low outlet is open (1).
+            missing: what must be pumped until the roof is at its target (m3).
+            rise: by how much that falls because of rain (m3/s).
+        """
+        flow = np.where(missing > 0, command * self.pump_flow(x1), 0.0)
+        quick = np.maximum(x1, self.filled) + tau * collected > self.hold(outlet)
+        quick |= tau * flow > self.much
+        given = x1, collected, command, outlet, missing, rise
+        if quick.all():
+            return self._step(tau, steps, *given)
+        volumes = np.empty((steps, len(x1)))
+        flows = CisternFlows(volumes, *(np.empty_like(x1) for _ in range(3)))
+        for rows, parts in ((np.flatnonzero(~quick), 1), (np.flatnonzero(quick), steps)):
+            if len(rows):
+                part = self.take(rows)._step(tau, parts, *(values[rows] for values in given))
+                volumes[:, rows] = part.volumes * (parts / steps)
+                for all_of, own in zip(flows[1:], part[1:], strict=True):
+                    all_of[rows] = own
+        return flows
+
+    def _step(
+        self, tau: float, steps: int, x1: Values, collected: Values, command: Values,
+        outlet: Values, missing: Values, rise: Values,
+    ) -> CisternFlows:
+        """Return what moves in a long tick, each site in the same number of steps."""
+        seconds = tau / steps
+        arrives = seconds * collected
+        running = np.zeros(len(x1), bool)
+        volumes = np.zeros((steps, len(x1)))
+        out, let_out, let_in = (np.zeros_like(x1) for _ in range(3))
+        pumps = bool(((missing > 0) & (command > 0)).any())
+        # Outlets are above the level of the mains: without pumping it never falls to that.
+        fills = pumps or bool((np.minimum(x1, self.lower) < self.filled).any())
+        for step in range(steps):
+            x1 = x1 + arrives
+            if fills:
+                x1 = x1 - arrives
+                mains = seconds * self.mains(x1, -collected, seconds)
+                if pumps:
+                    flow = np.where(missing > 0, command * self.pump_flow(x1), 0.0)
+                    volume, mains = self._pump(
+                        seconds, x1, arrives, mains, flow, missing, rise, running
+                    )
+                    running = (volume >= flow * seconds) & (flow > 0)
+                    missing = missing - volume - seconds * rise
+                    volumes[step] = volume
+                x1 = x1 + arrives + mains - volumes[step]
+                let_in += mains
+            upper, low = self.let_out(x1, outlet, seconds)
+            x1 = x1 - upper - low
+            out += upper + low
+            let_out += low
+        return CisternFlows(volumes, out, let_out, let_in)
+
+    def _pump(
+        self, seconds: float, x1: Values, arrives: Values, mains: Values, flow: Values,
+        missing: Values, rise: Values, running: Flags,
+    ) -> tuple[Values, Values]:
+        """Return what is pumped in a step, and what flows in from the mains then (m3).
+
+        Args:
+            seconds: duration of the step.
+            x1: in each cistern (m3).
+            arrives: rain (m3).
+            mains: what the mains bring without pumping (m3).
+            flow: of the pumps (m3/s).
+            missing: what must be pumped until the roof is at its target (m3).
+            rise: by how much that falls because of rain (m3/s).
+            running: whether the pumps ran at the end of the step before.
+        """
+        pumped = np.divide(flow, flow + rise, out=np.zeros_like(flow), where=flow > 0)
+        volume = np.minimum(flow * seconds, missing * pumped)
+        min_volume = np.where(running, 0.0, flow * min(seconds, MIN_RUN_S))
+        held = x1 + arrives
+        runs = (volume > 0) & (np.minimum(volume, held + mains - self.lowest) >= min_volume)
+        more = seconds * self.mains(x1, volume / seconds - arrives / seconds, seconds)
+        mains = np.where(runs, more, mains)
+        usable = held + mains - self.lowest
+        return np.where(runs, np.minimum(volume, usable), 0.0), mains
+
+    def let_out(self, x1: Values, outlet: Values, seconds: float) -> tuple[Values, Values]:
+        """Return what both outlets take in a step (m3); see :class:`.plant.Plant`.
+
+        Args:
+            x1: in each cistern, without their flow (m3).
+            outlet: share to which each low outlet is open (1).
+            seconds: duration of the step (s).
+        """
+        upper: Values = np.zeros_like(x1)
+        above = x1 - self.upper
+        if (above > 0).any():
+            upper = self._let_out(above, self.c_out * seconds)
+        return upper, self._let_out(x1 - upper - self.lower, outlet * self.c_low * seconds)
+
+    def _let_out(self, above: Values, drop: Values) -> Values:
+        """Return what an outlet takes (m3) of what stands above it (m3)."""
+        above = np.maximum(above, 0.0)
+        root = np.sqrt(drop * drop + 4 * self.a1 * above)
+        root += drop
+        root[root == 0] = 1.0
+        return np.asarray(drop * 2 * above / root)
+
+
+def _root(head: Values) -> Values:
+    return np.sqrt(np.maximum(head, 0.0))
