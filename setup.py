@@ -66,7 +66,8 @@ setup(
     package_data={NAME: ["py.typed"],
                   f"{NAME}.analysis.report": ["*.html"], f"{NAME}.watch": ["page/*"],
                   f"{NAME}.analysis.calibration": ["page.html"],
-                  f"{NAME}.analysis.sizing": ["page.html"]},
+                  f"{NAME}.analysis.sizing": ["page.html"],
+                  f"{NAME}.analysis.district": ["page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE.as_posix(), ["package.xml"]),

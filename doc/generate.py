@@ -34,6 +34,12 @@ from readme_pictures import draw as draw_readme_pictures
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
+from greenroof_ros.analysis.district.district_file import (
+    District,
+    DistrictWeather,
+    Draw,
+    Orifice,
+)
 from greenroof_ros.common.alarms import Alarm
 from greenroof_ros.common.conditions import LATCHED, Interlock, read_conditions, read_interlocks
 from greenroof_ros.common.files import read_yaml, shared_directory
@@ -354,12 +360,22 @@ def skill_file() -> str:
     return _keys({"`climate`": Climate, "`errors`": Errors})
 
 
+def district_file() -> str:
+    """Return every key of a district's file."""
+    return _keys({
+        "the file": District, "`weather`": DistrictWeather, "`draw`, each": Draw,
+        "`orifice`": Orifice,
+    })
+
+
 def _keys(parts: Mapping[str, Any]) -> str:
     """Return every key of the parts of a file."""
 
     def holds(key: Key) -> str:
         choices = (f"`{choice}`" for choice in key.entry.among if choice)
-        accepted = ", ".join(filter(None, (key.entry.range.limits, *choices)))
+        unit = "" if key.entry.unit == "1" else key.entry.unit
+        limits = " ".join(filter(None, (key.entry.range.limits, unit)))
+        accepted = ", ".join(filter(None, (limits, *choices)))
         return "; ".join(filter(None, (_kind(key), accepted, "optional" * key.optional)))
 
     return "\n".join(
@@ -673,6 +689,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "drives": drives,
     "sensors file": sensors_file,
     "skill file": skill_file,
+    "district file": district_file,
     "relay file": relay_files,
     "relays": relays,
 }

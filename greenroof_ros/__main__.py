@@ -59,6 +59,7 @@ GROUPS = {
     "compare controllers, without ROS": {
         "simulate": Command("simulate", "run once, in one process; the numbers equal the graph's"),
         "study": Command("study", "run a grid of runs: the paper's 30, or yours"),
+        "district": Command("district", "add up what many buildings send to one sewer"),
         "bound": Command("bound", "compute the minimum possible deviation"),
     },
     "fit it to your site": {

@@ -33,8 +33,8 @@ from places import words_of
 _ROOMS = (
     "common", "controllers", "experiment", "live.pumping", "live.devices", "recording",
     "live.simulators", "watch", "analysis.report", "analysis.workers", "analysis.study",
-    "analysis.sizing", "analysis.calibration", "analysis.verification", "graph", "bringup",
-    "nodes", "live",
+    "analysis.sizing", "analysis.district", "analysis.calibration", "analysis.verification",
+    "graph", "bringup", "nodes", "live",
 )
 _OF_ROS = ("graph", "bringup", "nodes", "live")
 _LIMIT_S = 900

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
-from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from greenroof_ros.analysis.sizing.designs import Design
 from greenroof_ros.analysis.workers.processes import processes
+from greenroof_ros.analysis.workers.progress import ShareFile
 from greenroof_ros.common.processes import scratch_directory
 from greenroof_ros.experiment.batch import Batch, BatchWeather, simulate_batch
 
@@ -59,14 +58,14 @@ def simulate_cases(
     # Each process gets designs of every kind, since plans take longest.
     parts = [cases[first::jobs] for first in range(min(jobs, len(cases)))]
     with scratch_directory() as scratch, processes(jobs, {}, [__name__]) as workers:
-        files = [scratch / f"{number}" for number in range(len(parts))]
+        files = [ShareFile(scratch / f"{number}") for number in range(len(parts))]
         pending = {
             workers.submit(_simulate_part, _make_batch(part, weather), file): number
             for number, (part, file) in enumerate(zip(parts, files, strict=True))
         }
         results: dict[int, dict[str, Values]] = {}
         while len(results) < len(parts):
-            report(sum(map(_read_share, files)) / len(parts))
+            report(sum(file.read() for file in files) / len(parts))
             for future in wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED).done:
                 results[pending.pop(future)] = workers.result(future)
     metrics = {name: np.empty(len(cases)) for name in results[0]}
@@ -87,20 +86,5 @@ def _make_batch(cases: Sequence[Case], weather: Sequence[BatchWeather]) -> Batch
     )
 
 
-def _simulate_part(_: Path, batch: Batch, progress: Path) -> dict[str, Values]:
-    """Simulate a batch in a worker, which writes the share that is done to a file."""
-    written = 0.0
-
-    def write(share: float) -> None:
-        nonlocal written
-        if time.monotonic() - written > _REFRESH_S:
-            written = time.monotonic()
-            progress.write_text(f"{share:.3f}")
-
-    return simulate_batch(batch, progress=write).metrics
-
-
-def _read_share(file: Path) -> float:
-    with suppress(OSError, ValueError):  # not there yet, or just being written
-        return float(file.read_text())
-    return 0.0
+def _simulate_part(_: Path, batch: Batch, progress: ShareFile) -> dict[str, Values]:
+    return simulate_batch(batch, progress=progress.write).metrics

@@ -1,0 +1,1 @@
+"""Districts: many buildings with green roofs and cisterns, and what they send to one sewer."""

@@ -1,0 +1,213 @@
+"""The buildings of a district: drawn from distributions, or listed in a CSV."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from greenroof_ros.analysis.district.district_file import District, Draw, building_keys
+from greenroof_ros.common.errors import ConfigurationError, describe_choices, find_similar
+from greenroof_ros.formats.cells import Row, Table, read_table
+from greenroof_ros.model.site import Site
+
+Values = NDArray[np.float64]
+
+ID, CELL = "id", "cell"
+# A distribution is refused if its limits leave less of it than this.
+_MIN_SHARE = 1e-3
+
+
+@dataclass(frozen=True)
+class Buildings:
+    """Some buildings of a district; the n-th entry of each sequence is the n-th building's.
+
+    Attributes:
+        ids: their names.
+        cells: of the weather, by index.
+        ranks: their places in the order of adoption.
+        values: what differs between them, by key.
+        file: where they are listed; the district's file if they are drawn.
+        lines: in that file; None if they are drawn.
+    """
+
+    ids: Sequence[str]
+    cells: NDArray[np.intp]
+    ranks: NDArray[np.intp]
+    values: Mapping[str, Sequence[Any]]
+    file: Path
+    lines: Sequence[int] | None
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(self.ids)
+
+    def part(self, places: slice) -> Buildings:
+        """Return some of them."""
+        return Buildings(
+            self.ids[places], self.cells[places], self.ranks[places],
+            {key: values[places] for key, values in self.values.items()}, self.file,
+            None if self.lines is None else self.lines[places],
+        )
+
+    def refuse(self, place: int, error: ConfigurationError) -> ConfigurationError:
+        """Return the error about a building's site, with the building's name and place."""
+        return ConfigurationError(
+            f"{error.expected} (building {self.ids[place]})", file=self.file,
+            line=None if self.lines is None else self.lines[place], key=error.key,
+            value=error.value,
+        )
+
+
+def make_buildings(
+    district: District, site: Site, cells: Sequence[str], notes: list[str]
+) -> Buildings:
+    """Return the buildings of a district, in the order of their cells.
+
+    A distribution of one key does not depend on the others, nor on how many buildings there are:
+    more of them are the same ones and further ones.
+
+    Args:
+        district: the district.
+        site: what they have in common.
+        cells: names of the cells of the weather; empty if there is one weather.
+        notes: gets what was not used.
+
+    Raises:
+        ConfigurationError: the CSV is wrong, or a value is beyond the range of its key.
+    """
+    if district.file is not None:
+        file = district.find_files("file", district.file)[0]
+        ids, of_cell, lines, listed = _read(file, cells, notes)
+    else:
+        assert district.buildings is not None
+        file, lines, listed = district.path, None, {}
+        ids = [str(number) for number in range(1, district.buildings + 1)]
+        of_cell = np.arange(len(ids)) * max(1, len(cells)) // len(ids)
+    values: dict[str, Sequence[Any]] = {}
+    known = building_keys()
+    for name, draw in sorted(district.draw.items(), key=lambda item: item[1].times is not None):
+        if name in listed:
+            raise district.refuse(f"draw.{name}", f"is a column of {file.name}, too", name)
+        values[name] = _draw(district, name, draw, len(ids))
+        if draw.times is not None:
+            factor = {**listed, **values}.get(draw.times, getattr(site, draw.times, None))
+            if not np.issubdtype(np.asarray(factor).dtype, np.number):
+                raise district.refuse(f"draw.{name}.times", "has no number in every building")
+            values[name] = list(np.asarray(values[name]) * np.asarray(factor, dtype=float))
+        if bool(draw.names) != bool(known[name].among):
+            raise district.refuse(
+                f"draw.{name}", "needs names" if known[name].among else "must be numbers, not names"
+            )
+        for drawn in {*(draw.names or ())}:
+            known[name].read(
+                drawn, file=district.path, line=district.line(f"draw.{name}.names"),
+                key=f"draw.{name}.names",
+            )
+        if draw.names is None:
+            allowed = known[name].range
+            for extreme in (np.min(values[name]), np.max(values[name])):
+                if extreme not in allowed:
+                    raise district.refuse(
+                        f"draw.{name}", f"{allowed.expected()}, but {extreme:.6g} was drawn; set "
+                        "low and high",
+                    )
+    ranks = np.random.default_rng(district.seed).permutation(len(ids))
+    order = np.argsort(of_cell, kind="stable")
+    everything = {key: [column[n] for n in order] for key, column in {**listed, **values}.items()}
+    return Buildings(
+        [ids[n] for n in order], of_cell[order], ranks[order], everything, file,
+        None if lines is None else [lines[n] for n in order],
+    )
+
+
+def _draw(district: District, name: str, draw: Draw, count: int) -> Sequence[Any]:
+    """Return a key's value in each building, by the inverse of its distribution."""
+    shares = np.random.default_rng([district.seed, zlib.crc32(name.encode())]).random(count)
+    among = draw.values or draw.names
+    if among is not None:
+        return [among[int(share * len(among))] for share in shares]
+    if draw.mean is None or draw.sd is None:
+        assert draw.low is not None
+        assert draw.high is not None
+        return list(draw.low + (draw.high - draw.low) * shares)
+    low = 0.0 if draw.low is None else draw.low
+    high = math.inf if draw.high is None else draw.high
+    if draw.sd == 0:
+        if not low <= draw.mean <= high:
+            raise district.refuse(f"draw.{name}.mean", f"must be from {low:g} to {high:g}")
+        return [draw.mean] * count
+    variance = math.log1p((draw.sd / draw.mean) ** 2)
+    middle, width = math.log(draw.mean) - variance / 2, math.sqrt(variance)
+    below, up_to = (
+        float(ndtr((math.log(end) - middle) / width)) if end > 0 else 0.0 for end in (low, high)
+    )
+    if up_to - below < _MIN_SHARE:
+        raise district.refuse(
+            f"draw.{name}", f"leaves {max(0.0, up_to - below):.2g} of the distribution between low "
+            "and high; move them or the mean",
+        )
+    drawn = np.exp(middle + width * ndtri(below + (up_to - below) * shares))
+    return list(np.clip(drawn, low, high))  # it may be beyond them by rounding
+
+
+def _read(
+    file: Path, cells: Sequence[str], notes: list[str]
+) -> tuple[list[str], NDArray[np.intp], list[int], dict[str, Sequence[Any]]]:
+    """Return the name, the cell and the line of each building of a CSV, and its other columns."""
+    table = read_table(file)
+    needed = (ID, CELL) if cells else (ID,)
+    table.require_columns(needed, "lists of buildings" + " in cells" * bool(cells))
+    known = building_keys()
+    columns = [name for name in table.header if name in known]
+    others = [name for name in table.header if name not in (*known, *needed)]
+    if others:
+        meant = [
+            f"{name}: did you mean {' or '.join(alike)}?"
+            for name in others if (alike := find_similar(name, known))
+        ]
+        notes.append(
+            f"{file.name}: not keys of a site, and not used: {', '.join(others)}"
+            + f" ({'; '.join(meant)})" * bool(meant)
+        )
+    table.require_columns(columns, "")  # each once
+    ids, places, lines = dict[str, int](), list[int](), list[int]()
+    values: dict[str, list[Any]] = {name: [] for name in columns}
+    for row in table.rows:
+        name, line = table.cell(row, ID), row.line or 0
+        if not name:
+            raise table.refuse("must have a name or number for each building", ID, row)
+        if name in ids:
+            raise table.refuse(f"is the building of line {ids[name]}, too", ID, row)
+        ids[name] = line
+        if cells:
+            places.append(_find_cell(table, row, cells))
+        lines.append(line)
+        for column in columns:
+            values[column].append(_read_value(table, row, column))
+    cell_of = np.array(places if cells else [0] * len(ids), dtype=np.intp)
+    return [*ids], cell_of, lines, dict(values)
+
+
+def _find_cell(table: Table, row: Row, cells: Sequence[str]) -> int:
+    name = table.cell(row, CELL)
+    if name not in cells:
+        raise table.refuse(f"must be one of the cells {', '.join(cells)}", CELL, row)
+    return cells.index(name)
+
+
+def _read_value(table: Table, row: Row, column: str) -> Any:
+    key = building_keys()[column]
+    if key.among:
+        text = table.cell(row, column)
+        if text not in key.among:
+            raise table.refuse(describe_choices(key.among, text), column, row)
+        return text
+    return table.read_number(row, column, key.range)

@@ -1,0 +1,276 @@
+"""The file of a district: its buildings, weather, adoption and sewer, read and checked."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from greenroof_ros.common.errors import ConfigurationError, suggest_names
+from greenroof_ros.common.files import YamlMapping, is_there, shared_directory
+from greenroof_ros.common.parameter import Parameter, entry, find, read_record
+from greenroof_ros.controllers import outlet
+from greenroof_ros.controllers.onoff import LEVEL
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.model.plain_keys import PLAIN
+from greenroof_ros.model.site import Site, read_site, site_parameters
+from greenroof_ros.weather.series import GAPS, REFUSE
+
+NONE, ORIFICE, DRAIN, PLAN = OUTLETS = ("none", "orifice", outlet.DRAIN, outlet.PLAN)
+"""what empties cisterns: the overflow alone; a hole that is always open; a valve, in two ways"""
+NO_FORECAST = "none"
+_MAX_BUILDINGS = 1_000_000
+# All buildings have these in common: weather and clock; which outlets, the district's file says.
+_COMMON = {
+    "tau", "M", "N", "wet_after", "event_separation", "latitude", "longitude", "elevation",
+    "utc_offset", "time_zone", "quiet_hours", "albedo", "k_Rs", "wind_height",
+    "monthly_evapotranspiration", "low_outlet_valve", "valve_closed_in_frost",
+}
+# Parameters of the pump's controller and of the valve; the kind of outlet is the district's.
+_OF_POLICY = {
+    parameter.name: parameter
+    for parameter in (LEVEL, *outlet.PARAMETERS) if parameter.name != "outlet"
+}
+
+
+def building_keys() -> dict[str, Parameter]:
+    """Return what can differ from building to building, by name: keys of a site and of policies."""
+    of_site = {
+        parameter.name: parameter for parameter in site_parameters()
+        if parameter.name not in _COMMON
+    }
+    return of_site | PLAIN | _OF_POLICY
+
+
+def is_of_policy(name: str) -> bool:
+    """Whether a key of a building is a parameter of its controller or outlet, not of its site."""
+    return name in _OF_POLICY
+
+
+@dataclass(frozen=True)
+class Draw:
+    """The distribution of a key over the buildings."""
+
+    mean: float | None = entry(
+        "mean of a log-normal distribution, which is positive and skewed, as sizes of buildings "
+        "are", 1e-12, 1e9, default=None,
+    )
+    sd: float | None = entry("its standard deviation", 0.0, 1e9, default=None)
+    low: float | None = entry(
+        "minimum: of a uniform distribution, or where the log-normal one is cut off", -1e9, 1e9,
+        default=None,
+    )
+    high: float | None = entry("maximum, likewise", -1e9, 1e9, default=None)
+    values: tuple[float, ...] | None = entry(
+        "instead: numbers, each as frequent as the others", -1e9, 1e9, default=None
+    )
+    names: tuple[str, ...] | None = entry(
+        "instead: texts, each as frequent as the others", default=None
+    )
+    times: str | None = entry(
+        "a key by whose value in the same building the number is multiplied", default=None
+    )
+
+    @property
+    def mistakes(self) -> Iterator[tuple[str, str]]:
+        """Yield the key of each contradiction, and what would be right."""
+        kinds = {
+            "mean": self.mean is not None, "values": self.values is not None,
+            "names": self.names is not None,
+            "low": self.mean is None and (self.low is not None or self.high is not None),
+        }
+        there = [name for name, given in kinds.items() if given]
+        if len(there) != 1:
+            yield there[-1] if there else "", (
+                "must be one distribution: mean and sd, which low and high may cut off; low and "
+                "high; values; or names"
+            )
+        elif self.mean is not None and self.sd is None:
+            yield "mean", "needs sd as well"
+        elif self.mean is None and self.sd is not None:
+            yield "sd", "needs mean as well"
+        elif self.low is not None and self.high is not None and self.low >= self.high:
+            yield "low", f"must be below high = {self.high:g}"
+        elif kinds["low"] and (self.low is None or self.high is None):
+            yield "low" if self.high is None else "high", "needs low and high, or mean and sd"
+        elif self.names is not None and self.times is not None:
+            yield "times", "multiplies numbers, not texts"
+        for name in ("values", "names"):
+            if getattr(self, name) == ():
+                yield name, "must list at least one"
+
+
+@dataclass(frozen=True)
+class DistrictWeather:
+    """The weather of all cells, and the time that is simulated."""
+
+    start: str = entry("time of the first tick, ISO 8601")
+    hours: float = entry("length", 1e-9, 1e6, unit="h")
+    file: str | None = entry(
+        "weather file, or a pattern such as '2021_*.csv', for all buildings", default=None
+    )
+    cells: dict[str, str] | None = entry(
+        "instead: the file or pattern of each cell, by the cell's name", default=None
+    )
+    evapotranspiration: str | None = entry("its method", default=None)
+    gaps: str = entry("what to do about missing hours", choices=GAPS, default=REFUSE)
+
+
+@dataclass(frozen=True)
+class Orifice:
+    """A hole that is always open, in place of a valve; what is left out is as with the valve."""
+
+    low_outlet_level: float | None = entry(
+        "its elevation above the cistern's base", 0.001, 100.0, unit="m", default=None
+    )
+    low_outlet_radius: float | None = entry("its radius", 0.001, 1.0, unit="m", default=None)
+
+
+@dataclass(frozen=True)
+class District:
+    """A district; the keys of its file."""
+
+    site: str = entry("site file with what all buildings have in common")
+    weather: DistrictWeather = entry("rain and its time")
+    buildings: int | None = entry(
+        "number of buildings, drawn from the distributions", 1, _MAX_BUILDINGS, default=None
+    )
+    file: str | None = entry(
+        "instead: CSV file with one row for each building", default=None
+    )
+    seed: int = entry("of the distributions and of the order of adoption", 0, 2**32, default=1)
+    draw: dict[str, Draw] = entry(
+        "distributions, by the keys of a site, or outlet_reserve, outlet_price, outlet_reach and "
+        "level", factory=dict,
+    )
+    tau: float = entry("duration of a tick", 1.0, 300.0, unit="s", default=60.0)
+    outlets: tuple[str, ...] = entry(
+        "what empties the cisterns; none is always simulated, too", choices=OUTLETS,
+        default=OUTLETS,
+    )
+    orifice: Orifice = entry("the hole in place of a valve", factory=lambda: Orifice())
+    adoption: tuple[float, ...] = entry(
+        "shares of the buildings with a green roof and a cistern", 0.0, 1.0, unit="1",
+        default=(0.0, 0.1, 0.25, 0.5, 1.0),
+    )
+    valve_share: float = entry(
+        "share of these with a low outlet: a valve, or the orifice in its place; the others only "
+        "overflow", 0.0, 1.0, unit="1", default=1.0,
+    )
+    forecast: str = entry(
+        "what plan knows of the coming rain: all of it, or nothing",
+        choices=(PERFECT, NO_FORECAST), default=PERFECT,
+    )
+    sewer_capacity: float | None = entry(
+        "flow that the sewer can take, over the connected area of all buildings; what is more "
+        "overflows", 1e-6, 1000.0, unit="mm/h", default=None,
+    )
+    path: Path = Path()
+    """of its file"""
+    content: YamlMapping = field(default_factory=YamlMapping, repr=False, compare=False)
+    """of the file"""
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Adoption in ascending order, each share once."""
+        return tuple(sorted({*self.adoption}))
+
+    def refuse(self, key: str, expected: str, value: Any = None) -> ConfigurationError:
+        """Return an error about a key of the file."""
+        place = find(self.content, key)[1]
+        if value is None and not isinstance(place, (list, YamlMapping)):
+            value = place
+        return ConfigurationError(
+            expected, file=self.path, line=self.line(key), key=key, value=value
+        )
+
+    def line(self, key: str) -> int | None:
+        """Return the line of a key of the file."""
+        return find(self.content, key)[0]
+
+    def find_files(self, key: str, name: str, places: Sequence[Path] = ()) -> list[Path]:
+        """Return the files of a name or pattern: next to this file, or of this package.
+
+        Args:
+            key: that gives it, for the error.
+            name: the name or pattern.
+            places: further directories, in which they are looked for.
+
+        Raises:
+            ConfigurationError: there is none.
+        """
+        everywhere = [self.path.parent, *places, shared_directory() / "config"]
+        for place in everywhere:
+            if is_there(place / name):
+                return [place / name]
+            if found := sorted(glob.glob(str(place / name))):  # noqa: PTH207
+                return [Path(file) for file in found]
+        raise self.refuse(
+            key, f"there is no such file in {', '.join(str(place) for place in everywhere)}", name
+        )
+
+
+def read_district(path: Path) -> tuple[District, Site]:
+    """Read and check the file of a district, and its site.
+
+    Raises:
+        ConfigurationError: a key is unknown, missing or wrong, or contradicts another one; or the
+            site is wrong.
+    """
+    content = YamlMapping()
+
+    def find_mistakes(district: District, whole: YamlMapping) -> Iterator[tuple[str, str]]:
+        nonlocal content
+        content = whole
+        yield from _find_mistakes(district)
+
+    district = replace(read_record(District, path, find_mistakes), path=path, content=content)
+    site = read_site(
+        district.find_files("site", district.site)[0], {"tau": district.tau, "M": 1}
+    )
+    valves = {DRAIN, PLAN}.intersection(district.outlets)
+    if not site.low_outlet_valve and valves:
+        raise district.refuse(
+            "site", f"needs a valve for {' and '.join(sorted(valves))}: low_outlet_level, "
+            "low_outlet_radius and low_outlet_valve, as site_valve.yaml has; or leave them out of "
+            "outlets"
+        )
+    if site.low_outlet_level is None and ORIFICE in district.outlets:
+        raise district.refuse(
+            "site", "needs low_outlet_level and low_outlet_radius for orifice; or leave it out of "
+            "outlets"
+        )
+    return district, site
+
+
+def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
+    """Yield the key of each contradiction, and what would be right."""
+    if (district.buildings is None) == (district.file is None):
+        yield "buildings", (
+            "must be given, or file with a CSV of the buildings"
+            if district.file is None else "cannot be given with file, which lists the buildings"
+        )
+    weather = district.weather
+    if (weather.file is None) == (weather.cells is None):
+        yield "weather.file" if weather.file else "weather", (
+            "must have either file, for all buildings, or cells, with a file for each"
+        )
+    if weather.cells == {}:
+        yield "weather.cells", "must name at least one cell"
+    known = building_keys()
+    for name, draw in district.draw.items():
+        if name not in known:
+            why = "is the same in all buildings" if name in _COMMON else suggest_names(name, known)
+            yield f"draw.{name}", f"cannot differ between buildings; {why}"
+        for key, expected in draw.mistakes:
+            yield f"draw.{name}.{key}" if key else f"draw.{name}", expected
+        if draw.times is not None:
+            other = district.draw.get(draw.times)
+            if draw.times not in known:
+                yield f"draw.{name}.times", suggest_names(draw.times, known)
+            elif draw.times == name or (other is not None and other.times is not None):
+                yield f"draw.{name}.times", "must be a key that is not itself multiplied"
+    if not district.adoption:
+        yield "adoption", "must list at least one share"

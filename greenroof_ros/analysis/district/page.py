@@ -1,0 +1,246 @@
+"""The page of a district: one file that needs nothing but a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from datetime import datetime, timedelta
+from typing import Any
+
+import altair as alt
+import numpy as np
+
+from greenroof_ros.analysis.district.district_file import DRAIN, NONE, ORIFICE, PLAN
+from greenroof_ros.analysis.district.run import DistrictRun
+from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
+from greenroof_ros.analysis.report.drawing import (
+    Figure,
+    Rows,
+    make_tooltips,
+    round_value,
+    series_panel,
+)
+from greenroof_ros.analysis.report.page import make_page
+from greenroof_ros.common.times import to_people
+
+LABELS = {
+    NONE: "overflow only", ORIFICE: "orifice", DRAIN: "valve, drain", PLAN: "valve, plan",
+}
+"""What people call the kinds of outlets."""
+AS_IS_LABEL = "as it is"
+"""How people call the district without green roofs and cisterns."""
+# The storm that is drawn: hours before its peak and after it, and minutes of a point.
+_BEFORE_H, _AFTER_H, _POINT_MIN = 6, 48, 5
+
+
+def render(run: DistrictRun, totals: Totals, rows: Sequence[dict[str, Any]]) -> str:
+    """Return the page.
+
+    Args:
+        run: what was simulated.
+        totals: the sums.
+        rows: the results.
+    """
+    return make_page(
+        __package__, [*_draw(run, totals, rows)], headline=summarise(run, rows), rows=rows,
+        labels=LABELS, run=run, area=totals.area, start=to_people(run.runs[0].start),
+        capacity=run.district.sewer_capacity, columns=COLUMNS, warnings=warn(run, rows),
+        notes=run.notes, cells=len(run.runs), shown=_shown, percent=percent,
+    )
+
+
+# --- words ----------------------------------------------------------------------------------------
+
+COLUMNS = {
+    "wet_discharge_m3": "in wet weather (m³)",
+    "wet_discharge_reduction": "less",
+    "peak_5min_mm_h": "peak, 5 min (mm/h)",
+    "peak_15min_mm_h": "15 min",
+    "peak_60min_mm_h": "60 min",
+    "peak_60min_reduction": "less",
+    "sewer_overflow_m3": "sewer overflow (m³)",
+    "sewer_overflow_reduction": "less",
+    "sewer_overflow_hours": "hours of overflow",
+    "dry_peak_5min_mm_h": "peak in dry weather, 5 min (mm/h)",
+    "mains_m3": "mains water (m³)",
+    "demand_met_share": "irrigation without it",
+}
+"""Columns of the table, and their headers."""
+
+
+def summarise(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> str:
+    """Return the most important result in a sentence or two: the best outlet, at two adoptions."""
+    reference, *others = rows
+    if not others:
+        return "No building has a green roof: there is nothing to compare."
+    best = min(others, key=lambda row: (row["wet_discharge_m3"], row["adoption"]))
+    lower = [
+        row for row in others
+        if row["outlet"] == best["outlet"] and row["adoption"] <= best["adoption"] / 2
+    ]
+    sentences = [
+        f"With green roofs and cisterns on {percent(best['adoption'])} of the "
+        f"{len(run.buildings):,} buildings ({LABELS[best['outlet']]}), "
+        f"{_compare(reference, best)}."
+    ]
+    sentences += [
+        f"On {percent(row['adoption'])}, {_compare(reference, row)}." for row in lower[-1:]
+    ]
+    return " ".join(sentences)
+
+
+def _compare(reference: dict[str, Any], row: dict[str, Any]) -> str:
+    parts = []
+    for key, what, less, more in (
+        ("wet_discharge_m3", "storm water reaches the sewer in wet weather", "less", "more"),
+        ("sewer_overflow_m3", "overflows", "less", "more"),
+        ("peak_60min_l_s", "the peak over an hour is", "lower", "higher"),
+    ):
+        if not reference.get(key):
+            continue
+        change = 1 - row[key] / reference[key]
+        amount = f"{percent(abs(change))} {less if change >= 0 else more}"
+        parts.append(f"{what} {amount}" if what.endswith("is") else f"{amount} {what}")
+    return " and ".join([*filter(None, [", ".join(parts[:-1])]), *parts[-1:]]) or "nothing changes"
+
+
+def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Return a sentence if valves together let out more in dry weather than the sewer takes."""
+    capacity = run.district.sewer_capacity
+    if capacity is None:
+        return []
+    over = [row for row in rows if row["dry_sewer_overflow_m3"] > 0]
+    if not over:
+        return []
+    worst = max(over, key=lambda row: float(row["dry_peak_5min_mm_h"]))
+    return [
+        f"the cisterns empty together: in dry weather up to {worst['dry_peak_5min_mm_h']:.3g} mm/h "
+        f"({LABELS[worst['outlet']]}, {percent(worst['adoption'])} of the buildings), more than "
+        f"the sewer's {capacity:g} mm/h; give them a smaller low_outlet_radius"
+    ]
+
+
+def percent(share: float) -> str:
+    """Write a share in per cent."""
+    return f"{100 * share:.0f} %"
+
+
+def _shown(key: str, value: float | None) -> str:
+    if value is None:
+        return "-"
+    if key.endswith(("_reduction", "_share")):
+        return percent(value + 0.0)
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+# --- figures --------------------------------------------------------------------------------------
+
+
+def _draw(
+    run: DistrictRun, totals: Totals, rows: Sequence[dict[str, Any]]
+) -> Iterator[Figure]:
+    names = [LABELS[outlet] for outlet in totals.outlets]
+    capacity = run.district.sewer_capacity
+    amounts = [
+        ("wet_discharge_m3", "Discharge in wet weather", "m³", None),
+        *((("sewer_overflow_m3", "Overflow of the sewer", "m³", None),) if capacity else ()),
+        ("peak_60min_mm_h", "Peak over 60 minutes", "mm/h", capacity),
+        ("mains_m3", "Mains water for irrigation", "m³", None),
+    ]
+    yield _draw_over_adoption(
+        "adoption", "What the sewer gets, by adoption",
+        "Of all buildings together, each in its connected area. " + _capacity_note(capacity),
+        rows, names, amounts,
+    )
+    yield _draw_over_adoption(
+        "together", "Do the valves open together?",
+        "The highest flow over five minutes, with a storm in the sewer and without one: what "
+        "drains in dry weather from all buildings at once. " + _capacity_note(capacity),
+        rows, names, [
+            ("peak_5min_mm_h", "At any time", "mm/h", capacity),
+            ("dry_peak_5min_mm_h", "In dry weather", "mm/h", capacity),
+        ],
+    )
+    yield _draw_storm(run, totals, [AS_IS_LABEL, *names])
+
+
+def _capacity_note(capacity: float | None) -> str:
+    return f"Dashed: the sewer's capacity, {capacity:g} mm/h." if capacity else ""
+
+
+def _draw_over_adoption(
+    name: str, title: str, caption: str, rows: Sequence[dict[str, Any]], names: list[str],
+    amounts: Sequence[tuple[str, str, str, float | None]],
+) -> Figure:
+    """Return some results over adoption; each line begins with the district as it is."""
+    reference, *others = rows
+    data: Rows = [
+        {"outlet": LABELS[row["outlet"]], "adoption": row["adoption"],
+         **{key: round_value(row[key]) for key, *_ in amounts}}
+        for row in (*({**reference, "outlet": outlet} for outlet in LABELS), *others)
+        if LABELS[row["outlet"]] in names
+    ]
+    panels = []
+    for key, what, unit, line in amounts:
+        lines = alt.Chart(alt.NamedData(name)).mark_line(point=True, strokeWidth=1.5).encode(
+            x=alt.X("adoption:Q", title="buildings with green roof and cistern",
+                    axis=alt.Axis(format="%")),
+            y=alt.Y(f"{key}:Q", title=unit, scale=alt.Scale(zero=True)),
+            tooltip=make_tooltips(
+                "outlet:N", alt.Tooltip("adoption:Q", format=".0%"),
+                alt.Tooltip(f"{key}:Q", title=f"{what} ({unit})", format=",.4~g"),
+            ),
+        )
+        below = [] if line is None else [_draw_level(line)]
+        panels.append(series_panel(lines, "outlet", names, what, below))
+    return Figure(name, title, caption, tuple(panels), 2, {name: data})
+
+
+def _draw_level(value: float) -> alt.Chart:
+    rule: alt.Chart = alt.Chart(alt.InlineData([{"v": value}])).mark_rule(
+        strokeDash=[6, 3], color="#555555"
+    ).encode(y="v:Q")
+    return rule
+
+
+def _draw_storm(run: DistrictRun, totals: Totals, names: list[str]) -> Figure:
+    """Return the flows around the highest hour, at the highest adoption."""
+    size = max(1, round(60 * _POINT_MIN / totals.seconds))
+    hour = max(1, round(3600 / totals.seconds))
+    reference = totals.discharge(AS_IS)
+    sums = np.convolve(reference, np.ones(hour))
+    peak = int(sums.argmax())
+    first = max(0, peak - _BEFORE_H * hour) // size * size
+    last = min(len(reference), peak + _AFTER_H * hour)
+    highest = max(totals.adoption.shares, default=0.0)
+    series = {AS_IS_LABEL: reference} | {
+        LABELS[outlet]: totals.discharge(Flow(outlet, highest)) for outlet in totals.outlets
+    }
+    factor = 1000 * 3600 / totals.seconds / totals.area
+    start: datetime = run.runs[0].start.replace(tzinfo=None)
+    rows: Rows = []
+    for name, volumes in series.items():
+        points = np.add.reduceat(volumes[first:last], np.arange(0, last - first, size)) / size
+        for number, value in enumerate(points.tolist()):
+            time = start + timedelta(seconds=(first + number * size) * totals.seconds)
+            rows.append({"t": f"{time.isoformat()}Z", "outlet": name,
+                         "v": round_value(factor * value)})
+    lines = alt.Chart(alt.NamedData("storm")).mark_line(
+        clip=True, strokeWidth=1.2, interpolate="step-after"
+    ).encode(
+        x=alt.X("t:T", title=None, scale=alt.Scale(type="utc"),
+                axis=alt.Axis(tickCount=6, format="%d %b %H:%M")),
+        y=alt.Y("v:Q", title="mm/h over the connected area"),
+        tooltip=make_tooltips(
+            "outlet:N", alt.Tooltip("t:T", title="time", timeUnit="utcyearmonthdatehoursminutes",
+                                    format="%Y-%m-%d %H:%M"),
+            alt.Tooltip("v:Q", title="mm/h", format=".3~g"),
+        ),
+    )
+    capacity = run.district.sewer_capacity
+    below = [] if capacity is None else [_draw_level(capacity)]
+    panel = series_panel(lines, "outlet", names, f"Means of {_POINT_MIN} minutes", below)
+    return Figure(
+        "storm", "The highest hour, and the days after it",
+        f"With green roofs and cisterns on {percent(highest)} of the buildings. "
+        + _capacity_note(capacity), (panel._replace(height=320),), 1, {"storm": rows},
+    )

@@ -1,0 +1,197 @@
+"""Part of a district: some buildings, simulated at once on any machine."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from greenroof_ros.analysis.district.buildings import Buildings, Values
+from greenroof_ros.analysis.district.district_file import (
+    NONE,
+    ORIFICE,
+    District,
+    is_of_policy,
+)
+from greenroof_ros.analysis.workers.progress import ShareFile
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.controllers.onoff import LEVEL
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.experiment.batch import Batch, BatchWeather, simulate_batch
+from greenroof_ros.forecast.choice import PERFECT
+from greenroof_ros.model.initial_state import find_state
+from greenroof_ros.model.site import Site, check_site, read_site
+from greenroof_ros.model.storm_water import connected_area
+
+SITE_FILE = "site.yaml"
+"""name of the input file with what all buildings have in common"""
+METRICS = (
+    "discharge_m3", "wet_discharge_m3", "overflow_m3", "overflow_days", "pumped_m3", "mains_m3",
+    "stress_hours",
+)
+"""what is kept of each building"""
+# Cells whose weather a worker keeps.
+_CELLS_KEPT = 8
+
+
+def weather_file(cell: int) -> str:
+    """Return the name of the input file with the weather of a cell."""
+    return f"weather-{cell}.pickle"
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some buildings and what empties their cisterns.
+
+    Attributes:
+        places: of the buildings, among all of the district.
+        district: with what all have in common.
+        outlets: what is simulated, each in its turn.
+        buildings: the buildings.
+        groups: to which they belong by adoption.
+        group_count: number of groups; buildings of no group stay as they are.
+        valves: whether they have a valve, or an orifice in its place.
+        progress: gets the share that is done.
+    """
+
+    places: slice
+    district: District
+    outlets: tuple[str, ...]
+    buildings: Buildings
+    groups: NDArray[np.intp]
+    group_count: int
+    valves: NDArray[np.bool_]
+    progress: ShareFile
+
+
+@dataclass(frozen=True)
+class PartResult:
+    """What comes of a part.
+
+    Attributes:
+        areas: connected area of each building (m2), shape (n,).
+        hydrographs: discharge to the sewer of each group in each interval (m3), by outlet, shape
+            (groups, intervals); of none those with a valve first, then the others.
+        metrics: of each building, by outlet and name, shape (n,); NaN if it has another outlet.
+    """
+
+    areas: Values
+    hydrographs: dict[str, Values]
+    metrics: dict[str, dict[str, Values]]
+
+
+@lru_cache(_CELLS_KEPT)
+def _read_weather(file: Path) -> BatchWeather:
+    weather: BatchWeather = pickle.loads(file.read_bytes())  # noqa: S301 - of this command
+    return weather
+
+
+def simulate_part(directory: Path, part: Part) -> PartResult:
+    """Simulate a part.
+
+    Args:
+        directory: with the input files.
+        part: the buildings.
+
+    Raises:
+        ConfigurationError: a building's site is wrong.
+    """
+    buildings, count = part.buildings, part.group_count
+    sites = [*_make_sites(directory / SITE_FILE, buildings)]
+    adopts = part.groups < count
+    simulated: dict[str, NDArray[np.intp]] = {}
+    groups, variants = list[NDArray[np.intp]](), list[_Variant]()
+    rows: dict[str, slice] = {}
+    first = 0
+    for outlet in part.outlets:
+        everyone = outlet == NONE
+        places = np.flatnonzero(adopts & (part.valves | everyone))
+        simulated[outlet] = places
+        groups.append(first + part.groups[places] + count * (everyone & ~part.valves[places]))
+        variants += [
+            _with_outlet(part.district, outlet, sites, buildings, n) for n in places.tolist()
+        ]
+        rows[outlet] = slice(first, first := first + count * (1 + everyone))
+    if not variants:
+        return PartResult(_areas(sites), {}, {})
+    places = np.concatenate([*simulated.values()])
+    cells, weather_of = np.unique(buildings.cells[places], return_inverse=True)
+    result = simulate_batch(
+        Batch(
+            [variant.site for variant in variants],
+            [_read_weather(directory / weather_file(cell)) for cell in cells.tolist()],
+            weather_of, [variant.parameters for variant in variants],
+            np.array([variant.state[0] for variant in variants]),
+            np.array([variant.state[1] for variant in variants]),
+            part.district.forecast == PERFECT,
+        ),
+        np.concatenate(groups), part.progress.write,
+    )
+    metrics = {
+        outlet: {name: np.full(len(buildings), np.nan) for name in METRICS} for outlet in rows
+    }
+    begin = 0
+    for outlet, places in simulated.items():
+        end = begin + len(places)
+        for name in METRICS:
+            metrics[outlet][name][places] = result.metrics[name][begin:end]
+        begin = end
+    assert result.hydrograph is not None
+    hydrograph = np.zeros((first, result.hydrograph.shape[1]))
+    hydrograph[: len(result.hydrograph)] = result.hydrograph  # the last groups may be empty
+    return PartResult(
+        _areas(sites), {outlet: hydrograph[those] for outlet, those in rows.items()}, metrics
+    )
+
+
+def _areas(sites: Sequence[Site]) -> Values:
+    return np.array([connected_area(site) for site in sites])
+
+
+def _make_sites(file: Path, buildings: Buildings) -> Iterator[Site]:
+    """Yield the site of each building."""
+    names = [name for name in buildings.values if not is_of_policy(name)]
+    for place in range(len(buildings)):
+        try:
+            yield read_site(file, {name: buildings.values[name][place] for name in names})
+        except ConfigurationError as error:
+            raise buildings.refuse(place, error) from None
+
+
+class _Variant(NamedTuple):
+    """A building with one kind of outlet."""
+
+    site: Site
+    parameters: dict[str, Any]
+    """of on/off control and the valve"""
+    state: tuple[float, float]
+    """initial volumes in the cistern and on the roof (m3)"""
+
+
+def _with_outlet(
+    district: District, outlet: str, sites: Sequence[Site], buildings: Buildings, place: int
+) -> _Variant:
+    """Return a building with a kind of outlet."""
+    site = sites[place]
+    given = {
+        name: values[place] for name, values in buildings.values.items() if is_of_policy(name)
+    }
+    if outlet in (NONE, ORIFICE):
+        lacking = dict.fromkeys(("low_outlet_level", "low_outlet_radius")) if outlet == NONE else {
+            name: value for name, value in asdict(district.orifice).items() if value is not None
+        }
+        site = replace(site, low_outlet_valve=False, valve_closed_in_frost=False, **lacking)
+        given = {name: value for name, value in given.items() if name == LEVEL.name}
+    else:
+        given["outlet"] = outlet
+    try:
+        parameters = find_controller("onoff").complete_parameters(check_site(site), given)
+        return _Variant(site, parameters, find_state(site, None, None)[1])
+    except ConfigurationError as error:
+        raise buildings.refuse(place, error) from None

@@ -1,0 +1,192 @@
+"""A district's run: its parts, handed to workers, and the sums over them."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greenroof_ros.analysis.district.adoption import Adoption
+from greenroof_ros.analysis.district.buildings import Buildings, Values, make_buildings
+from greenroof_ros.analysis.district.district_file import (
+    NONE,
+    OUTLETS,
+    PLAN,
+    District,
+    read_district,
+)
+from greenroof_ros.analysis.district.parts import (
+    SITE_FILE,
+    Part,
+    simulate_part,
+    weather_file,
+)
+from greenroof_ros.analysis.district.totals import Totals
+from greenroof_ros.analysis.workers.processes import Workers
+from greenroof_ros.analysis.workers.progress import ShareFile
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import YamlMapping
+from greenroof_ros.common.processes import scratch_directory
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.experiment.batch import BatchWeather
+from greenroof_ros.experiment.inputs import make_inputs
+from greenroof_ros.experiment.run import Run
+from greenroof_ros.model.site import Site, format_site
+from greenroof_ros.model.storm_water import interval_seconds
+
+# Buildings in a part. Parts do not depend on the workers, and so neither do the bits of their sums.
+_PART = 500
+_REFRESH_S = 0.5
+PRELOADED = ["greenroof_ros.analysis.district.parts"]
+"""modules that every worker needs"""
+
+
+@dataclass(frozen=True)
+class DistrictRun:
+    """A district that has been read: what is simulated.
+
+    Attributes:
+        district: its file.
+        site: what all buildings have in common.
+        buildings: all buildings.
+        runs: the site's run in each cell, with its weather.
+        cells: names of the cells; empty if there is one weather.
+        notes: what a reader must know before the results, in sentences.
+    """
+
+    district: District
+    site: Site
+    buildings: Buildings
+    runs: Sequence[Run]
+    cells: Sequence[str]
+    notes: Sequence[str]
+
+    @cached_property
+    def weather(self) -> list[BatchWeather]:
+        """The weather of each cell."""
+        return [BatchWeather.of_run(run) for run in self.runs]
+
+    @property
+    def adoption(self) -> Adoption:
+        """The groups."""
+        shares = [share for share in sorted({*self.district.adoption}) if share]
+        return Adoption(len(self.buildings), shares, self.district.valve_share)
+
+    @property
+    def outlets(self) -> tuple[str, ...]:
+        """The kinds of outlets; none is always one, as a comparison and without a valve."""
+        return tuple(name for name in OUTLETS if name in (NONE, *self.district.outlets))
+
+    @property
+    def rain(self) -> Values:
+        """Depth of rain in each interval in each cell (m), shape (cells, intervals)."""
+        size = round(interval_seconds(self.site) / self.site.tau)
+        ticks = self.site.tau * np.array([weather.rain[:-1] for weather in self.weather])
+        return np.asarray(np.add.reduceat(ticks, np.arange(0, ticks.shape[1], size), axis=1))
+
+    @property
+    def files(self) -> dict[str, bytes]:
+        """The input files of the workers, by name."""
+        return {
+            SITE_FILE: format_site(self.site).encode(),
+            **{weather_file(n): pickle.dumps(cell) for n, cell in enumerate(self.weather)},
+        }
+
+    def parts(self, scratch: Path) -> Iterator[Part]:
+        """Yield the parts: plans take as long as all others together, and are parts of their own.
+
+        Args:
+            scratch: where workers of this machine write their progress.
+        """
+        adoption = self.adoption
+        together = tuple(name for name in self.outlets if name != PLAN)
+        for outlets in ((PLAN,) * (PLAN in self.outlets), together):  # the longest first
+            for first in range(0, len(self.buildings) * bool(outlets), _PART):
+                places = slice(first, first + _PART)
+                buildings = self.buildings.part(places)
+                yield Part(
+                    places, replace(self.district, content=YamlMapping()), outlets, buildings,
+                    adoption.groups(buildings.ranks), len(adoption.shares),
+                    adoption.have_valve(buildings.ranks),
+                    ShareFile(scratch / f"{outlets[0]}-{first}"),
+                )
+
+
+def read_run(path: Path, places: Sequence[Path] = ()) -> DistrictRun:
+    """Read the file of a district, and all files that it names.
+
+    Args:
+        path: of the file.
+        places: further directories for weather files.
+
+    Raises:
+        ConfigurationError: a file is wrong.
+    """
+    district, site = read_district(path)
+    weather, notes = district.weather, list[str]()
+    if weather.cells is not None:
+        files = {f"weather.cells.{name}": file for name, file in weather.cells.items()}
+    else:
+        files = {"weather.file": weather.file or ""}
+    runs = []
+    for key, name in files.items():
+        found = district.find_files(key, name, places)
+        given = {
+            name: getattr(weather, name)
+            for name in ("start", "hours", "evapotranspiration", "gaps")
+        }
+        try:
+            run = make_inputs(
+                find_controller("onoff"), {"site": site, "weather": found, **given}
+            ).build()
+        except ConfigurationError as error:
+            if error.file is not None or error.key not in given:
+                raise
+            raise district.refuse(f"weather.{error.key}", error.expected, error.value) from None
+        runs.append(run)
+        notes += run.notes()
+    cells = [*(weather.cells or ())]
+    buildings = make_buildings(district, site, cells, notes)
+    return DistrictRun(district, site, buildings, runs, cells, notes)
+
+
+def simulate_district(
+    run: DistrictRun, workers: Workers, progress: Callable[[str, float], None],
+    check: Callable[[], None],
+) -> Totals:
+    """Simulate all parts and add them up.
+
+    Args:
+        run: the district.
+        workers: with the input files.
+        progress: is called with what is done, and its share of all.
+        check: is called often; what it raises ends the run.
+
+    Raises:
+        ConfigurationError: a building's site is wrong.
+        WorkersLostError: no worker is left.
+    """
+    totals = Totals(
+        run.site, run.buildings, run.adoption, run.outlets, run.rain, run.district.sewer_capacity
+    )
+    with scratch_directory() as scratch:
+        parts = [*run.parts(scratch)]
+        pending: dict[Future[Any], Part] = {
+            workers.submit(simulate_part, part): part for part in parts
+        }
+        while pending:
+            workers.check()
+            done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
+            for future in done:
+                totals.add(pending.pop(future).places, workers.result(future))
+            begun = sum(part.progress.read() for part in pending.values())
+            ready = len(parts) - len(pending)
+            progress(f"{ready} of {len(parts)} parts", (ready + begun) / len(parts))
+            check()
+    return totals

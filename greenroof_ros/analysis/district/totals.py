@@ -1,0 +1,180 @@
+"""The sums over a district: what reaches the sewer at each adoption, with each kind of outlet.
+
+Flows add up at once: nothing is routed, so a peak here is at most reached in a real sewer, and
+later. Wet weather is that of any cell, as they share one sewer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from greenroof_ros.analysis.district.adoption import Adoption
+from greenroof_ros.analysis.district.buildings import Buildings, Values
+from greenroof_ros.analysis.district.district_file import NONE
+from greenroof_ros.analysis.district.parts import METRICS, PartResult
+from greenroof_ros.model.site import Site
+from greenroof_ros.model.storm_water import (
+    Intervals,
+    find_peak,
+    find_wet_weather,
+    interval_seconds,
+)
+
+PEAK_MIN = (5, 15, 60)
+"""Peaks are means over these times (min)."""
+_HOUR_S = 3600.0
+# More than the rounding errors of an interval's sums (m3), and no water that matters.
+_NOTHING = 1e-6
+# Unit of the sums of volumes: 2^-40 m3. A million buildings stay below 2^63 of it.
+_PER_M3 = 2.0**40
+# Results of which the reduction is given, against the district as it is.
+_REDUCED = ("wet_discharge_m3", *(f"peak_{minutes}min_l_s" for minutes in PEAK_MIN),
+            "sewer_overflow_m3")
+
+
+class Flow(NamedTuple):
+    """A row of the results: one kind of outlet at one adoption."""
+
+    outlet: str
+    adoption: float
+
+
+AS_IS = Flow(NONE, 0.0)
+"""no building has a green roof or a cistern"""
+
+
+class Totals:
+    """Adds up the results of parts, in any order.
+
+    Volumes are added as whole multiples of 2^-40 m3, so that the sums are the same to the bit in
+    any order. What is known of each building has its place.
+    """
+
+    def __init__(
+        self, site: Site, buildings: Buildings, adoption: Adoption, outlets: Sequence[str],
+        rain: Values, capacity: float | None,
+    ) -> None:
+        """Begin with nothing.
+
+        Args:
+            site: with what all buildings have in common.
+            buildings: all of them.
+            adoption: their groups.
+            outlets: the kinds; none is one of them.
+            rain: depth in each interval in each cell (m), shape (cells, intervals).
+            capacity: of the sewer, over the connected area (mm/h); None if it is unknown.
+        """
+        self.outlets, self.adoption, self.rain = outlets, adoption, rain
+        self.seconds = interval_seconds(site)
+        """duration of an interval (s)"""
+        self._capacity, self._buildings = capacity, buildings
+        self._groups = adoption.groups(buildings.ranks)
+        self._valves = adoption.have_valve(buildings.ranks)
+        count = len(adoption.shares)
+        self.areas = np.zeros(len(buildings))
+        """connected area of each building (m2)"""
+        self._volumes = {
+            outlet: np.zeros((count * (1 + (outlet == NONE)), rain.shape[1]), np.int64)
+            for outlet in outlets
+        }
+        self.metrics = {
+            outlet: {name: np.full(len(buildings), np.nan) for name in METRICS}
+            for outlet in outlets
+        }
+        """of each building, by outlet and name"""
+        self.wet = np.any([
+            find_wet_weather(site.wet_after, Intervals(self.seconds, cell, cell)) for cell in rain
+        ], axis=0)
+        """which intervals are in wet weather"""
+
+    def add(self, places: slice, result: PartResult) -> None:
+        """Add the part with the buildings at some places; each place and outlet comes once."""
+        self.areas[places] = result.areas
+        for outlet, volumes in result.hydrographs.items():
+            self._volumes[outlet] += np.rint(volumes * _PER_M3).astype(np.int64)
+            for name, values in result.metrics[outlet].items():
+                self.metrics[outlet][name][places] = values
+
+    @property
+    def area(self) -> float:
+        """Connected area of all buildings (m2)."""
+        return float(self.areas.sum())
+
+    @property
+    def flows(self) -> list[Flow]:
+        """The district as it is, and each kind of outlet at each adoption."""
+        return [AS_IS, *(
+            Flow(outlet, share) for outlet in self.outlets for share in self.adoption.shares
+        )]
+
+    def discharge(self, flow: Flow) -> Values:
+        """Return what reaches the sewer in each interval (m3), shape (intervals,).
+
+        Buildings without a low outlet have the same in every kind; on those without a green roof
+        all rain runs off at once.
+        """
+        adopted = self._adopted(flow)
+        total = np.zeros(self.rain.shape[1], np.int64)
+        for outlet, groups in self._parts(flow):
+            total += self._volumes[outlet][groups].sum(axis=0)
+        others = np.where(self._groups < adopted, 0.0, self.areas)
+        areas = np.bincount(self._buildings.cells, others, len(self.rain))
+        return np.asarray(total / _PER_M3 + areas @ self.rain)
+
+    def sum(self, flow: Flow, name: str) -> float:
+        """Return the sum of a metric over the buildings with a green roof."""
+        adopts = self._groups < self._adopted(flow)
+        return sum(
+            float(self.metrics[outlet][name][adopts & (self._valves == has_valve)].sum())
+            for outlet, has_valve in ((flow.outlet, True), (NONE, False))
+        )
+
+    def _adopted(self, flow: Flow) -> int:
+        """Return how many groups have a green roof."""
+        return sum(share <= flow.adoption for share in self.adoption.shares)
+
+    def _parts(self, flow: Flow) -> list[tuple[str, slice]]:
+        """Return the sums of the groups with a green roof: those with a valve, and the others."""
+        count, adopted = len(self.adoption.shares), self._adopted(flow)
+        return [(flow.outlet, slice(adopted)), (NONE, slice(count, count + adopted))]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the results, a row for each of :attr:`flows`; units are in the names."""
+        reference = self._row(AS_IS, {})
+        return [self._row(flow, reference) for flow in self.flows]
+
+    def _row(self, flow: Flow, reference: Mapping[str, Any]) -> dict[str, Any]:
+        volumes, area = self.discharge(flow), self.area
+        wet = float(volumes[self.wet].sum())
+        row: dict[str, Any] = {
+            **flow._asdict(),
+            "buildings": self.adoption.counts[self._adopted(flow) - 1] if flow.adoption else 0,
+            "rain_m3": float(self.areas @ self.rain.sum(axis=1)[self._buildings.cells]),
+            "discharge_m3": float(volumes.sum()),
+            "wet_discharge_m3": wet,
+        }
+        for weather, where in (("", volumes), ("dry_", np.where(self.wet, 0.0, volumes))):
+            for minutes in PEAK_MIN:
+                peak = find_peak(Intervals(self.seconds, self.rain[0], where), minutes)
+                row[f"{weather}peak_{minutes}min_l_s"] = 1000 * peak
+                row[f"{weather}peak_{minutes}min_mm_h"] = 1000 * _HOUR_S * peak / area
+        if self._capacity is not None:
+            beyond = volumes - self._capacity / 1000 / _HOUR_S * area * self.seconds
+            hours = self.seconds / _HOUR_S
+            row |= {
+                "sewer_overflow_m3": float(beyond[beyond > _NOTHING].sum()),
+                "sewer_overflow_hours": hours * int((beyond > _NOTHING).sum()),
+                "dry_sewer_overflow_m3": float(beyond[(beyond > _NOTHING) & ~self.wet].sum()),
+            }
+        for name in METRICS:
+            row.setdefault(name, self.sum(flow, name))
+        row["demand_met_share"] = (
+            1 - row["mains_m3"] / row["pumped_m3"] if row["pumped_m3"] else None
+        )
+        return row | {
+            f"{name.rpartition('_')[0]}_reduction": 1 - row[name] / reference[name]
+            for name in _REDUCED if reference.get(name)
+        }

@@ -1,0 +1,134 @@
+"""What green roofs and cisterns on many buildings send to one sewer: ``greenroof district``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from rich.console import Console
+from rich.table import Column, Table
+
+from greenroof_ros.analysis.workers.choice import (
+    add_worker_arguments,
+    check_workers,
+    open_workers,
+)
+from greenroof_ros.common.command_line import (
+    EXIT_DONE,
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    Parser,
+    command,
+)
+from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.common.progress import ProgressBar
+
+_DESCRIPTION = """\
+Simulate a district: many buildings with green roofs and cisterns, drawn from distributions or
+listed in a CSV, and add up what they send to the sewer. For each adoption, the share of buildings
+that take part, and each kind of outlet: discharge in wet weather, peaks, overflow of a sewer with a
+given capacity, and mains water, on one page that needs nothing but a browser.
+"""
+_EPILOG = """\
+The output holds page.html, results.csv (a row for each adoption and outlet), buildings.csv (a row
+for each building) and hydrographs.parquet (m3/s, interval by interval), and with --swmm a folder
+for EPA SWMM.
+
+exit codes: 0 done, 1 the workers are gone, 2 bad usage or configuration, 130 interrupted
+
+examples:
+  greenroof district config/districts/example.yaml --weather weather --output district
+  greenroof district my_district.yaml --output district --jobs 4 --swmm
+"""
+
+
+def make_parser() -> Parser:
+    """Return the parser of the command line."""
+    parser = Parser(prog="greenroof district", description=_DESCRIPTION, epilog=_EPILOG)
+    parser.add_argument(
+        "district", type=Path, metavar="DISTRICT.yaml",
+        help="buildings, weather, adoption and sewer, such as config/districts/example.yaml",
+    )
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="DIR",
+        help="write the results to DIR, new or empty",
+    )
+    parser.add_argument(
+        "--weather", type=Path, metavar="DIR",
+        help="look in DIR for weather files that are not next to DISTRICT.yaml",
+    )
+    add_worker_arguments(parser, "parts of the district")
+    parser.add_argument(
+        "--swmm", action="store_true",
+        help="write the hydrographs as time series for EPA SWMM, with a network that takes them",
+    )
+    return parser
+
+
+@command
+def main() -> int:
+    """Simulate the district named on the command line."""
+    arguments = make_parser().parse_args()
+    check_workers(arguments)
+    if arguments.weather is not None and not arguments.weather.is_dir():
+        raise ConfigurationError(
+            "must be a directory with weather files", key="--weather", value=str(arguments.weather)
+        )
+    with require_extra("study"):
+        from greenroof_ros.analysis.district import output, page, run
+    district = run.read_run(
+        arguments.district, [] if arguments.weather is None else [arguments.weather]
+    )
+    for note in district.notes:
+        print(f"note: {note}", file=sys.stderr)
+    output.make_directory(arguments.output)
+    signals: Signals | None = None
+    try:
+        with open_workers(arguments, district.files, run.PRELOADED) as workers:
+            signals = Signals()  # from now on a signal ends the run between two results
+            with ProgressBar() as progress:
+                totals = run.simulate_district(district, workers, progress.show, signals.check)
+    except (BrokenExecutor, InterruptedRun) as error:
+        received = None if signals is None else signals.received
+        print(
+            f"error: {error}" if received is None else f"interrupted by {received.name}",
+            file=sys.stderr,
+        )
+        return EXIT_FAILED if received is None else EXIT_INTERRUPTED
+    rows = totals.rows()
+    output.write(arguments.output, district, totals, rows, with_swmm=arguments.swmm)
+    _show(rows, page)
+    print(page.summarise(district, rows))
+    for warning in page.warn(district, rows):
+        print(f"warning: {warning}", file=sys.stderr)
+    print(f"written to {arguments.output / output.PAGE}")
+    return EXIT_DONE
+
+
+# Columns of the printed table: their headers, and the names of the results.
+_SHOWN = {
+    "in wet weather (m3)": "wet_discharge_m3", "peak of 60 min (mm/h)": "peak_60min_mm_h",
+    "sewer overflow (m3)": "sewer_overflow_m3", "mains water (m3)": "mains_m3",
+}
+
+
+def _show(rows: Sequence[Mapping[str, Any]], page: ModuleType) -> None:
+    """Print the most important results."""
+    columns = {header: name for header, name in _SHOWN.items() if name in rows[0]}
+    table = Table(
+        Column("buildings", justify="right"), "outlet",
+        *(Column(header, justify="right") for header in columns),
+        title="What reaches the sewer", title_justify="left",
+    )
+    for row in rows:
+        table.add_row(
+            page.percent(row["adoption"]),
+            page.LABELS[row["outlet"]] if row["adoption"] else page.AS_IS_LABEL,
+            *(f"{row[name]:,.4g}" for name in columns.values()),
+        )
+    Console().print(table)

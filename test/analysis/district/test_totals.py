@@ -1,0 +1,150 @@
+"""The sums over a district: against runs of single sites, by hand, and in any order."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from districts import WEATHER, edit, empty_totals, simulate_here, write_district
+
+from greenroof_ros.analysis.district.parts import SITE_FILE, simulate_part
+from greenroof_ros.analysis.district.run import DistrictRun, read_run
+from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
+from greenroof_ros.analysis.workers.input_files import write_inputs
+from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.experiment.closed_loop import Simulation
+from greenroof_ros.experiment.inputs import make_inputs
+from greenroof_ros.model.site import Site, read_site
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DistrictRun, Totals]:
+    """Simulate the district once; return the directory, too."""
+    directory = tmp_path_factory.mktemp("district")
+    return directory, *simulate_here(directory)
+
+
+Simulated = tuple[Path, DistrictRun, Totals]
+
+
+def site_of(run: DistrictRun, directory: Path, place: int, outlet: str) -> Site:
+    """Return the site of a building with a kind of outlet."""
+    changes = {key: values[place] for key, values in run.buildings.values.items()}
+    site = read_site(directory / SITE_FILE, changes)
+    if outlet == "none":
+        return replace(
+            site, low_outlet_level=None, low_outlet_radius=None, low_outlet_valve=False
+        )
+    return replace(site, low_outlet_valve=False) if outlet == "orifice" else site
+
+
+def results_of(site: Site, outlet: str) -> dict[str, Any]:
+    """Return the summary of the run of one site."""
+    given = {"outlet": outlet} if site.low_outlet_valve else {}
+    simulation = Simulation(make_inputs(find_controller("onoff"), {
+        "site": site, "weather": WEATHER, "start": "2021-07-07T00:00", "hours": 72.0, **given,
+    }).build())
+    for _ in simulation.ticks():
+        pass
+    return simulation.summary()
+
+
+def test_sums_of_single_runs(simulated: Simulated) -> None:
+    """Half of the buildings with a green roof, half of these with a valve; the others as they are.
+
+    Each building is simulated alone, and the sums are made here.
+    """
+    directory, run, totals = simulated
+    rows = {(row["outlet"], row["adoption"]): row for row in totals.rows()}
+    order = np.argsort(run.buildings.ranks)
+    for outlet in ("none", "orifice", "drain", "plan"):
+        sums: Counter[str] = Counter()
+        for rank, place in enumerate(order.tolist()):
+            site = site_of(run, directory / "inputs", place, outlet)
+            area = site.a2 + site.a_in * site.runoff_coefficient
+            if rank >= 4:
+                for name in ("discharge_m3", "wet_discharge_m3"):
+                    sums[name] += area * run.rain.sum()
+                continue
+            own = outlet if rank % 2 else "none"  # every other one has a valve
+            results = results_of(site_of(run, directory / "inputs", place, own), own)
+            for name in ("discharge_m3", "wet_discharge_m3", "mains_m3", "pumped_m3"):
+                sums[name] += results[name] or 0.0
+        row = rows[outlet, 0.5]
+        assert row["buildings"] == 4
+        for name, value in sums.items():
+            assert row[name] == pytest.approx(value, rel=1e-6), (outlet, name)
+
+
+def test_no_green_roof(simulated: Simulated) -> None:
+    """All rain runs off at once, in wet weather; its peak is the rain's."""
+    _, run, totals = simulated
+    row = totals.rows()[0]
+    assert (row["outlet"], row["adoption"], row["buildings"]) == ("none", 0.0, 0)
+    rain = run.rain[0]
+    assert row["rain_m3"] == pytest.approx(rain.sum() * totals.area)
+    assert row["discharge_m3"] == pytest.approx(row["rain_m3"])
+    assert row["wet_discharge_m3"] == pytest.approx(row["rain_m3"])
+    hourly = rain.reshape(-1, 60).sum(axis=1)  # the record is hourly
+    assert row["peak_60min_mm_h"] == pytest.approx(1000 * hourly.max())
+    assert row["peak_5min_mm_h"] == pytest.approx(1000 * hourly.max())
+    assert row["dry_peak_5min_mm_h"] == 0
+
+
+def test_sewer(simulated: Simulated, tmp_path: Path) -> None:
+    """What exceeds the capacity overflows: of hourly rain it is the sum of the excesses."""
+    _, run, totals = simulated
+    row = totals.rows()[0]
+    hourly = 1000 * run.rain[0].reshape(-1, 60).sum(axis=1)
+    excess = np.maximum(hourly - 2.0, 0.0)
+    assert excess.sum() > 10
+    assert row["sewer_overflow_m3"] == pytest.approx(excess.sum() / 1000 * totals.area)
+    assert row["sewer_overflow_hours"] == pytest.approx((excess > 0).sum())
+    without = empty_totals(read_run(write_district(tmp_path, edit("sewer_capacity: 2.0\n", ""))))
+    without.areas[:] = totals.areas
+    assert "sewer_overflow_m3" not in without.rows()[0]
+
+
+def test_parts_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bits of the sums are the same in any order of the parts."""
+    monkeypatch.setattr("greenroof_ros.analysis.district.run._PART", 3)
+    run = read_run(write_district(tmp_path))
+    write_inputs(run.files, tmp_path)
+    results = [(part.places, simulate_part(tmp_path, part)) for part in run.parts(tmp_path)]
+    assert len(results) == 6
+    found = []
+    for order in (results, results[::-1], [*results[3:], *results[:3]]):
+        totals = empty_totals(run)
+        for places, result in order:
+            totals.add(places, result)
+        found.append((totals.rows(), totals.discharge(Flow("plan", 0.5)).tobytes()))
+    assert found[0] == found[1] == found[2]
+
+
+def test_cells(tmp_path: Path) -> None:
+    """Half of the buildings have each weather; wet weather is that of either."""
+    later, columns = tmp_path / "later.csv", "temperature [degC],evapotranspiration [mm/day]"
+    later.write_text(f"time,precipitation [mm/h],{columns}\n" + "".join(
+        f"2021-07-{1 + n // 24:02}T{n % 24:02}:00-05:00,{5 * (n == 500)},20,4\n"
+        for n in range(744)
+    ))
+    text = edit(f"file: {WEATHER}", f"cells: {{north: {WEATHER}, south: {later}}}")
+    text = text.replace("2021-07-07T00:00, hours: 72", "2021-07-20T00:00, hours: 48")
+    run, totals = simulate_here(tmp_path, text)
+    assert run.buildings.cells.tolist() == [0] * 4 + [1] * 4
+    areas = [totals.areas[:4].sum(), totals.areas[4:].sum()]
+    expected = areas @ run.rain
+    assert totals.discharge(AS_IS) == pytest.approx(expected)
+    assert run.rain[0].sum() != run.rain[1].sum() == pytest.approx(0.005)
+    rains = np.flatnonzero(run.rain[1])
+    assert totals.wet[rains[0] : rains[-1] + 121].all()
+
+
+def test_nothing_to_adopt(tmp_path: Path) -> None:
+    """With adoption 0 alone there is only the district as it is."""
+    _, totals = simulate_here(tmp_path, edit("[0.25, 0.5, 1.0]", "[0]"))
+    assert [row["adoption"] for row in totals.rows()] == [0]

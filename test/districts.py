@@ -1,0 +1,59 @@
+"""Small districts for the tests: their files, and how they are simulated in this process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from places import DATA
+
+from greenroof_ros.analysis.district.parts import simulate_part
+from greenroof_ros.analysis.district.run import DistrictRun, read_run
+from greenroof_ros.analysis.district.totals import Totals
+from greenroof_ros.analysis.workers.input_files import write_inputs
+
+WEATHER = DATA / "en_climate_hourly_07-2021.csv"
+# Two storms, with 23 mm and 13 mm within hours; dry days before, between and after them.
+DISTRICT = f"""
+site: site_valve.yaml
+buildings: 8
+draw:
+  catchment_area: {{mean: 200, sd: 120, low: 60, high: 1000}}
+  cistern_volume: {{low: 1.0, high: 6.0}}
+  substrate_depth: {{values: [0.08, 0.108]}}
+weather: {{file: {WEATHER}, start: 2021-07-07T00:00, hours: 72}}
+adoption: [0.25, 0.5, 1.0]
+valve_share: 0.5
+sewer_capacity: 2.0
+"""
+
+
+def write_district(directory: Path, text: str = DISTRICT) -> Path:
+    """Write a district's file."""
+    file = directory / "district.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def edit(old: str, new: str) -> str:
+    """Return the district with a replaced part."""
+    assert old in DISTRICT
+    return DISTRICT.replace(old, new)
+
+
+def empty_totals(run: DistrictRun) -> Totals:
+    """Return the sums of a district before its first part."""
+    return Totals(
+        run.site, run.buildings, run.adoption, run.outlets, run.rain, run.district.sewer_capacity
+    )
+
+
+def simulate_here(directory: Path, text: str = DISTRICT) -> tuple[DistrictRun, Totals]:
+    """Simulate a district in this process."""
+    run = read_run(write_district(directory, text))
+    inputs = directory / "inputs"
+    inputs.mkdir()
+    write_inputs(run.files, inputs)
+    totals = empty_totals(run)
+    for part in run.parts(directory):
+        totals.add(part.places, simulate_part(inputs, part))
+    return run, totals
