@@ -22,12 +22,12 @@ from greenroof_ros.controllers.outlet import PLAN, parameters_on
 from greenroof_ros.controllers.outlet_plan import HORIZON_H
 from greenroof_ros.controllers.outlets import OutletGroup, Outlets, find_dry_ticks
 from greenroof_ros.controllers.registry import find_controller
-from greenroof_ros.experiment.batch_metrics import BatchMetrics, Block, Clock
+from greenroof_ros.experiment.batch_metrics import BatchMetrics, Clock
 from greenroof_ros.experiment.inputs import RunInputs
 from greenroof_ros.experiment.run import Run
 from greenroof_ros.forecast.resampling import Forecast, make_forecast
 from greenroof_ros.model.look_ahead import look_ahead_ends
-from greenroof_ros.model.plants import Moved, Plants
+from greenroof_ros.model.plants import Plants
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.sites import Sites
 from greenroof_ros.model.storm_water import Intervals, find_wet_weather, interval_seconds
@@ -38,8 +38,8 @@ Rows = NDArray[np.intp]
 
 # Sites that are stepped together: their arrays fit in the processor's cache.
 _TOGETHER = 2000
-# Values of a block of ticks, and its ticks.
-_BLOCK, _BLOCK_TICKS = 200_000, 240
+# Ticks between two reports of progress.
+_BLOCK = 1440
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +194,7 @@ def simulate_batch(
     done = 0
     for rows in _split(every, batch.weather_of):
         part = _Part(batch, every, rows, groups, hydrograph)
-        for ticks in part.blocks():
+        for ticks in part.simulate():
             done += ticks * len(rows)
             if progress is not None:
                 progress(done / (steps * len(every)))
@@ -230,9 +230,10 @@ class _Part:
         self._per_interval = _count_per_interval(own[0])
         given = [batch.parameters[row] for row in rows]
         parameters = _complete(own, given)
-        self._fraction = parameters["fraction"]
-        self._dry_below = parameters["level"] * self._sites.z_veg
-        self._plants = Plants(self._sites, batch.x1[rows], batch.x2[rows])
+        self._plants = Plants(
+            self._sites, batch.x1[rows], batch.x2[rows], parameters["fraction"],
+            parameters["level"],
+        )
         self._beds = np.empty(len(rows))
         for number, of_weather in self._by_weather():
             self._beds[of_weather] = batch.weather[number].beds(self._sites)[of_weather]
@@ -243,8 +244,9 @@ class _Part:
         self._clocks = self._find_clocks(own)
         self._has_quiet_hours = any(site.quiet for site in own)
         self._changes = self._find_changes()
+        self._allowed: NDArray[np.bool_] | None = None
         self._metrics = BatchMetrics(
-            self._sites, self._per_interval, list(self._find_wet()), self._clocks,
+            self._plants, self._steps, self._per_interval, list(self._find_wet()), self._clocks,
             None if groups is None else groups[rows], hydrograph,
         )
 
@@ -295,31 +297,24 @@ class _Part:
             ) for rows in clocks.values()
         ]
 
-    def blocks(self) -> Iterator[int]:
-        """Simulate, and yield the number of ticks of each block after it."""
-        n, each = len(self._sites), self._per_interval
-        size = each * max(1, min(_BLOCK_TICKS, _BLOCK // n) // each)
-        buffer = np.empty((1 + len(Moved._fields), size, n))
-        for first in range(0, self._steps, size):
-            block = buffer[:, : min(size, self._steps - first)]
-            self._simulate(first, block)
-            self._metrics.add(first, Block(*block))
-            yield block.shape[1]
-
-    def _simulate(self, first: int, block: Values) -> None:
-        """Simulate the ticks of a block, and write down what moves."""
-        plants, outlets, quiet = self._plants, self._outlets, self._has_quiet_hours
-        for k in range(block.shape[1]):
-            tick = first + k
+    def simulate(self) -> Iterator[int]:
+        """Simulate, and yield the number of ticks now and then."""
+        plants, outlets, metrics = self._plants, self._outlets, self._metrics
+        for tick in range(self._steps):
             if self._changes[tick]:
                 self._set_weather(tick)
-            allowed = self._allowed & ~self._find_quiet(tick) if quiet else self._allowed
-            command = self._control(allowed)
+            allowed = self._allowed
+            if self._has_quiet_hours:
+                quiet = self._find_quiet(tick)
+                allowed = ~quiet if allowed is None else allowed & ~quiet
             outlet = outlets.command(tick, plants.x1, plants.x2)
             if self._closed is not None:
                 outlet = np.where(self._closed, 0.0, outlet)
-            block[0, k] = plants.x2
-            plants.tick(command, outlet, Moved(*block[1:, k]))
+            plants.tick(outlet, allowed)
+            metrics.add(tick)
+            if tick % _BLOCK == _BLOCK - 1:
+                yield _BLOCK
+        yield self._steps % _BLOCK
 
     def _find_changes(self) -> NDArray[np.bool_]:
         """Return in which ticks the weather is not that of the tick before."""
@@ -338,17 +333,9 @@ class _Part:
             for weather in self._batch.weather
         ]).T[:, self._weather_of]
         self._plants.set_weather(rain, reference * self._beds)
-        self._allowed = frost == 0
-        closed = ~self._allowed & self._sites.valve_closed_in_frost
+        self._allowed = None if not frost.any() else frost == 0
+        closed = (frost != 0) & self._sites.valve_closed_in_frost
         self._closed = closed if closed.any() else None
-
-    def _control(self, allowed: NDArray[np.bool_]) -> Values | None:
-        """Return the command of on/off control to each pump; None if all stand still."""
-        cistern, roof = self._plants.levels()
-        runs = roof < self._dry_below
-        runs &= cistern >= self._sites.suction_level
-        runs &= allowed
-        return self._fraction * runs if runs.any() else None
 
     def _find_quiet(self, tick: int) -> NDArray[np.bool_]:
         """Return which pumps must stand still in a tick, because of their quiet hours."""
@@ -365,10 +352,7 @@ class _Part:
             self._sites.tau[0] * weather.rain[: self._steps].sum()
             for weather in self._batch.weather
         ])
-        plants = self._plants
-        return self._metrics.results(
-            self._steps, plants.x1, plants.x2, plants.layer, depths[self._weather_of]
-        )
+        return self._metrics.results(self._steps, depths[self._weather_of])
 
 
 def _complete(sites: Sequence[Site], given: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

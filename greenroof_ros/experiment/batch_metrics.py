@@ -1,6 +1,7 @@
 """The metrics of many runs at once: those of :mod:`greenroof_ros.model.metrics` on arrays.
 
-They are added up in blocks of ticks, so they need no memory that grows with the length of a run.
+They are added up tick by tick, and discharges in blocks, so they need no memory that grows with
+the length of a run.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greenroof_ros.model.metrics import NEAR_TARGET, find_calendar_days
+from greenroof_ros.model.plants import Moved, Plants
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.sites import Sites
 from greenroof_ros.model.storm_water import MIN_DEPTH, connected_area
 
 Values = NDArray[np.float64]
@@ -22,22 +23,9 @@ Flags = NDArray[np.bool_]
 
 _HOUR_S = 3600.0
 _PEAKS_MIN = (5, 15, 60)
-
-
-class Block(NamedTuple):
-    """Some ticks of n runs; each array has shape (ticks, n).
-
-    The volumes in the tanks are those at the beginning of a tick, the others move in it (m3).
-    """
-
-    roof: Values
-    outflow: Values
-    pump: Values
-    drainage: Values
-    evapotranspiration: Values
-    limited: Values
-    mains: Values
-    low_outlet: Values
+_MAX_BYTE = 255
+# Discharges that are kept until they are added up.
+_VALUES = 100_000
 
 
 class Clock(NamedTuple):
@@ -51,166 +39,205 @@ class Clock(NamedTuple):
 
 
 class BatchMetrics:
-    """The metrics of runs in progress."""
+    """The metrics of runs in progress, tick by tick."""
 
     def __init__(
-        self, sites: Sites, per_interval: int, wet: Sequence[tuple[Rows, Flags]],
-        clocks: Sequence[Clock], groups: NDArray[np.intp] | None = None,
-        hydrograph: Values | None = None,
+        self, plants: Plants, ticks: int, per_interval: int, wet: Sequence[tuple[Rows, Flags]],
+        clocks: Sequence[Clock], groups: Rows | None = None, hydrograph: Values | None = None,
     ) -> None:
-        """Start.
+        """Start with the initial state.
 
         Args:
-            sites: n of them, with the same tau.
+            plants: of n sites.
+            ticks: N of the runs.
             per_interval: ticks in an interval of :mod:`greenroof_ros.model.storm_water`.
             wet: rows, and which intervals are in wet weather for them.
             clocks: each row is in one of them.
             groups: number of each row's group; None without a hydrograph.
             hydrograph: where the discharge of each group is added (m3), shape (groups, intervals).
         """
-        self._sites, self._tau, self._per_interval = sites, float(sites.tau[0]), per_interval
-        self._wet, self._clocks = wet, clocks
-        self._groups, self._hydrograph = groups, hydrograph
+        self._plants, self._sites = plants, (sites := plants.sites)
+        self._tau, self._per_interval, n = float(sites.tau[0]), per_interval, len(sites)
         self._area: Values = connected_area(cast(Any, sites))  # type: ignore[assignment]
-        n = len(sites)
-        self._sums = {name: np.zeros(n) for name in (*Block._fields, "overflow")}
-        self._counts = {name: np.zeros(n) for name in ("near", "stress")}
-        self._discharge, self._wet_discharge = np.zeros(n), np.zeros(n)
-        self._day, self._of_day = [0] * len(clocks), np.zeros(n)
-        self._overflow_days = np.zeros(n)
+        self._sums = Moved(*np.zeros((len(Moved._fields), n)))
+        self._deviation, self._near, self._stress = np.zeros((3, n))
+        # Ticks since the counts were last added, in bytes: numpy adds them quickly.
+        self._near_now, self._stress_now = np.zeros((2, n), np.uint8)
+        self._near_deviation = NEAR_TARGET * sites.x2_star
+        # Without a stress volume plants lack water on an empty roof.
+        self._stress_below = np.maximum(sites.stress_volume, np.nextafter(0.0, 1.0))
+        self._of_day, self._overflow_days = np.zeros((2, n))
+        self._midnights = _find_midnights(clocks, self._tau, ticks)
+        self._wet, self._groups, self._hydrograph = wet, groups, hydrograph
+        self._discharge, self._wet_discharge = np.zeros((2, n))
+        self._to_sewer = 1 - sites.drainage_to_cistern
+        self._peaks = np.zeros((len(_PEAKS_MIN), n))
         seconds = self._tau * per_interval
         self._windows = [60.0 * minutes / seconds for minutes in _PEAKS_MIN]
-        # Before the run nothing flowed.
-        self._before = np.zeros((1 + int(max(self._windows)), n))
-        self._peaks = np.zeros((len(_PEAKS_MIN), n))
+        # Discharge in the last intervals (m3); before the run nothing flowed.
+        self._before = 1 + int(max(self._windows))
+        self._flows = np.zeros((self._before + max(1, _VALUES // n), n))
+        self._filled, self._interval = self._before, 0
+        self._work, self._flag = np.empty(n), np.empty(n, bool)
+        self._add_roof(0)
 
-    def add(self, first: int, block: Block) -> None:
-        """Add ticks, the first of which begins an interval."""
-        self._add_roof(block.roof)
-        for name, values in zip(Block._fields[1:], block[1:], strict=True):
-            self._sums[name] += values.sum(axis=0)
-        flows = block.outflow + (1 - self._sites.drainage_to_cistern) * block.drainage
-        flows = np.add.reduceat(flows, range(0, len(flows), self._per_interval), axis=0)
-        total = flows.sum(axis=0)
-        if total.any():
-            self._add_discharge(first // self._per_interval, flows)
-            self._discharge += total
-        self._add_peaks(flows)
-        overflow = block.outflow - block.low_outlet
-        if overflow.any():
-            self._add_overflow(first, overflow)
+    def add(self, tick: int) -> None:
+        """Add what has moved in a tick, and the state at its end."""
+        plants, sums = self._plants, self._sums
+        moved, row = plants.moved, self._flows[self._filled]
+        for total, values in (
+            (sums.pump, moved.pump), (sums.drainage, moved.drainage),
+            (sums.evapotranspiration, moved.evapotranspiration),
+        ):
+            np.add(total, values, out=total)
+        if tick % self._per_interval == 0:
+            np.multiply(self._to_sewer, moved.drainage, out=row)
+        else:
+            row += self._to_sewer * moved.drainage
+        if tick in self._midnights:
+            self._end_day(self._midnights[tick])
+        if plants.flowed:
+            row += moved.outflow
+            for total, values in (
+                (sums.outflow, moved.outflow), (sums.limited, moved.limited),
+                (sums.mains, moved.mains), (sums.low_outlet, moved.low_outlet),
+            ):
+                np.add(total, values, out=total)
+            self._of_day += moved.outflow - moved.low_outlet
+        self._add_roof(tick + 1)
+        if (tick + 1) % self._per_interval == 0:
+            self._filled += 1
+            if self._filled == len(self._flows):
+                self._add_intervals()
 
-    def _add_roof(self, volumes: Values) -> None:
-        """Add what depends on the roofs' volumes (m3), shape (ticks, n)."""
-        target = self._sites.x2_star
-        deviation = np.abs(volumes - target)
-        self._sums["roof"] += deviation.sum(axis=0)
-        self._counts["near"] += (deviation <= NEAR_TARGET * target).sum(axis=0)
-        dry = (volumes < self._sites.stress_volume) | (volumes <= 0)
-        self._counts["stress"] += dry.sum(axis=0)
+    def _add_roof(self, tick: int) -> None:
+        """Add what depends on the roofs' volumes at the beginning of a tick."""
+        x2, flag = self._plants.x2, self._flag
+        deviation = np.subtract(x2, self._sites.x2_star, out=self._work)
+        np.absolute(deviation, out=deviation)
+        np.add(self._deviation, deviation, out=self._deviation)
+        np.less_equal(deviation, self._near_deviation, out=flag)
+        np.add(self._near_now, flag.view(np.uint8), out=self._near_now)
+        np.less(x2, self._stress_below, out=flag)
+        np.add(self._stress_now, flag.view(np.uint8), out=self._stress_now)
+        if tick % _MAX_BYTE == 0:
+            self._add_counts()
 
-    def _add_discharge(self, first: int, flows: Values) -> None:
-        """Add the discharge of intervals (m3), shape (intervals, n)."""
-        last = first + len(flows)
+    def _add_counts(self) -> None:
+        self._near += self._near_now
+        self._stress += self._stress_now
+        self._near_now[:] = self._stress_now[:] = 0
+
+    def _add_intervals(self) -> None:
+        """Add the discharge of the intervals that are complete."""
+        before = self._before
+        flows = self._flows[before : self._filled]
+        first, last = self._interval, self._interval + len(flows)
+        self._discharge += flows.sum(axis=0)
         for rows, wet in self._wet:
             now = wet[first:last]
             if now.any():
-                self._wet_discharge[rows] += flows[now][:, rows].sum(axis=0)
+                of_rows = flows[now] if len(rows) == flows.shape[1] else flows[now][:, rows]
+                self._wet_discharge[rows] += of_rows.sum(axis=0)
         if self._groups is not None and self._hydrograph is not None:
             for group in np.unique(self._groups):
                 of_group = flows[:, self._groups == group].sum(axis=1)
                 self._hydrograph[group, first:last] += of_group
+        self._find_peaks(self._flows[: self._filled])
+        self._flows[:before] = self._flows[self._filled - before : self._filled]
+        self._filled, self._interval = before, last
 
-    def _add_peaks(self, flows: Values) -> None:
-        """Find the peaks of the windows that end in these intervals.
+    def _find_peaks(self, flows: Values) -> None:
+        """Find the peaks of the windows that end after the first intervals of these (m3).
 
         The mean of constant pieces is largest where the window begins or ends with one of them.
         """
-        both = np.concatenate((self._before, flows))
-        kept = len(self._before)
-        self._before = both[-kept:]
-        if not (both.sum(axis=0) > self._peaks[0]).any():
+        rows = np.flatnonzero(flows.sum(axis=0) > self._peaks[0])
+        if not len(rows):
             return
-        volumes = np.concatenate((np.zeros((1, both.shape[1])), np.cumsum(both, axis=0)))
-        ends = np.arange(kept + 1, len(volumes))
+        flows, before = flows[:, rows], self._before
+        volumes = np.concatenate((np.zeros((1, len(rows))), np.cumsum(flows, axis=0)))
+        count = len(flows) - before
         for peak, window in zip(self._peaks, self._windows, strict=True):
             whole, part = int(window), window - int(window)
-            sums = volumes[ends] - volumes[ends - whole]
+            # The volume of whole intervals up to each end, and of the one before or after them.
+            end = volumes[before + 1 - whole :][:count]
+            sums = volumes[before + 1 :] - end
+            largest = (sums + part * flows[before - whole :][:count]).max(axis=0)
             if part:
-                # What a piece at the other end of the window adds: after it, or before it.
-                after = part * both[ends - whole - 1]
-                np.maximum(peak, (sums + after).max(axis=0), out=peak)
-                sums = volumes[ends - 1] - volumes[ends - 1 - whole] + part * both[ends - 1]
-            np.maximum(peak, sums.max(axis=0), out=peak)
-
-    def _add_overflow(self, first: int, overflow: Values) -> None:
-        """Add what leaves through upper outlets in ticks (m3), shape (ticks, n)."""
-        self._sums["overflow"] += overflow.sum(axis=0)
-        times = self._tau * (first + np.arange(len(overflow), dtype=float))
-        for number, (rows, site, start) in enumerate(self._clocks):
-            days = find_calendar_days(site, start, times)
-            for day in np.unique(days):
-                if day != self._day[number]:
-                    self._end_day(rows)
-                    self._day[number] = day
-                self._of_day[rows] += overflow[days == day][:, rows].sum(axis=0)
+                sums = volumes[before:-1] - volumes[before - whole :][:count]
+                largest = np.maximum(largest, (sums + part * flows[before:]).max(axis=0))
+            peak[rows] = np.maximum(peak[rows], largest)
 
     def _end_day(self, rows: Rows) -> None:
         """Count a day of overflow where it was one."""
         self._overflow_days[rows] += self._of_day[rows] >= MIN_DEPTH * self._area[rows]
         self._of_day[rows] = 0.0
 
-    def results(
-        self, ticks: int, x1: Values, x2: Values, layer: Values, rain: Values
-    ) -> dict[str, Values]:
+    def results(self, ticks: int, rain: Values) -> dict[str, Values]:
         """Return the metrics of the whole runs, by their names.
 
         Args:
-            ticks: of each run.
-            x1: final volume in each cistern (m3).
-            x2: on each roof (m3).
-            layer: in each drainage layer (m3).
+            ticks: N of the runs.
             rain: depth on each site (m).
         """
-        sites, sums = self._sites, self._sums
-        self._add_roof(x2[None])
-        for rows, _, _ in self._clocks:
-            self._end_day(rows)
-        self._add_peaks(np.zeros_like(self._before))  # after the run nothing flows
-        area = self._area
-        hours = self._tau / _HOUR_S
-        result = {
-            "total_deviation_m3": sums["roof"],
-            "near_target_hours": self._counts["near"] * hours,
-            "mean_deviation_mm": 1000 * sums["roof"] / (ticks + 1) / sites.a2,
-            "stress_hours": self._counts["stress"] * hours,
-            "mains_m3": sums["mains"],
-            "demand_met_share": _share_without(sums["mains"], sums["pump"]),
-            "final_cistern_m3": x1,
-            "final_roof_m3": x2,
-            "final_layer_m3": layer,
-            "pumped_m3": sums["pump"],
-            "outflow_m3": sums["outflow"],
-            "drainage_m3": sums["drainage"],
+        plants, sites, sums, area = self._plants, self._sites, self._sums, self._area
+        self._add_counts()
+        self._end_day(np.arange(len(sites)))
+        self._filled += ticks % self._per_interval > 0
+        self._add_intervals()
+        # After the run nothing flows.
+        self._find_peaks(np.concatenate((
+            self._flows[: self._before], np.zeros((self._before, len(sites)))
+        )))
+        hours, seconds = self._tau / _HOUR_S, self._tau * self._per_interval
+        peaks = [
+            1000 * peak / (window * seconds)
+            for peak, window in zip(self._peaks, self._windows, strict=True)
+        ]
+        return {
+            "total_deviation_m3": self._deviation,
+            "near_target_hours": self._near * hours,
+            "mean_deviation_mm": 1000 * self._deviation / (ticks + 1) / sites.a2,
+            "stress_hours": self._stress * hours,
+            "mains_m3": sums.mains,
+            "demand_met_share": _share_without(sums.mains, sums.pump),
+            "final_cistern_m3": plants.x1,
+            "final_roof_m3": plants.x2,
+            "final_layer_m3": plants.layer,
+            "pumped_m3": sums.pump,
+            "outflow_m3": sums.outflow,
+            "drainage_m3": sums.drainage,
             "discharge_m3": self._discharge,
             "wet_discharge_m3": self._wet_discharge,
-        }
-        seconds = self._tau * self._per_interval
-        for peak, window, minutes in zip(self._peaks, self._windows, _PEAKS_MIN, strict=True):
-            result[f"peak_discharge_{minutes}min_l_s"] = 1000 * peak / (window * seconds)
-        for minutes in _PEAKS_MIN:
-            depth = result[f"peak_discharge_{minutes}min_l_s"] * _HOUR_S / area
-            result[f"peak_discharge_{minutes}min_mm_h"] = depth
-        return result | {
-            "overflow_m3": sums["overflow"],
+            **{
+                f"peak_discharge_{minutes}min_l_s": peak
+                for minutes, peak in zip(_PEAKS_MIN, peaks, strict=True)
+            },
+            **{
+                f"peak_discharge_{minutes}min_mm_h": peak * _HOUR_S / area
+                for minutes, peak in zip(_PEAKS_MIN, peaks, strict=True)
+            },
+            "overflow_m3": sums.outflow - sums.low_outlet,
             "overflow_days": self._overflow_days,
             "retention_share": _share_without(self._discharge, rain * area),
             "rain_m3": rain * area,
             "rain_cistern_m3": rain * sites.effective_catchment,
             "rain_roof_m3": rain * sites.a2,
-            "evapotranspiration_m3": sums["evapotranspiration"],
-            "limited_steps": sums["limited"],
+            "evapotranspiration_m3": sums.evapotranspiration,
+            "limited_steps": sums.limited,
         }
+
+
+def _find_midnights(clocks: Sequence[Clock], tau: float, ticks: int) -> dict[int, Rows]:
+    """Return the ticks in which a calendar day begins, with the rows for which it does."""
+    midnights: dict[int, list[Rows]] = {}
+    times = tau * np.arange(ticks, dtype=float)
+    for rows, site, start in clocks:
+        days = find_calendar_days(site, start, times)
+        for tick in (1 + np.flatnonzero(np.diff(days))).tolist():
+            midnights.setdefault(tick, []).append(rows)
+    return {tick: np.concatenate(rows) for tick, rows in midnights.items()}
 
 
 def _share_without(part: Values, whole: Values) -> Values:

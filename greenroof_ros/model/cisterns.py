@@ -65,16 +65,16 @@ class Cisterns:
         own = (field.name for field in fields(cls) if field.name not in derived)
         return cls(**{name: getattr(sites, name) for name in own}, **derived)
 
-    def take(self, rows: Rows) -> Cisterns:
+    def take(self, rows: Rows | slice) -> Cisterns:
         """Return some of them."""
         return Cisterns(*(getattr(self, field.name)[rows] for field in fields(self)))
 
-    def pump_flow(self, x1: Values) -> Values:
-        """Return the pumps' flow at command 1 (m3/s), Eq. (3e)."""
-        head = x1 / self.a1
-        head += self.c_hat
-        head -= self.d
-        return np.asarray(self.b * np.sqrt(np.maximum(head, 0.0)))
+    def pump_flow(self, x1: Values, rows: Rows | slice = slice(None)) -> Values:
+        """Return the flow of some pumps at command 1 (m3/s), at volumes (m3), Eq. (3e)."""
+        head = x1 / self.a1[rows]
+        head += self.c_hat[rows]
+        head -= self.d[rows]
+        return np.asarray(self.b[rows] * np.sqrt(np.maximum(head, 0.0)))
 
     def hold(self, outlet: Values) -> Values:
         """Return the volume above which water leaves for the sewer (m3)."""
@@ -156,56 +156,84 @@ class Cisterns:
         arrives = seconds * collected
         running = np.zeros(len(x1), bool)
         volumes = np.zeros((steps, len(x1)))
-        out, let_out, let_in = (np.zeros_like(x1) for _ in range(3))
-        pumps = bool(((missing > 0) & (command > 0)).any())
-        # Outlets are above the level of the mains: without pumping it never falls to that.
-        fills = pumps or bool((np.minimum(x1, self.lower) < self.filled).any())
-        for step in range(steps):
-            x1 = x1 + arrives
-            if fills:
-                x1 = x1 - arrives
-                mains = seconds * self.mains(x1, -collected, seconds)
-                if pumps:
-                    flow = np.where(missing > 0, command * self.pump_flow(x1), 0.0)
-                    volume, mains = self._pump(
-                        seconds, x1, arrives, mains, flow, missing, rise, running
-                    )
-                    running = (volume >= flow * seconds) & (flow > 0)
-                    missing = missing - volume - seconds * rise
-                    volumes[step] = volume
-                x1 = x1 + arrives + mains - volumes[step]
+        out, let_out, let_in = np.zeros((3, len(x1)))
+        pumps = bool((missing > 0).any())
+        for volume in volumes:
+            held = x1 + arrives
+            if pumps:
+                flow = np.where(missing > 0, command * self.pump_flow(x1), 0.0)
+                mains = self._pump(
+                    seconds, x1, collected, flow, missing, rise, running, volume
+                )
+                running = (volume >= flow * seconds) & (flow > 0)
+                missing = missing - volume - seconds * rise
+                pumps = bool((missing > 0).any())
+                x1 = held + mains - volume
                 let_in += mains
+            elif (x1 < self.filled).any():
+                mains = seconds * self.mains(x1, -collected, seconds)
+                x1 = held + mains
+                let_in += mains
+            else:
+                x1 = held
             upper, low = self.let_out(x1, outlet, seconds)
-            x1 = x1 - upper - low
+            x1 -= upper + low
             out += upper + low
             let_out += low
         return CisternFlows(volumes, out, let_out, let_in)
 
     def _pump(
-        self, seconds: float, x1: Values, arrives: Values, mains: Values, flow: Values,
-        missing: Values, rise: Values, running: Flags,
-    ) -> tuple[Values, Values]:
-        """Return what is pumped in a step, and what flows in from the mains then (m3).
+        self, seconds: float, x1: Values, collected: Values, flow: Values, missing: Values,
+        rise: Values, running: Flags, volume: Values,
+    ) -> Values:
+        """Write what is pumped in a step, and return what flows in from the mains then (m3).
 
         Args:
             seconds: duration of the step.
             x1: in each cistern (m3).
-            arrives: rain (m3).
-            mains: what the mains bring without pumping (m3).
+            collected: rain that flows in (m3/s).
             flow: of the pumps (m3/s).
             missing: what must be pumped until the roof is at its target (m3).
             rise: by how much that falls because of rain (m3/s).
             running: whether the pumps ran at the end of the step before.
+            volume: where what is pumped is written (m3).
         """
-        pumped = np.divide(flow, flow + rise, out=np.zeros_like(flow), where=flow > 0)
-        volume = np.minimum(flow * seconds, missing * pumped)
+        share = np.divide(flow, flow + rise, out=np.zeros_like(flow), where=flow > 0)
+        wanted = np.minimum(flow * seconds, missing * share)
         min_volume = np.where(running, 0.0, flow * min(seconds, MIN_RUN_S))
-        held = x1 + arrives
-        runs = (volume > 0) & (np.minimum(volume, held + mains - self.lowest) >= min_volume)
-        more = seconds * self.mains(x1, volume / seconds - arrives / seconds, seconds)
+        usable = x1 + seconds * collected - self.lowest
+        if (usable + self.lowest - wanted >= self.filled).all() and (x1 >= self.filled).all():
+            mains = more = np.zeros_like(x1)  # they stay closed
+        else:
+            mains = seconds * self.mains(x1, -collected, seconds)
+            more = seconds * self.mains(x1, wanted / seconds - collected, seconds)
+        runs = (wanted > 0) & (np.minimum(wanted, usable + mains) >= min_volume)
         mains = np.where(runs, more, mains)
-        usable = held + mains - self.lowest
-        return np.where(runs, np.minimum(volume, usable), 0.0), mains
+        volume[:] = np.where(runs, np.minimum(wanted, usable + mains), 0.0)
+        return mains
+
+    def let_out_all(
+        self, seconds: float, x1: Values, arriving: Values, outlet: Values, volumes: Values
+    ) -> CisternFlows:
+        """Return what moves in a long tick if it is known what is pumped.
+
+        Args:
+            seconds: duration of a step.
+            x1: in each cistern (m3).
+            arriving: rain and drainage that flow in (m3/s).
+            outlet: share to which each low outlet is open (1).
+            volumes: what is pumped in each step (m3), shape (steps, n).
+        """
+        out, let_out, let_in = np.zeros((3, len(x1)))
+        for pumped in volumes:
+            mains = seconds * self.mains(x1, pumped / seconds - arriving, seconds)
+            x1 = x1 + seconds * arriving + mains - pumped
+            upper, low = self.let_out(x1, outlet, seconds)
+            x1 -= upper + low
+            out += upper + low
+            let_out += low
+            let_in += mains
+        return CisternFlows(volumes, out, let_out, let_in)
 
     def let_out(self, x1: Values, outlet: Values, seconds: float) -> tuple[Values, Values]:
         """Return what both outlets take in a step (m3); see :class:`.plant.Plant`.

@@ -1,13 +1,13 @@
-"""The plants of many sites: the tick of :mod:`.plant` and :mod:`.soil` on arrays.
+"""The plants of many sites under on/off control: the tick of :mod:`.plant` on arrays.
 
 Each volume and flow is that of :class:`.plant.Plant` from the same state, but for rounding (1e-10
 of it and better). Where a threshold decides, rounding can turn the decision: a roof that the pump
 has just filled to its target is a bit above or below it. Then its next dose comes a tick earlier or
 later, so sums over a run agree at least to what evaporates in a tick.
 
-Most ticks are dry, and in them most sites are **calm**: no water stands above an outlet that is
-open, and what is missing on the roof is lifted within the first step of a long tick. What flows
-then is known without steps. Only the others are stepped, gathered by their rows.
+In most ticks most sites are calm. No water stands above an outlet that is open; and on/off control
+does not pump, or the pump lifts in the first step of a long tick what is missing on the roof. What
+flows then is known without steps. Only the others are stepped, gathered by their rows.
 """
 
 from __future__ import annotations
@@ -24,10 +24,14 @@ from greenroof_ros.model.sites import Sites
 from greenroof_ros.model.soils import soils_of
 
 Values = NDArray[np.float64]
-Rows = NDArray[np.intp]
+Rows = NDArray[np.intp] | slice
 Flags = NDArray[np.bool_]
 
+# Relative; more than the rounding error of a volume.
+_ROUNDING = 1e-9
+# tanh(r t) / r is t for such an r^2.
 _TINY = 1e-60
+_ALL = slice(None)
 
 
 class Moved(NamedTuple):
@@ -50,9 +54,14 @@ class Plants:
         x1: in each cistern (m3).
         x2: on each roof (m3).
         layer: in each drainage layer (m3).
+        moved: what has moved in the last tick.
+        flowed: whether something has flowed in it besides drainage, evapotranspiration and pumped
+            water.
     """
 
-    def __init__(self, sites: Sites, x1: Values, x2: Values) -> None:
+    def __init__(
+        self, sites: Sites, x1: Values, x2: Values, fraction: Values, level: Values
+    ) -> None:
         """Set the initial volumes.
 
         Args:
@@ -60,25 +69,26 @@ class Plants:
                 none.
             x1: in each cistern (m3).
             x2: on each roof (m3).
+            fraction: of on/off control, the command when pumping (share of the maximum flow).
+            level: share of the target that on/off control fills each roof to (1).
         """
         self.sites, self._tau = sites, float(sites.tau[0])
+        self.x1, self.x2, self.layer = x1.copy(), x2.copy(), sites.initial_layer.copy()
+        self.moved = Moved(*np.zeros((len(Moved._fields), len(sites))))
+        self.flowed = False
         self._short, self._steps = bool(sites.has_short_ticks[0]), math.ceil(self._tau / MAX_STEP_S)
         self._cisterns, self._soils = Cisterns.of(sites), soils_of(sites)
-        self.x1, self.x2, self.layer = x1.copy(), x2.copy(), sites.initial_layer.copy()
         self._target, self._kept = sites.a2 * sites.z_veg, bool(sites.drainage_to_cistern.any())
+        self._fraction, self._dry_below = fraction, level * sites.z_veg
         # A layer that stores nothing lets through what percolates.
-        decay = sites.layer_storage * sites.drainage_time
+        self._layers, decay = bool(sites.has_layer.any()), sites.layer_storage * sites.drainage_time
         self._decay = np.divide(1, decay, out=np.zeros_like(decay), where=sites.has_layer)
-        self._outlet, self._held = np.empty(0), np.empty(0)
-        self._layers = bool(sites.has_layer.any())
-        self._work, self._nothing = np.empty((3, len(sites))), np.zeros(len(sites))
-        self._levels: tuple[Values, Values] | None = None
-
-    def levels(self) -> tuple[Values, Values]:
-        """Return the water depths in the cisterns and on the roofs (m), as sensors read them."""
-        if self._levels is None:
-            self._levels = self.x1 / self.sites.a1, self.x2 / self.sites.a2
-        return self._levels
+        self._command, self._missing, self._rise = np.zeros((3, len(sites)))
+        self._work = np.empty((2, len(sites)))
+        self._outlet, self._calm = np.empty(0), np.empty(0)
+        # In a long tick a pump lifts no less than this (m3).
+        flow = fraction * self._cisterns.pump_flow(sites.a1 * sites.suction_level)
+        self._min_lifted = 0.0 if self._short else flow * min(self._tau / self._steps, MIN_RUN_S)
 
     def set_weather(self, rain: Values, potential: Values) -> None:
         """Set the weather of the present tick and of those that follow.
@@ -87,246 +97,245 @@ class Plants:
             rain: on each site (m/s).
             potential: evapotranspiration off each bed (m3/s), of plants that lack no water.
         """
-        self._raining, self._potential = bool(rain.any()), potential
-        self._collected = rain * self.sites.effective_catchment
-        self._on_roof = rain * self.sites.a2
+        sites, tau = self.sites, self._tau
+        self._raining, self._on_roof = bool(rain.any()), rain * sites.a2
+        self._collected = rain * sites.effective_catchment
+        self._soils.set_weather(tau * potential, self._raining)
+        # Of what is missing at most a share passes the soil; it is replaced with what evaporates.
+        highest = self._target + tau * potential
+        least = self._min_lifted * (1 - self._soils.passing(highest))
+        self._pumps_below = (1 + _ROUNDING) * np.minimum(
+            highest - least, sites.a2 * self._dry_below
+        )
 
-    def tick(self, command: Values | None, outlet: Values, moved: Moved) -> None:
-        """Compute what moves during the present tick, and move on to the next.
+    def tick(self, outlet: Values, allowed: Flags | None = None) -> Moved:
+        """Return what moves during the present tick, and move on to the next.
 
         Args:
-            command: to the pumps (share of the maximum flow); None if all stand still.
             outlet: share to which each low outlet is open (1).
-            moved: where it is written.
+            allowed: where the pumps may run; None for all.
         """
-        tau, soils, pump = self._tau, self._soils, moved.pump
-        evaporated = soils.begin(self.x2, self._potential, self._raining)
-        np.multiply(tau, evaporated, out=moved.evapotranspiration)
-        for values in (pump, moved.outflow, moved.limited, moved.mains, moved.low_outlet):
+        moved, soils = self.moved, self._soils
+        for values in moved if self.flowed else (moved.pump,):
             values.fill(0.0)
+        self.flowed = False
+        settled = soils.begin(self.x2, moved.evapotranspiration)
+        rows = self._find_pumping(allowed)
         if self._short:
-            x1 = self._step_short(command, outlet, moved)
+            x1 = self._step_short(outlet)
         elif self._kept:
-            x1, flows = self._step_all(command, outlet, moved)
+            x1, flows = self._step_all(outlet)
         elif self._raining:
-            x1 = self._step_wet(command, outlet, moved)
+            x1 = self._step_wet(rows, outlet)
         else:
-            x1 = self._step_dry(command, outlet, moved)
-        arriving = None
-        if command is not None:
-            arriving = np.divide(pump, tau, out=self._work[0])
-        if self._raining:
-            arriving = self._on_roof if arriving is None else arriving + self._on_roof
-        percolated, evaporated, limited = soils.lose(arriving)
-        if limited is not None:
-            np.multiply(tau, evaporated, out=moved.evapotranspiration)
-            np.logical_or(moved.limited, limited, out=moved.limited)
-        self._drain_layer(percolated, moved.drainage)
+            x1 = self._step_dry(rows, outlet)
+        if settled:
+            self._step_settled(rows)
+        else:
+            self._step_roof()
         if self._kept:
             x1 += self.sites.drainage_to_cistern * moved.drainage
             if not self._short:
-                self._let_out_drainage(flows, outlet, moved, x1)
+                self._let_out_drainage(flows, outlet, x1)
         self.x1 = np.maximum(x1, 0.0, out=x1)
-        self._step_roof(percolated, moved)
-        self._levels = None
+        if rows is not None:
+            self._command[rows] = self._missing[rows] = self._rise[rows] = 0.0
+        return moved
+
+    # --- pumps ------------------------------------------------------------------------------
+
+    def _find_pumping(self, allowed: Flags | None) -> Rows | None:
+        """Return the rows whose pumps may run in the tick, and write their command, or None.
+
+        On/off control, Eq. (12): it pumps while the roof is too dry and the cistern holds enough.
+        In a long tick also write what is missing, and its fall; see :class:`.plant.Plant`.
+        """
+        below = self.x2 <= self._pumps_below
+        if allowed is not None:
+            below &= allowed
+        found = below.nonzero()[0]
+        if not len(found):
+            return None
+        rows: Rows = found if 2 * len(found) < len(below) else _ALL
+        sites, x2 = self.sites, self.x2[rows]
+        runs = x2 / sites.a2[rows] < self._dry_below[rows]
+        runs &= self.x1[rows] / sites.a1[rows] >= sites.suction_level[rows]
+        if allowed is not None:
+            runs &= allowed[rows]
+        self._command[rows] = runs * self._fraction[rows]
+        if self._short:
+            return rows
+        evaporated, to = self.moved.evapotranspiration[rows], self._target[rows]
+        if not self._raining:
+            missing = self._soils.water_to_raise(x2, to + evaporated, rows)
+        else:
+            fallen = self._tau * self._on_roof[rows]
+            rises = fallen > evaporated
+            missing = self._soils.water_to_raise(x2, to + np.where(rises, 0.0, evaporated), rows)
+            missing -= np.where(rises, 0.0, fallen)
+            self._rise[rows] = np.where(rises & runs, fallen - evaporated, 0.0) / self._tau
+        self._missing[rows] = missing * runs
+        return rows
 
     # --- cisterns ---------------------------------------------------------------------------
 
-    def _step_short(self, command: Values | None, outlet: Values, moved: Moved) -> Values:
+    def _step_short(self, outlet: Values) -> Values:
         """Write the flows of cisterns in a short tick; return what they hold after it (m3)."""
-        sites, cisterns, x1 = self.sites, self._cisterns, self.x1
-        flow = np.zeros_like(x1)
-        if command is not None:
-            cistern, roof = self.levels()
-            works = (roof < sites.z_veg) & (cistern >= sites.suction_level)
-            flow = np.where(works, command * cisterns.pump_flow(x1), 0.0)
+        cisterns, x1 = self._cisterns, self.x1
+        flow = self._command * cisterns.pump_flow(x1)
         with np.errstate(divide="ignore", invalid="ignore"):
             flows, limited = cisterns.step_short(self._tau, x1, self._collected, flow, outlet)
-        moved.limited[:] = limited
-        return self._write(flows, moved)
+        self.moved.limited[:] = limited
+        return self._write(_ALL, flows)
 
-    def _write(self, flows: CisternFlows, moved: Moved) -> Values:
-        """Write the flows of all cisterns; return what they hold then (m3)."""
-        moved.pump[:] = flows.volumes.sum(axis=0)
-        moved.outflow[:], moved.low_outlet[:], moved.mains[:] = flows[1:]
-        return np.asarray(
-            self.x1 + self._tau * self._collected + moved.mains - moved.outflow - moved.pump
-        )
+    def _write(self, rows: Rows, flows: CisternFlows) -> Values:
+        """Write the flows of some cisterns; return what they hold then (m3)."""
+        moved, pump = self.moved, flows.volumes.sum(axis=0)
+        moved.pump[rows], moved.mains[rows] = pump, flows.mains
+        moved.outflow[rows], moved.low_outlet[rows] = flows.outflow, flows.low_outlet
+        self.flowed = True
+        collected = self._tau * self._collected[rows]
+        return np.asarray(self.x1[rows] + collected + flows.mains - flows.outflow - pump)
 
-    def _step_all(
-        self, command: Values | None, outlet: Values, moved: Moved
-    ) -> tuple[Values, CisternFlows]:
-        """Write the flows of all cisterns in a long tick; return also what they hold after it."""
-        command = np.zeros_like(self.x1) if command is None else command
-        missing, rise = self._find_missing(command, moved)
+    def _step_rows(self, rows: Rows, outlet: Values) -> CisternFlows:
+        """Return the flows of some cisterns in a long tick, in steps."""
+        cisterns = self._cisterns.take(rows)
         with np.errstate(divide="ignore", invalid="ignore"):
-            flows = self._cisterns.step_long(
-                self._tau, self._steps, self.x1, self._collected, command, outlet, missing, rise
-            )
-        return self._write(flows, moved), flows
+            return cisterns.step_long(self._tau, self._steps, *(values[rows] for values in (
+                self.x1, self._collected, self._command, outlet, self._missing, self._rise
+            )))
 
-    def _find_missing(self, command: Values, moved: Moved) -> tuple[Values, Values]:
-        """Return what must be pumped (m3), and its fall (m3/s); see :class:`.plant.Plant`."""
-        tau, on_roof = self._tau, self._on_roof
-        pumps = self._may_pump(command)
-        evaporated = moved.evapotranspiration / tau
-        rises = on_roof > evaporated
-        to = self._target + np.where(rises, 0.0, moved.evapotranspiration)
-        missing = self._soils.water_to_raise(to) - np.where(rises, 0.0, tau * on_roof)
-        rise = np.where(rises & pumps, on_roof - evaporated, 0.0)
-        return np.where(pumps, missing, 0.0), rise
+    def _step_all(self, outlet: Values) -> tuple[Values, CisternFlows]:
+        """Write the flows of cisterns in a long tick; return also what they hold after it (m3)."""
+        flows = self._step_rows(_ALL, outlet)
+        return self._write(_ALL, flows), flows
 
-    def _step_wet(self, command: Values | None, outlet: Values, moved: Moved) -> Values:
-        """Return what cisterns hold after a long tick with rain (m3), and write their flows."""
-        cisterns, x1, missing, rise = self._cisterns, self.x1, self._nothing, self._nothing
-        after = x1 + self._tau * self._collected
-        stepped = (after > self._find_calm(outlet)) | (x1 < cisterns.filled)
-        if command is not None:
-            stepped |= command > 0
-            missing, rise = self._find_missing(command, moved)
-        self._step_some(stepped, command, outlet, missing, rise, after, moved)
+    def _step_wet(self, rows: Rows | None, outlet: Values) -> Values:
+        """Write the flows of cisterns in a long tick with rain; return what they hold after it."""
+        filled = self._cisterns.filled
+        after = self.x1 + self._tau * self._collected
+        stepped = (after > self._find_calm(outlet)) | (self.x1 < filled)
+        if rows is not None:
+            stepped[rows] |= self._command[rows] > 0
+        self._step_some(stepped, outlet, after)
         return after
 
-    def _step_dry(self, command: Values | None, outlet: Values, moved: Moved) -> Values:
-        """Return what cisterns hold after a long tick without rain (m3), and write their flows."""
-        cisterns, x1, missing, lifted = self._cisterns, self.x1, self._nothing, moved.pump
-        tau, seconds = self._tau, self._tau / self._steps
-        stepped = x1 > self._find_calm(outlet)
-        if command is not None:
-            to = np.add(self._target, moved.evapotranspiration, out=self._work[0])
-            missing = self._soils.water_to_raise(to)
-            missing *= self._may_pump(command)
-            flow = command * cisterns.pump_flow(x1)
-            min_volume = flow * min(seconds, MIN_RUN_S)
-            np.multiply(missing, missing >= min_volume, out=lifted)
-            usable = x1 - cisterns.lowest
-            more = lifted > np.minimum(flow * seconds, usable)
-            if more.any():
-                empty = more & (usable < min_volume) & (cisterns.mains_flow == 0)
-                lifted[empty] = 0.0
-                stepped |= more & ~empty
-        left = np.subtract(x1, lifted, out=self._work[1])
-        after: Values = np.maximum(left, cisterns.filled)
-        mains = np.subtract(after, left, out=moved.mains)
-        if mains.any():
-            # They can refill in the other steps what was pumped in the first.
-            stepped |= mains > cisterns.mains_flow * (tau - seconds)
-        self._step_some(stepped, command, outlet, missing, self._nothing, after, moved)
+    def _step_dry(self, rows: Rows | None, outlet: Values) -> Values:
+        """Write the flows of cisterns in a long tick without rain; return what they hold after."""
+        cisterns, moved = self._cisterns, self.moved
+        stepped = self.x1 > self._find_calm(outlet)
+        if rows is not None:
+            self._lift(rows, stepped)
+        after: Values = self.x1 - moved.pump
+        low = (after < cisterns.filled).nonzero()[0]
+        if len(low):
+            mains = cisterns.filled[low] - after[low]
+            moved.mains[low], after[low], self.flowed = mains, cisterns.filled[low], True
+            # They can refill in the other steps what is pumped in the first.
+            most = cisterns.mains_flow[low] * (self._tau - self._tau / self._steps)
+            stepped[low] |= mains > most
+        self._step_some(stepped, outlet, after)
         return after
 
-    def _may_pump(self, command: Values) -> Flags:
-        """Return where the pumps are commanded, and the roof is below its target."""
-        return np.asarray((command > 0) & (self.levels()[1] < self.sites.z_veg))
+    def _lift(self, rows: Rows, stepped: Flags) -> None:
+        """Write what pumps lift in the first step of a tick without rain, and what needs steps."""
+        cisterns, missing, x1 = self._cisterns, self._missing[rows], self.x1[rows]
+        seconds = self._tau / self._steps
+        flow = self._command[rows] * cisterns.pump_flow(x1, rows)
+        min_volume = flow * min(seconds, MIN_RUN_S)
+        lifted = missing * (missing >= min_volume)
+        usable = x1 - cisterns.lowest[rows]
+        more = lifted > np.minimum(flow * seconds, usable)
+        if more.any():
+            empty = more & (usable < min_volume) & (cisterns.mains_flow[rows] == 0)
+            lifted[empty] = 0.0
+            stepped[rows] |= more & ~empty
+        self.moved.pump[rows] = lifted
 
     def _find_calm(self, outlet: Values) -> Values:
         """Return the volume (m3) up to which no water leaves each cistern for the sewer."""
         if outlet is not self._outlet:
             held = self._cisterns.hold(outlet)
             # Mains that fill beyond an outlet: it always flows.
-            self._held = np.where(self._cisterns.filled > held, -math.inf, held)
+            self._calm = np.where(self._cisterns.filled > held, -math.inf, held)
             self._outlet = outlet
-        return self._held
+        return self._calm
 
-    def _step_some(
-        self, stepped: Flags, command: Values | None, outlet: Values, missing: Values,
-        rise: Values, after: Values, moved: Moved,
-    ) -> None:
+    def _step_some(self, stepped: Flags, outlet: Values, after: Values) -> None:
         """Step some cisterns through a long tick, and write what they hold after it (m3)."""
         rows = stepped.nonzero()[0]
-        if not len(rows):
-            return
-        command = self._nothing if command is None else command
-        x1, collected = self.x1[rows], self._collected[rows]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            flows = self._cisterns.take(rows).step_long(
-                self._tau, self._steps, x1, collected,
-                *(values[rows] for values in (command, outlet, missing, rise)),
-            )
-        pump = flows.volumes.sum(axis=0)
-        moved.pump[rows] = pump
-        moved.outflow[rows], moved.low_outlet[rows], moved.mains[rows] = flows[1:]
-        after[rows] = x1 + self._tau * collected + flows.mains - flows.outflow - pump
+        if len(rows):
+            after[rows] = self._write(rows, self._step_rows(rows, outlet))
 
-    def _let_out_drainage(
-        self, flows: CisternFlows, outlet: Values, moved: Moved, after: Values
-    ) -> None:
+    def _let_out_drainage(self, flows: CisternFlows, outlet: Values, after: Values) -> None:
         """Compute again what flows out and in where drainage flows into the cistern, too."""
-        tau, cisterns = self._tau, self._cisterns
-        arriving = self._collected + self.sites.drainage_to_cistern * moved.drainage / tau
-        again = (self.sites.drainage_to_cistern > 0) & (moved.drainage > 0)
-        filled = self.x1 + tau * arriving + moved.mains
-        again &= (moved.mains > 0) | (filled > cisterns.hold(outlet))
-        rows = np.flatnonzero(again)
-        if not len(rows):
-            return
-        cisterns, arriving = cisterns.take(rows), arriving[rows]
-        x1, seconds = self.x1[rows], tau / self._steps
-        out, low, mains = np.zeros((3, len(rows)))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for pumped in flows.volumes[:, rows]:
-                let_in = seconds * cisterns.mains(x1, pumped / seconds - arriving, seconds)
-                x1 = x1 + seconds * arriving + let_in - pumped
-                upper, lower = cisterns.let_out(x1, outlet[rows], seconds)
-                x1 = x1 - upper - lower
-                out += upper + lower
-                low += lower
-                mains += let_in
-        moved.outflow[rows], moved.low_outlet[rows], moved.mains[rows] = out, low, mains
-        after[rows] = self.x1[rows] + tau * arriving + mains - out - moved.pump[rows]
+        tau, cisterns, moved, kept = (
+            self._tau, self._cisterns, self.moved, self.sites.drainage_to_cistern
+        )
+        arriving = self._collected + kept * moved.drainage / tau
+        again = (kept > 0) & (moved.drainage > 0)
+        again &= (moved.mains > 0) | (
+            self.x1 + tau * arriving + moved.mains > cisterns.hold(outlet)
+        )
+        rows = again.nonzero()[0]
+        if len(rows):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                flows = cisterns.take(rows).let_out_all(
+                    tau / self._steps, self.x1[rows], arriving[rows], outlet[rows],
+                    flows.volumes[:, rows],
+                )
+            after[rows] = self._write(rows, flows) + kept[rows] * moved.drainage[rows]
 
     # --- roofs ------------------------------------------------------------------------------
 
-    def _drain_layer(self, percolated: Values | None, drainage: Values) -> None:
-        """Write what drains off the roofs in a tick (m3), through their drainage layers."""
-        sites, layer, tau, k = self.sites, self.layer, self._tau, self._decay
-        if not self._layers:
-            if percolated is None:
-                drainage.fill(0.0)
-            else:
-                np.multiply(tau, percolated, out=drainage)
-            return
-        g, remaining, part = self._work
-        if percolated is None:
-            np.multiply(k, layer, out=part)
-            np.multiply(part, tau, out=part)
-            np.add(1, part, out=part)
+    def _step_settled(self, rows: Rows | None) -> None:
+        """Move roofs on to the next tick where it does not rain; only what is pumped percolates."""
+        moved, layer, x2 = self.moved, self.layer, self.x2
+        if rows is not None:
+            pump = moved.pump[rows]
+            percolated = self._soils.percolate(x2[rows], pump, rows)
+            held = layer[rows] + percolated
+            drained = self._drain_layer(percolated, rows)
+        if self._layers and rows is not _ALL:
+            part, remaining = self._work
+            np.multiply(self._decay, layer, out=part)
+            np.multiply(part, self._tau, out=part)
+            np.add(part, 1, out=part)
             np.divide(layer, part, out=remaining)
+            np.subtract(layer, remaining, out=moved.drainage)
+            layer[:] = remaining
         else:
-            # tanh(r t) / r is t for the smallest r.
-            rate = np.multiply(percolated, k, out=part)
-            np.add(rate, _TINY, out=rate)
-            np.sqrt(rate, out=rate)
-            np.multiply(rate, tau, out=g)
-            np.tanh(g, out=g)
-            np.divide(g, rate, out=g)
-            np.multiply(k, layer, out=part)
-            np.multiply(part, g, out=part)
-            np.add(1, part, out=part)
-            np.multiply(percolated, g, out=remaining)
-            np.add(layer, remaining, out=remaining)
-            np.divide(remaining, part, out=remaining)
-        np.minimum(remaining, sites.layer_storage, out=remaining)
-        drained = np.subtract(layer, remaining, out=part)
-        np.divide(drained, tau, out=drained)
-        if percolated is not None:
-            np.add(percolated, drained, out=drained)
-        np.maximum(drained, 0.0, out=drained)
-        np.multiply(tau, drained, out=drainage)
-        if percolated is None:
-            np.subtract(layer, drainage, out=layer)
-        else:
-            np.subtract(percolated, drained, out=drained)
-            np.multiply(tau, drained, out=drained)
-            np.add(layer, drained, out=layer)
-        np.maximum(layer, 0.0, out=layer)
+            moved.drainage.fill(0.0)
+        x2 -= moved.evapotranspiration
+        if rows is not None:
+            x2[rows] += pump - percolated
+            moved.drainage[rows], layer[rows] = drained, held - drained
 
-    def _step_roof(self, percolated: Values | None, moved: Moved) -> None:
-        """Move the roofs on to the next tick."""
-        lost = moved.evapotranspiration
-        if percolated is not None:
-            lost = np.add(lost, np.multiply(self._tau, percolated, out=percolated), out=percolated)
-        if self._raining:
-            self.x2 += self._tau * self._on_roof
-        self.x2 -= lost
-        self.x2 += moved.pump
-        np.maximum(self.x2, 0.0, out=self.x2)
+    def _step_roof(self) -> None:
+        """Move roofs on to the next tick, in any weather."""
+        moved, x2 = self.moved, self.x2
+        arrived = self._tau * self._on_roof + moved.pump
+        percolated, evaporated, limited = self._soils.lose(x2, moved.evapotranspiration, arrived)
+        if limited.any():
+            moved.limited[limited] = 1.0
+            self.flowed = True
+        drained = self._drain_layer(percolated, _ALL)
+        moved.evapotranspiration[:], moved.drainage[:] = evaporated, drained
+        np.maximum(self.layer + percolated - drained, 0.0, out=self.layer)
+        np.maximum(x2 + arrived - percolated - evaporated, 0.0, out=x2)
+
+    def _drain_layer(self, percolated: Values, rows: Rows) -> Values:
+        """Return what drains off some roofs (m3), through their drainage layers; see :mod:`.soil`.
+
+        Args:
+            percolated: out of the substrates (m3).
+            rows: which roofs.
+        """
+        if not self._layers:
+            return percolated
+        layer, inflow, k = self.layer[rows], percolated / self._tau, self._decay[rows]
+        rate = np.sqrt(inflow * k + _TINY)
+        g = np.tanh(rate * self._tau) / rate
+        remaining = (layer + inflow * g) / (1 + k * layer * g)
+        np.minimum(remaining, self.sites.layer_storage[rows], out=remaining)
+        return np.asarray(np.maximum(percolated + (layer - remaining), 0.0))

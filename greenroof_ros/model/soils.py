@@ -1,8 +1,4 @@
-"""The soils of many roofs, as in :mod:`.soil`: all the paper's, or all measured.
-
-In dry weather a soil is **settled**: it has less water than its capacity, and no less than
-evaporates. Then formulas need no cases, and work in place.
-"""
+"""The soils of many roofs, as in :mod:`.soil`: all the paper's, or all measured."""
 
 from __future__ import annotations
 
@@ -16,52 +12,75 @@ from greenroof_ros.model.soil import ALMOST_FULL
 
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Rows = NDArray[np.intp] | slice
+"""some of the sites, or all"""
 
 
 class PaperSoils:
-    """Those of Table I. The methods are called in the order in which they are here, once a tick."""
+    """Those of Table I."""
 
     def __init__(self, sites: Sites) -> None:
         """Set the sites."""
         self._sites, self._tau = sites, float(sites.tau[0])
 
-    def begin(self, x2: Values, potential: Values, raining: bool) -> Values:
-        """Begin a tick; return the evapotranspiration that the soil would yield (m3/s).
+    def set_weather(self, potential: Values, raining: bool) -> None:
+        """Set the weather of the ticks that follow.
+
+        Args:
+            potential: evapotranspiration off each bed in a tick (m3), of plants that lack no water.
+            raining: whether it rains anywhere.
+        """
+        self._potential, self._raining = potential, raining
+
+    def begin(self, x2: Values, evaporated: Values) -> bool:
+        """Write the evapotranspiration that each soil would yield in a tick; call it in each.
 
         Args:
             x2: on each roof (m3).
-            potential: evapotranspiration off each bed (m3/s), of plants that lack no water.
-            raining: whether it rains anywhere.
+            evaporated: where it is written (m3).
+
+        Returns:
+            Whether it does not rain, each soil is below its capacity, and it has that much.
         """
-        self._x2, self._potential = x2, potential
-        self._settled = not raining and bool(
-            ((x2 < self._sites.z_cap) & (x2 >= self._tau * potential)).all()
-        )
-        return potential
+        evaporated[:] = self._potential
+        if self._raining:
+            return False
+        return bool(((x2 < self._sites.z_cap) & (x2 >= self._potential)).all())
 
-    def water_to_raise(self, to: Values) -> Values:
-        """Return the water that raises each soil to a volume (m3)."""
-        return to - self._x2
+    def passing(self, x2: Values) -> Values:
+        """Return the share of the arriving water that passes each soil, at volumes (m3) (1)."""
+        return np.zeros_like(x2)
 
-    def lose(self, arriving: Values | None) -> tuple[Values | None, Values, Flags | None]:
-        """Return percolation and evapotranspiration (m3/s), and where they are limited.
+    def water_to_raise(self, x2: Values, to: Values, rows: Rows) -> Values:
+        """Return the water that raises some of the soils from x2 to a higher volume (m3)."""
+        return to - x2
+
+    def percolate(self, x2: Values, arrived: Values, rows: Rows) -> Values:
+        """Return what percolates out of some of the soils in a tick (m3), none at its capacity.
 
         Args:
-            arriving: rain and pumped water (m3/s); None for none.
+            x2: on the roofs (m3).
+            arrived: rain and pumped water in the tick (m3).
+            rows: which roofs.
         """
-        sites, x2, tau, potential = self._sites, self._x2, self._tau, self._potential
-        if self._settled:
-            return None, potential, None
-        arriving = np.zeros_like(x2) if arriving is None else arriving
-        available = x2 / tau + arriving
-        above = x2 - sites.z_cap
-        darcy = sites.K * sites.a2 * (x2 / sites.a2 + sites.z_soil) / sites.z_soil
-        darcy = np.where(sites.overdraws, np.minimum(darcy, above / tau + arriving), darcy)
-        drainage = np.where(above < 0, 0.0, darcy)
-        demand = potential + drainage
+        return np.zeros_like(arrived)
+
+    def lose(self, x2: Values, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
+        """Return percolation and evapotranspiration in any tick (m3), and where they are limited.
+
+        Args:
+            x2: on each roof (m3).
+            evaporated: what :meth:`begin` returned (m3).
+            arrived: rain and pumped water in the tick (m3).
+        """
+        sites, tau, above = self._sites, self._tau, x2 - self._sites.z_cap
+        darcy = tau * sites.K * sites.a2 * (x2 / sites.a2 + sites.z_soil) / sites.z_soil
+        darcy = np.where(sites.overdraws, np.minimum(darcy, above + arrived), darcy)
+        drained = np.where(above < 0, 0.0, darcy)
+        demand, available = evaporated + drained, x2 + arrived
         limited = demand > available
         share = np.divide(available, demand, out=np.ones_like(x2), where=limited)
-        return share * drainage, share * potential, limited
+        return share * drained, share * evaporated, limited
 
 
 class MeasuredSoils:
@@ -69,87 +88,67 @@ class MeasuredSoils:
 
     def __init__(self, sites: Sites) -> None:
         """Set the sites."""
-        self._sites, self._tau = sites, float(sites.tau[0])
-        self._settled = False
-        self._filled, self._evaporated, *self._work = np.empty((5, len(sites)))
-        self._weather = np.empty(0)
+        self._sites, self._settled = sites, False
+        self._drying = sites.stress_onset * sites.available_volume
 
-    def begin(self, x2: Values, potential: Values, raining: bool) -> Values:
-        """Begin a tick; see :class:`PaperSoils`."""
-        self._x2, sites = x2, self._sites
-        # Once settled a soil remains so until it rains, or more can evaporate.
-        if raining or potential is not self._weather or not self._settled:
-            self._weather = potential
-            decays = self._tau * potential <= sites.stress_onset * sites.available_volume
-            self._settled = not raining and bool(
-                ((x2 >= sites.wilting_volume) & (x2 < sites.z_cap) & decays).all()
-            )
-        self._fill(x2, self._filled)
-        stress = np.divide(self._filled, sites.stress_onset, out=self._evaporated)
-        np.minimum(stress, 1.0, out=stress)
-        return np.multiply(potential, stress, out=stress)
+    def set_weather(self, potential: Values, raining: bool) -> None:
+        """Set the weather; see :class:`PaperSoils`."""
+        self._potential, self._raining, self._settled = potential, raining, False
 
-    def _fill(self, x2: Values, out: Values) -> Values:
-        """Write the filled share at volumes (m3)."""
+    def begin(self, x2: Values, evaporated: Values) -> bool:
+        """Write evapotranspiration; see :class:`PaperSoils`."""
         sites = self._sites
-        np.subtract(x2, sites.wilting_volume, out=out)
-        np.divide(out, sites.available_volume, out=out)
+        if not (self._raining or self._settled):
+            # They remain so in this weather: K_s falls to 0 with what plants can take.
+            self._settled = bool((
+                (x2 >= sites.wilting_volume) & (x2 < sites.z_cap)
+                & (self._potential <= self._drying)
+            ).all())
+        share = np.subtract(x2, sites.wilting_volume, out=evaporated)
+        np.divide(share, self._drying, out=share)
+        np.minimum(share, 1.0, out=share)
         if not self._settled:
-            np.maximum(out, 0.0, out=out)
-            out[x2 >= sites.z_cap] = 1.0
-        return out
+            np.maximum(share, 0.0, out=share)
+        np.multiply(share, self._potential, out=evaporated)
+        return self._settled
 
-    def water_to_raise(self, to: Values) -> Values:
-        """Return the water that raises each soil to a volume (m3)."""
-        sites, filled, (reached, part, _) = self._sites, self._filled, self._work
-        np.minimum(self._fill(to, reached), ALMOST_FULL, out=reached)
-        np.multiply(filled, reached, out=part)
-        np.subtract(1, part, out=part)
-        g = np.subtract(reached, filled, out=reached)
-        np.divide(g, part, out=g)
-        if not self._settled:
-            np.maximum(g, 0.0, out=g)
-        np.arctanh(g, out=g)
-        water = np.multiply(sites.available_volume, g, out=g)
-        if not self._settled:
-            water += np.maximum(np.minimum(to, sites.wilting_volume) - self._x2, 0.0)
-        return water
+    def passing(self, x2: Values) -> Values:
+        """Return S^2; see :class:`PaperSoils`."""
+        return np.asarray(self._filled(x2, slice(None)) ** 2)
 
-    def lose(self, arriving: Values | None) -> tuple[Values | None, Values, Flags | None]:
+    def _filled(self, x2: Values, rows: Rows) -> Values:
+        """Return the filled share of the water that plants can take (1)."""
+        sites = self._sites
+        share = (x2 - sites.wilting_volume[rows]) / sites.available_volume[rows]
+        np.maximum(share, 0.0, out=share)
+        share[x2 >= sites.z_cap[rows]] = 1.0
+        return np.asarray(share)
+
+    def water_to_raise(self, x2: Values, to: Values, rows: Rows) -> Values:
+        """Return the water that raises some of the soils; see :class:`PaperSoils`."""
+        filled, reached = self._filled(x2, rows), self._filled(to, rows)
+        np.minimum(reached, ALMOST_FULL, out=reached)
+        g = np.maximum((reached - filled) / (1 - filled * reached), 0.0)
+        first = np.maximum(np.minimum(to, self._sites.wilting_volume[rows]) - x2, 0.0)
+        return np.asarray(first + self._sites.available_volume[rows] * np.arctanh(g))
+
+    def percolate(self, x2: Values, arrived: Values, rows: Rows) -> Values:
+        """Return what percolates out of some of the soils; see :class:`PaperSoils`."""
+        sites, filled, available = self._sites, self._filled(x2, rows), self._sites.available_volume
+        first = np.minimum(arrived, np.maximum(sites.wilting_volume[rows] - x2, 0.0))
+        g = np.tanh((arrived - first) / available[rows])
+        retained = available[rows] * g * (1 - filled * filled)
+        retained /= 1 + filled * g
+        return np.asarray(np.maximum(arrived - (first + retained), 0.0))
+
+    def lose(self, x2: Values, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
         """Return percolation and evapotranspiration; see :class:`PaperSoils`."""
-        sites, x2, tau = self._sites, self._x2, self._tau
-        if self._settled:
-            return None if arriving is None else self._percolate(arriving), self._evaporated, None
-        arriving = np.zeros_like(x2) if arriving is None else arriving
-        above = arriving + (x2 - sites.z_cap) / tau
-        percolated = np.where(x2 >= sites.z_cap, above, self._percolate(arriving))
-        remaining = x2 / tau + arriving - percolated
-        limited = self._evaporated > remaining
-        evaporated = np.where(limited, np.maximum(remaining, 0.0), self._evaporated)
-        return percolated, evaporated, limited
-
-    def _percolate(self, arriving: Values) -> Values:
-        """Return the percolation out of each substrate that is not full (m3/s)."""
-        sites, filled, (g, part, retained) = self._sites, self._filled, self._work
-        first: Values | float = 0.0
-        np.multiply(arriving, self._tau, out=g)
-        if not self._settled:
-            first = np.minimum(g, np.maximum(sites.wilting_volume - self._x2, 0.0))
-            g -= first
-        np.divide(g, sites.available_volume, out=g)
-        np.tanh(g, out=g)
-        np.multiply(filled, filled, out=part)
-        np.subtract(1, part, out=part)
-        np.multiply(sites.available_volume, g, out=retained)
-        np.multiply(retained, part, out=retained)
-        np.multiply(filled, g, out=part)
-        np.add(1, part, out=part)
-        np.divide(retained, part, out=retained)
-        if not self._settled:
-            retained += first
-        np.divide(retained, self._tau, out=retained)
-        np.subtract(arriving, retained, out=retained)
-        return np.maximum(retained, 0.0, out=retained)
+        above = x2 - self._sites.z_cap
+        percolated = self.percolate(x2, arrived, slice(None))
+        percolated = np.where(above >= 0, arrived + above, percolated)
+        remaining = x2 + arrived - percolated
+        limited = evaporated > remaining
+        return percolated, np.maximum(np.minimum(evaporated, remaining), 0.0), limited
 
 
 Soils: TypeAlias = PaperSoils | MeasuredSoils

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from paper import PAPER_SITE, measured_sites, sites
 from places import CONFIG
 
+from greenroof_ros.controllers.onoff import OnOff
 from greenroof_ros.model.plant import Flows, Plant
 from greenroof_ros.model.plants import Moved, Plants
 from greenroof_ros.model.site import Site, read_site
@@ -22,11 +23,10 @@ KEPT = replace(VALVE, drainage_to_cistern=0.7, a1=1.0)
 # Rain (m/s) and evapotranspiration off a bed (m/s) of a site.
 RAIN = st.just(0.0) | st.floats(1e-9, 1e-4)
 EVAPORATION = st.just(0.0) | st.floats(1e-10, 1e-6)
-# A command, and the share of the valve.
-COMMANDS = st.tuples(
-    st.just(0.0) | st.just(1.0) | st.floats(0.1, 2.0),
-    st.sampled_from([0.0, 1.0]) | st.floats(0.01, 1),
-)
+# Whether the pumps may run, and the share of the valve.
+ALLOWED = st.tuples(st.booleans(), st.sampled_from([0.0, 1.0]) | st.floats(0.01, 1))
+# The fraction and the level of on/off control.
+CONTROL = st.tuples(st.just(1.0) | st.floats(0.01, 2.0), st.just(1.0) | st.floats(0.5, 1.0))
 # Share of the cistern up to its outlet, and of the roof's target.
 STATES = st.tuples(
     st.floats(0, 1.3) | st.floats(0, 0.1),
@@ -58,15 +58,17 @@ def split(drawn: list[Site]) -> list[list[Site]]:
     ),
     tau=st.sampled_from([0.5, 1.0, 10.0, 60.0, 300.0, 3600.0]),
     states=each(STATES),
+    control=each(CONTROL),
     hours=st.lists(
         st.tuples(
             st.just([0.0] * MOST) | each(RAIN), each(EVAPORATION),
-            st.lists(st.none() | each(COMMANDS), min_size=1, max_size=4),
+            st.lists(st.none() | each(ALLOWED), min_size=1, max_size=4),
         ), min_size=1, max_size=4,
     ),
 )
 def test_each_tick_is_that_of_one_plant(
     drawn: list[Site], tau: float, states: list[tuple[float, float]],
+    control: list[tuple[float, float]],
     hours: list[tuple[list[float], list[float], list[list[tuple[float, float]] | None]]],
 ) -> None:
     """To 1e-10 of what a tick of the site adds up. The weather lasts for some ticks."""
@@ -77,19 +79,23 @@ def test_each_tick_is_that_of_one_plant(
         single = [
             Plant(site, float(x1[row]), float(x2[row])) for row, site in enumerate(together)
         ]
-        plants = Plants(every, x1, x2)
-        for rain, potential, commands in hours:
+        fraction, level = np.array(control[:n]).T
+        plants = Plants(every, x1, x2, fraction, level)
+        onoff = [OnOff(site, *of_site) for site, of_site in zip(together, control, strict=False)]
+        for rain, potential, ticks in hours:
             weather = np.array(rain[:n]), np.array(potential[:n]) * every.a2
             plants.set_weather(*weather)
-            for given_commands in commands:
-                command, valve = np.array((given_commands or [(0.0, 1.0)] * n)[:n]).T
+            for tick in ticks:
+                allowed, valve = np.array((tick or [(True, 1.0)] * n)[:n]).T
                 valve = np.where(every.low_outlet_valve, valve, 1.0)
-                moved = Moved(*np.full((len(Moved._fields), n), np.nan))
-                plants.tick(None if given_commands is None else command, valve, moved)
+                moved = plants.tick(valve, None if tick is None else allowed.astype(bool))
                 for row, plant in enumerate(single):
+                    command = 0.0
+                    if allowed[row]:
+                        command = onoff[row].command(*plant.levels(), (), ())
                     check(plant, plants, moved, row, *(
-                        float(values[row]) for values in (*weather, command, valve)
-                    ))
+                        float(values[row]) for values in weather
+                    ), command, float(valve[row]))
 
 
 def check(
