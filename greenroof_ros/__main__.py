@@ -63,6 +63,7 @@ GROUPS = {
         "bound": Command("bound", "compute the minimum possible deviation"),
     },
     "fit it to your site": {
+        "new-site": Command("new_site", "write a site file from a few answers"),
         "size": Command("size", "choose a cistern: sizes, targets and outlets over all seasons"),
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
         "fetch-weather": Command("fetch_weather", "fetch years of weather from the internet"),

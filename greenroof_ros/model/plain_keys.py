@@ -101,23 +101,23 @@ class PlainKeys:
         "area of the green roof: a2", 0.1, 1e6, unit="m2", default=None, usual=(20, 2000),
     )
     substrate: str | None = entry(
-        "name of its substrate: field_capacity, wilting_point, depletion_fraction, "
+        "substrate of the green roof, by name: field_capacity, wilting_point, depletion_fraction, "
         "drainage_storage and drainage_time", choices=tuple(SUBSTRATES), default=None,
     )
     substrate_depth: float | None = entry(
-        "depth of its substrate: z_soil", 0.02, 2.0, unit="m", default=None, usual=(0.06, 0.5),
+        "depth of the substrate: z_soil", 0.02, 2.0, unit="m", default=None, usual=(0.06, 0.5),
     )
     pump_flow: float | None = entry(
         "flow of the pump at full command, at any level of the cistern: a_hat and c_hat", 1.0, 1e6,
         unit="l/h", default=None, usual=(100, 5000),
     )
     irrigation_rate: float | None = entry(
-        "the same as a depth on the roof in an hour", 0.1, 1000.0, unit="mm/h", default=None,
+        "likewise, as a depth on the roof in an hour", 0.1, 1000.0, unit="mm/h", default=None,
         usual=(2, 10),
     )
     emitters: int | None = entry(
-        "the same as a number of drip emitters, with emitter_flow", 1, 10_000_000, default=None,
-        usual=(100, 5000),
+        "likewise, as a number of drip emitters, each with emitter_flow", 1, 10_000_000,
+        default=None, usual=(100, 5000),
     )
     emitter_flow: float | None = entry(
         "flow of one drip emitter", 0.1, 100.0, unit="l/h", default=None, usual=(1, 4),

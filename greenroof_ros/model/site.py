@@ -449,7 +449,7 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Entry]
 
 def _base(path: Path, name: str) -> Path:
     """Return the file that a site file extends: in its own directory, or of this package."""
-    own, shipped = path.parent / name, shared_directory() / "config" / name
+    own, shipped = Path(path).parent / name, shared_directory() / "config" / name
     return shipped if is_there(shipped) and not is_there(own) else own
 
 

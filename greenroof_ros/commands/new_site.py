@@ -1,0 +1,293 @@
+"""Write a site file from a few answers: ``greenroof new-site``."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import select
+import shlex
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+from zoneinfo import ZoneInfo
+
+from greenroof_ros.common.command_line import (
+    Parser,
+    command,
+    make_number_type,
+    refuse_unwritable,
+)
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import TextInMemory, add_path_to_errors
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.common.ranges import read_number
+from greenroof_ros.model.new_site import (
+    HEIGHT,
+    KEYS,
+    LIFT,
+    RATE,
+    RUNOFF,
+    SUBSTRATE,
+    format_new_site,
+    standard_offset,
+)
+from greenroof_ros.model.place import format_place
+from greenroof_ros.model.plain_keys import SUBSTRATES
+from greenroof_ros.model.site import read_site
+
+# Options, with the keys that they answer: those that are asked for, and those with an assumption.
+_ASKED = {"roof": "roof_area", "catchment": "catchment_area", "cistern": "cistern_volume"}
+_ASSUMED = {
+    key.replace("_", "-"): key for key in (
+        "cistern_height", "runoff_coefficient", "substrate", "substrate_depth", "pump_flow",
+        "irrigation_rate", "emitters", "emitter_flow", "elevation",
+    )
+}
+_PLACE_FORM = "latitude,longitude in degrees with decimal points, such as 43.63,-79.40"
+# No house is further south, and no town further north than Longyearbyen (degrees).
+_SOUTH, _NORTH = -60.0, 79.0
+# Standard time is at most this far from solar time, in the west of China, and mostly this far (h).
+_MAX_FROM_SOLAR, _USUAL_FROM_SOLAR = 3.5, 1.6
+
+_DESCRIPTION = """\
+Write a site file for your house. Without --roof, --catchment, --cistern or --place
+it asks, on a terminal; all else it assumes. The file states each assumption with
+its source: read it, and change what you know better.
+"""
+_EPILOG = f"""\
+examples:
+  greenroof new-site
+  greenroof new-site --roof 120 --catchment 200 --cistern 5 --place 43.63,-79.40
+  greenroof new-site --roof 40 --catchment 120 --cistern 3 --place 52.52,13.40 \\
+      --substrate extensive --substrate-depth 0.08 --emitters 160 --emitter-flow 1.6 \\
+      --valve --time-zone Europe/Berlin --output berlin.yaml
+
+substrates:
+{chr(10).join(textwrap.fill(f"{name}: {each.about}", 78, initial_indent="  ",
+              subsequent_indent="    ") for name, each in SUBSTRATES.items())}
+
+exit codes: 0 done, 2 wrong usage or answers, 130 ended by Ctrl-C
+"""
+
+
+class Place(NamedTuple):
+    """A place on earth (degrees)."""
+
+    latitude: float
+    longitude: float
+
+
+def make_parser() -> Parser:
+    """Return the command's parser."""
+    parser = Parser(
+        prog="greenroof new-site", usage="%(prog)s [options]", description=_DESCRIPTION,
+        epilog=_EPILOG,
+    )
+    # So that -33.87,151.21 is a value, and not an option.
+    parser._negative_number_matcher = re.compile(r"-[\d.]")
+    group = parser.add_argument_group("asked for, if they are left out")
+    for option, key in _ASKED.items():
+        _add_option(group, option, key)
+    group.add_argument(
+        "--place", type=_read_place, metavar="LAT,LON",
+        help="place: latitude, positive to the north, and longitude, positive to the east, in "
+        "degrees",
+    )
+    group = parser.add_argument_group("assumed, if they are left out")
+    assumed = {
+        "cistern_height": f"{HEIGHT:g}", "runoff_coefficient": f"{RUNOFF:g}",
+        "substrate": SUBSTRATE, "substrate_depth": "that of the substrate's source",
+        "irrigation_rate": f"{RATE:g}",
+    }
+    for option, key in _ASSUMED.items():
+        _add_option(group, option, key, assumed.get(key, ""))
+    group.add_argument(
+        "--target", type=make_number_type(1.0, 1000.0), metavar="X",
+        help="water wanted in the substrate (mm; default: where plants begin to lack water, and a "
+        "day's demand)",
+    )
+    group.add_argument(
+        "--lift", dest="d", type=make_number_type(0.1, 500.0), metavar="X",
+        help="height of the roof above the cistern's base; only the pump's energy depends on it "
+        f"(m; default: {LIFT:g})",
+    )
+    group.add_argument(
+        "--time-zone", type=_read_zone, metavar="NAME",
+        help="IANA name of the time zone, such as America/Toronto (default: as the weather file "
+        "states)",
+    )
+    group.add_argument(
+        "--valve", action="store_true",
+        help="a valve on a low outlet, which empties the cistern before rain",
+    )
+    group.add_argument(
+        "--no-mains", action="store_true", help="no mains water when the cistern is empty"
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("my_site.yaml"), metavar="FILE.yaml",
+        help="site file to write; not one that exists (default: %(default)s)",
+    )
+    return parser
+
+
+def _add_option(
+    group: argparse._ArgumentGroup, option: str, key: str, default: str = ""
+) -> None:
+    """Add the option that answers a key of a site file."""
+    about = [_describe_unit(KEYS[key]), default and f"default: {default}"]
+    end = "; ".join(filter(None, about))
+    meaning = KEYS[key].meaning.partition(":")[0]
+    settings: dict[str, Any] = {"metavar": "X"}
+    if KEYS[key].among:
+        settings = {"choices": KEYS[key].among}
+    else:
+        settings["type"] = _reader(key)
+    group.add_argument(
+        f"--{option}", dest=key, help=f"{meaning} ({end})" if end else meaning, **settings
+    )
+
+
+def _reader(key: str) -> Callable[[str], float]:
+    """Return what reads the number of a key from a text."""
+    entry = KEYS[key]
+    return make_number_type(entry.low, entry.high, int if key == "emitters" else float)
+
+
+def _describe_unit(entry: Parameter) -> str:
+    usual = "" if entry.usual is None else f"usually {entry.usual[0]:g} to {entry.usual[1]:g}"
+    return ", ".join(filter(None, (entry.unit if entry.unit != "1" else "", usual)))
+
+
+def _read_place(text: str) -> Place:
+    """Read a place.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none where there can be a house.
+    """
+    parts = re.split(r"[,;\s]+", text.strip())
+    try:
+        latitude, longitude = map(read_number, parts)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be {_PLACE_FORM}, not {text}") from None
+    if not (_SOUTH <= latitude <= _NORTH and -180 <= longitude <= 180):
+        swapped = _SOUTH <= longitude <= _NORTH and -180 <= latitude <= 180
+        meant = f"; is it {longitude:g},{latitude:g}?" if swapped else ""
+        raise argparse.ArgumentTypeError(
+            f"must be {_PLACE_FORM}, from {_SOUTH:g} to {_NORTH:g} and from -180 to 180, not "
+            f"{text}{meant}"
+        )
+    return Place(latitude, longitude)
+
+
+def _read_zone(text: str) -> str:
+    """Read the name of a time zone.
+
+    Raises:
+        argparse.ArgumentTypeError: there is none of this name.
+    """
+    try:
+        return ZoneInfo(text).key
+    except (OSError, ValueError, KeyError):
+        raise argparse.ArgumentTypeError(
+            f"must be the IANA name of a time zone, such as America/Toronto, not {text}"
+        ) from None
+
+
+@command
+def main() -> None:
+    """Write the site file that the command line and the answers describe."""
+    arguments = make_parser().parse_args()
+    output: Path = arguments.output
+    refuse_unwritable(output, (".yaml", ".yml"), "--output")
+    _ask_what_is_missing(arguments)
+    _check_clock(arguments.place, arguments.time_zone)
+    file = TextInMemory(output)
+    file.text = format_new_site(
+        _collect(arguments), valve=arguments.valve, mains=not arguments.no_mains
+    )
+    try:
+        read_site(file)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"these answers make no site: {error.wrong}") from error
+    for option, key in (*_ASKED.items(), *_ASSUMED.items()):
+        _note_unusual(option, KEYS[key], getattr(arguments, key))
+    with add_path_to_errors(output), output.open("x", encoding="utf-8") as stream:
+        stream.write(file.text)
+    print(f"written: {output}, at {format_place(*arguments.place)}")
+    name = shlex.quote(str(output))
+    print(
+        f"weather: greenroof fetch-weather --site {name} --years 2021-2025 --output weather.csv\n"
+        f"run:     greenroof simulate --site {name} --weather weather.csv --start 2025-06-01 "
+        "--hours 720 --controller onoff --pump-min-off 1800"
+    )
+
+
+def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
+    """Ask for what cannot be assumed, on a terminal.
+
+    Raises:
+        ConfigurationError: there is none, or it ends.
+    """
+    questions = [
+        *((f"--{option}", key, _reader(key), KEYS[key].meaning.partition(":")[0],
+           _describe_unit(KEYS[key])) for option, key in _ASKED.items()),
+        ("--place", "place", _read_place, "place", _PLACE_FORM),
+    ]
+    missing = [each for each in questions if getattr(arguments, each[1]) is None]
+    if missing and not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise ConfigurationError(
+            "must be given, since there is no terminal to ask on",
+            key=", ".join(each[0] for each in missing),
+        )
+    for option, key, read, meaning, about in missing:
+        while getattr(arguments, key) is None:
+            print(f"{meaning[0].upper()}{meaning[1:]} ({about}): ", end="", flush=True)
+            # Unlike input(), this does not lose a Ctrl-C that comes just before it waits.
+            while not select.select([sys.stdin], [], [], 1.0)[0]:
+                pass
+            if not (answer := sys.stdin.readline()):
+                raise ConfigurationError("is missing: no answer", key=option)
+            try:
+                setattr(arguments, key, read(answer.strip()))
+            except argparse.ArgumentTypeError as error:
+                print(f"  {error}")
+
+
+def _collect(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what is given, by the keys of a site file."""
+    keys = (*_ASKED.values(), *_ASSUMED.values(), "time_zone", "d")
+    given = {key: value for key in keys if (value := getattr(arguments, key)) is not None}
+    if arguments.target is not None:
+        given["z_veg"] = arguments.target / 1000
+    return {**given, **arguments.place._asdict()}
+
+
+def _check_clock(place: Place, zone: str | None) -> None:
+    """Refuse a place that is far from its time zone: latitude and longitude may be swapped.
+
+    Raises:
+        ConfigurationError: it is.
+    """
+    if zone is None:
+        return
+    offset = standard_offset(zone)
+    away, swapped = (abs(offset - degrees / 15) for degrees in (place.longitude, place.latitude))
+    if away > _MAX_FROM_SOLAR or swapped < _USUAL_FROM_SOLAR < away:
+        raise ConfigurationError(
+            f"is not in {zone}, {offset:+g} h from UTC: it must be {_PLACE_FORM}", key="--place",
+            value=f"{place.latitude:g},{place.longitude:g}",
+        )
+
+
+def _note_unusual(option: str, entry: Parameter, value: Any) -> None:
+    """Note a number outside of its usual range, to find a wrong unit."""
+    if isinstance(value, (int, float)) and entry.usual and not (
+        entry.usual[0] / 2 <= value <= 2 * entry.usual[1]
+    ):
+        print(
+            f"note: --{option} {value:g} {entry.unit} is unusual: is the unit right? Usually it is "
+            f"{entry.usual[0]:g} to {entry.usual[1]:g}", file=sys.stderr,
+        )
+

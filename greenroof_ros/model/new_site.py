@@ -1,0 +1,271 @@
+"""The text of a site file for a house of which little is known: what is given, and what is assumed.
+
+Each assumption stands with its source in the file, so that a reader can correct it.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator, Mapping
+from datetime import datetime, timedelta
+from typing import Any
+from zoneinfo import ZoneInfo
+
+from greenroof_ros.common.files import default_site_file
+from greenroof_ros.common.parameter import Parameter
+from greenroof_ros.model.plain_keys import LITRES_PER_HOUR, PLAIN, SUBSTRATES
+from greenroof_ros.model.site import Site, read_site, site_parameters
+
+KEYS: dict[str, Parameter] = {
+    **{parameter.name: parameter for parameter in site_parameters()}, **PLAIN,
+}
+"""what a site file may have"""
+HEIGHT, RUNOFF, SUBSTRATE, RATE, LIFT = 2.0, 0.9, "neubrandenburg", 3.0, 6.0
+"""what is assumed of cistern (m), catchment (1), substrate, irrigation (mm/h) and roof (m)"""
+
+_FLOWS = ("pump_flow", "irrigation_rate", "emitters")
+# Evapotranspiration of reference grass on a day in Toronto's July (m), and the plants' ratio to it.
+_DAY, _CROP = 0.004, 0.96
+# The target is at most this share of what the substrate holds.
+_MAX_FILLED = 0.95
+# Time in which an open valve empties a full cistern, and an orifice its upper half (h).
+_VALVE_H, _ORIFICE_H = 6.0, 12.0
+# Levels in the cistern (m), and the least flow from the mains (m3/s), of config/site_valve.yaml.
+_SUCTION, _MAINS_LEVEL, _VALVE_LEVEL, _MAINS_FLOW = 0.05, 0.07, 0.1, 2e-4
+# Columns at which comments begin, and of the page.
+_COLUMN, _WIDTH = 30, 120
+
+
+def format_new_site(
+    given: Mapping[str, Any], *, valve: bool = False, mains: bool = True
+) -> str:
+    """Return the text of a site file.
+
+    Args:
+        given: values by the keys of a site file, at least ``roof_area``, ``catchment_area``,
+            ``cistern_volume``, ``latitude`` and ``longitude``. Others replace what is assumed.
+        valve: whether there is a valve on a low outlet.
+        mains: whether mains water fills a cistern that is nearly empty.
+    """
+    parts = (
+        _head(given), _place(given), _cistern(given, valve=valve, mains=mains), _roof(given),
+        _pump(given), _run(given),
+    )
+    return "\n\n".join("\n".join(part) for part in parts) + "\n"
+
+
+def standard_offset(zone: str) -> float:
+    """Return a time zone's present offset from UTC without daylight saving (h)."""
+    offsets = (datetime(2026, month, 15, tzinfo=ZoneInfo(zone)).utcoffset() for month in (1, 7))
+    return min(offset or timedelta() for offset in offsets) / timedelta(hours=1)
+
+
+def _line(
+    given: Mapping[str, Any], key: str, assumed: Any, meaning: str, source: str = "[assumed]",
+    *, active: bool = True,
+) -> Iterator[str]:
+    """Yield the lines of a key: its value, its unit, and a comment with the source of the value.
+
+    Args:
+        given: values by key; they are active.
+        key: the key.
+        assumed: its value if none is given.
+        meaning: of the value.
+        source: of the assumption.
+        active: whether an assumed value is one of the site; otherwise it is ready to become one.
+    """
+    value, source = (given[key], "[given]") if key in given else (assumed, source)
+    if isinstance(value, float):
+        value = f"{value:.6g}" if value % 1 else f"{value:.1f}"
+    mark = "" if active or key in given else "# "
+    comment = _wrap(f"{meaning} {source}".strip(), _WIDTH - _COLUMN - 10)
+    first, *further = comment
+    yield f"{mark + f'{key}: {value}':<{_COLUMN - 1}} # {_unit(key):<7} {first}".rstrip()
+    for text in further:
+        yield f"{'#':>{_COLUMN + 1}}{'':9}{text}"
+
+
+def _unit(key: str) -> str:
+    unit = KEYS[key].unit if key in KEYS else ""
+    return {"degrees": "deg"}.get(unit, unit)
+
+
+def _wrap(text: str, width: int) -> list[str]:
+    return textwrap.wrap(text, width, break_on_hyphens=False, break_long_words=False)
+
+
+def _head(given: Mapping[str, Any]) -> Iterator[str]:
+    text = (
+        f"A green roof of {given['roof_area']:g} m2 and its cistern, written by 'greenroof "
+        "new-site'. Each value has its source: [given] as an answer, [assumed], or what stands "
+        "there. Change what you know better; doc/reference/file-formats.md has all keys."
+    )
+    yield from (f"# {line}" for line in _wrap(text, _WIDTH - 2))
+    yield ""
+    yield from (
+        "# Physics, overflow and pipe are the paper's. The pipe only counts in the pump's energy.",
+        "extends: site.yaml",
+    )
+
+
+def _place(given: Mapping[str, Any]) -> Iterator[str]:
+    yield "# Place"
+    yield from _line(given, "latitude", None, "north")
+    yield from _line(given, "longitude", None, "east")
+    yield from _line(
+        given, "elevation", 100.0, "above sea level; if left out, that of the weather's mean "
+        "pressure", "", active=False,
+    )
+    zone = given.get("time_zone")
+    offset = standard_offset(zone) if zone else float(round(given["longitude"] / 15))
+    yield from _line(
+        given, "time_zone", "Europe/Berlin", "for quiet_hours, and for weather by a clock with "
+        "daylight saving", "", active=False,
+    )
+    yield from _line(
+        given, "utc_offset", offset, "standard time; needed for weather files whose times have no "
+        "offset from UTC", "[time_zone]" if zone else "", active=zone is not None,
+    )
+    yield (
+        "# monthly_evapotranspiration: twelve means (mm/day), for weather without temperature, and "
+        "for a live site"
+    )
+
+
+def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[str]:
+    height = given.get("cistern_height", HEIGHT)
+    base = given["cistern_volume"] / height
+    yield "# Cistern (tank 1)"
+    yield from _line(given, "cistern_volume", None, "below the overflow")
+    yield from _line(given, "cistern_height", HEIGHT, "level of the overflow")
+    yield from _line(given, "catchment_area", None, "roofs whose rain flows into the cistern")
+    yield from _line(
+        given, "runoff_coefficient", RUNOFF, "share of that rain that reaches it",
+        "[0.75 to 0.95 for roofs, ASCE]",
+    )
+    like_valve = "[assumed, as site_valve.yaml]"
+    yield from _line(given, "z_pump", 0.0, "the pump stands at the bottom", like_valve)
+    yield from _line(given, "z_H", _SUCTION, "water that it needs above it", like_valve)
+    if not mains:
+        yield "# No mains water [given]. With it:"
+    yield from _line(
+        given, "mains_level", _MAINS_LEVEL, "below it a float valve lets mains water in",
+        like_valve, active=mains,
+    )
+    flow = max(_MAINS_FLOW, float(f"{1.2 * _find_flow(given):.2g}"))
+    yield from _line(
+        given, "mains_flow", flow, f"flow of that valve, {3600 * flow:.2g} m3/h, more than the "
+        "pump's", active=mains,
+    )
+    if not valve:
+        yield "# No low outlet [assumed]. To empty the cistern before rain, a valve on one:"
+    yield from _outlet(
+        _VALVE_LEVEL, base, height, f"open, it empties a full cistern in {_VALVE_H:g} h",
+        _VALVE_H, given, active=valve,
+    )
+    yield from _line(
+        given, "low_outlet_valve", "true", "a policy opens and closes it", "", active=valve
+    )
+    if not valve:
+        yield "# Or an orifice that is always open, without low_outlet_valve:"
+        yield from _outlet(
+            height / 2, base, height, f"it empties the upper half in {_ORIFICE_H:g} h", _ORIFICE_H,
+            given, active=False,
+        )
+
+
+def _outlet(
+    level: float, base: float, height: float, meaning: str, hours: float,
+    given: Mapping[str, Any], *, active: bool,
+) -> Iterator[str]:
+    """Yield the keys of a low outlet that takes some hours from the overflow down to its level.
+
+    Torricelli's law: the time is 2 a1 sqrt(head) / c, with the c of Eq. (2).
+    """
+    paper = _paper()
+    coefficient = 2 * base * math.sqrt(max(0.0, height - level)) / (3600 * hours)
+    radius = math.sqrt(coefficient / (paper.c_d * math.pi * math.sqrt(2 * paper.g)))
+    yield from _line(given, "low_outlet_level", level, "its level", active=active)
+    yield from _line(
+        given, "low_outlet_radius", max(0.001, float(f"{radius:.2g}")), f"{meaning}, by Eq. (2)",
+        active=active,
+    )
+
+
+def _paper() -> Site:
+    return read_site(default_site_file())
+
+
+def _roof(given: Mapping[str, Any]) -> Iterator[str]:
+    substrate = SUBSTRATES[given.get("substrate", SUBSTRATE)]
+    yield "# Roof (tank 2)"
+    yield from _line(given, "roof_area", None, "green roof")
+    yield from _line(
+        given, "substrate", SUBSTRATE, f"one of {', '.join(SUBSTRATES)}. This is {substrate.about}",
+    )
+    yield from _line(
+        given, "substrate_depth", substrate.depth, "0.06 to 0.15 for sedum and herbs, more for "
+        "shrubs", "[that of the substrate's source]",
+    )
+    yield from _line(
+        given, "crop_coefficient", _CROP, "vegetation over reference grass",
+        "[fit, site_neubrandenburg.yaml]",
+    )
+    target, how = find_target(given)
+    yield from _line(given, "z_veg", target, "water wanted in the substrate", f"[{how}]")
+
+
+def find_target(given: Mapping[str, Any]) -> tuple[float, str]:
+    """Return the level of water to keep on the roof (m), and where it is from.
+
+    It is where water stress begins, plus the demand of a day in summer, as
+    doc/howto/choose-target-and-controller.md recommends, but not all that the substrate holds.
+    """
+    substrate = SUBSTRATES[given.get("substrate", SUBSTRATE)]
+    depth = given.get("substrate_depth", substrate.depth)
+    available = substrate.field_capacity - substrate.wilting_point
+    onset = depth * (substrate.wilting_point + (1 - substrate.depletion_fraction) * available)
+    target = min(onset + _DAY * _CROP, _MAX_FILLED * depth * substrate.field_capacity)
+    return math.floor(1e4 * target) / 1e4, (
+        f"where plants begin to lack water, {1000 * onset:.1f} mm, plus a day in summer, "
+        f"{1000 * _DAY * _CROP:.1f} mm, at most {_MAX_FILLED:.0%} of what the substrate holds"
+    )
+
+
+def _find_flow(given: Mapping[str, Any]) -> float:
+    """Return the pump's flow (m3/s)."""
+    litres = given.get("pump_flow") or given.get("emitters", 0) * given.get("emitter_flow", 0.0)
+    litres = litres or given.get("irrigation_rate", RATE) * given["roof_area"]
+    return float(litres * LITRES_PER_HOUR)
+
+
+def _pump(given: Mapping[str, Any]) -> Iterator[str]:
+    litres = f"{_find_flow(given) / LITRES_PER_HOUR:.3g} l/h"
+    yield "# Pump, of a constant flow. Instead of this key: pump_flow, or emitters and emitter_flow"
+    for key in (*_FLOWS, "emitter_flow"):
+        if key in given:
+            yield from _line(given, key, None, litres if key != "emitter_flow" else "of each")
+    if not any(key in given for key in _FLOWS):
+        yield from _line(
+            given, "irrigation_rate", RATE, f"{litres} on this roof",
+            "[assumed; drip lines: 2 to 4]",
+        )
+    yield from _line(
+        given, "d", LIFT, "height of the roof above the cistern's base; only the energy depends "
+        "on it",
+    )
+    yield (
+        '# quiet_hours: ["22:00-06:00"]  # when the pump stays off, by time_zone; none [assumed]'
+    )
+
+
+def _run(given: Mapping[str, Any]) -> Iterator[str]:
+    target = given.get("z_veg", find_target(given)[0])
+    yield "# Runs begin with half a cistern, and the roof at its target"
+    yield from _line(given, "initial_cistern", given["cistern_volume"] / 2, "", )
+    yield from _line(
+        given, "initial_roof", float(f"{target * given['roof_area']:.6g}"), "roof_area z_veg"
+    )
+    yield from _line(given, "tau", 60.0, "duration of a tick: precise for a pump this small")
+    yield from _line(given, "N", 720, "length of a run unless --hours is given, 12 h")
