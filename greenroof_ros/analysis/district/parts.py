@@ -103,7 +103,7 @@ def simulate_part(directory: Path, part: Part) -> PartResult:
         ConfigurationError: a building's site is wrong.
     """
     buildings, count = part.buildings, part.group_count
-    sites = [*_make_sites(directory / SITE_FILE, buildings)]
+    sites = [*make_sites(directory / SITE_FILE, buildings)]
     adopts = part.groups < count
     simulated: dict[str, NDArray[np.intp]] = {}
     groups, variants = list[NDArray[np.intp]](), list[_Variant]()
@@ -115,7 +115,7 @@ def simulate_part(directory: Path, part: Part) -> PartResult:
         simulated[outlet] = places
         groups.append(first + part.groups[places] + count * (everyone & ~part.valves[places]))
         variants += [
-            _with_outlet(part.district, outlet, sites, buildings, n) for n in places.tolist()
+            with_outlet(part.district, outlet, sites, buildings, n) for n in places.tolist()
         ]
         rows[outlet] = slice(first, first := first + count * (1 + everyone))
     if not variants:
@@ -154,7 +154,7 @@ def _areas(sites: Sequence[Site]) -> Values:
     return np.array([connected_area(site) for site in sites])
 
 
-def _make_sites(file: Path, buildings: Buildings) -> Iterator[Site]:
+def make_sites(file: Path, buildings: Buildings) -> Iterator[Site]:
     """Yield the site of each building."""
     names = [name for name in buildings.values if not is_of_policy(name)]
     for place in range(len(buildings)):
@@ -174,7 +174,7 @@ class _Variant(NamedTuple):
     """initial volumes in the cistern and on the roof (m3)"""
 
 
-def _with_outlet(
+def with_outlet(
     district: District, outlet: str, sites: Sequence[Site], buildings: Buildings, place: int
 ) -> _Variant:
     """Return a building with a kind of outlet."""
