@@ -6,10 +6,9 @@ from pathlib import Path
 
 from places import DATA
 
-from greenroof_ros.analysis.district.parts import simulate_part
-from greenroof_ros.analysis.district.run import DistrictRun, read_run
+from greenroof_ros.analysis.district.run import DistrictRun, read_run, simulate_district
 from greenroof_ros.analysis.district.totals import Totals
-from greenroof_ros.analysis.workers.input_files import write_inputs
+from greenroof_ros.analysis.workers.processes import this_process
 
 WEATHER = DATA / "en_climate_hourly_07-2021.csv"
 # Two storms, with 23 mm and 13 mm within hours; dry days before, between and after them.
@@ -50,10 +49,5 @@ def empty_totals(run: DistrictRun) -> Totals:
 def simulate_here(directory: Path, text: str = DISTRICT) -> tuple[DistrictRun, Totals]:
     """Simulate a district in this process."""
     run = read_run(write_district(directory, text))
-    inputs = directory / "inputs"
-    inputs.mkdir()
-    write_inputs(run.files, inputs)
-    totals = empty_totals(run)
-    for part in run.parts(directory):
-        totals.add(part.places, simulate_part(inputs, part))
-    return run, totals
+    with this_process(run.files) as workers:
+        return run, simulate_district(run, workers)

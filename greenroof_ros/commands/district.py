@@ -80,13 +80,14 @@ def main() -> int:
             "must be a directory with weather files", key="--weather", value=str(arguments.weather)
         )
     with require_extra("study"):
-        from greenroof_ros.analysis.district import output, page, run
+        from greenroof_ros.analysis.district import page, run
+        from greenroof_ros.analysis.district.result import PAGE, DistrictResult, make_directory
     district = run.read_run(
         arguments.district, [] if arguments.weather is None else [arguments.weather]
     )
     for note in district.notes:
         print(f"note: {note}", file=sys.stderr)
-    output.make_directory(arguments.output)
+    make_directory(arguments.output)
     signals: Signals | None = None
     try:
         with open_workers(arguments, district.files, run.PRELOADED) as workers:
@@ -100,13 +101,13 @@ def main() -> int:
             file=sys.stderr,
         )
         return EXIT_FAILED if received is None else EXIT_INTERRUPTED
-    rows = totals.rows()
-    output.write(arguments.output, district, totals, rows, with_swmm=arguments.swmm)
-    _show(rows, page)
-    print(page.summarise(district, rows))
-    for warning in page.warn(district, rows):
+    result = DistrictResult(district, totals)
+    result.save(arguments.output, with_swmm=arguments.swmm)
+    _show(result.rows, page)
+    print(result.sentence)
+    for warning in result.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    print(f"written to {arguments.output / output.PAGE}")
+    print(f"written to {arguments.output / PAGE}")
     return EXIT_DONE
 
 

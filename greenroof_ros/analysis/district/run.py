@@ -157,8 +157,9 @@ def read_run(path: Path, places: Sequence[Path] = ()) -> DistrictRun:
 
 
 def simulate_district(
-    run: DistrictRun, workers: Workers, progress: Callable[[str, float], None],
-    check: Callable[[], None],
+    run: DistrictRun, workers: Workers,
+    progress: Callable[[str, float], None] = lambda text, share: None,
+    check: Callable[[], None] = lambda: None,
 ) -> Totals:
     """Simulate all parts and add them up.
 

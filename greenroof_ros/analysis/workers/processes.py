@@ -1,4 +1,4 @@
-"""Workers that are processes of this machine.
+"""Workers that are processes of this machine, or this one.
 
 A Dask cluster's are in :mod:`greenroof_ros.analysis.workers.cluster`.
 """
@@ -40,6 +40,20 @@ class Workers(NamedTuple):
     """returns what the function of a future returned, or raises what it raised"""
     check: Callable[[], None]
     """raises :class:`WorkersLostError` if no worker is left"""
+
+
+@contextmanager
+def this_process(files: Mapping[str, bytes]) -> Iterator[Workers]:
+    """Work in this process, one task after the other, each when it is submitted."""
+    with scratch_directory() as inputs:
+        write_inputs(files, inputs)
+
+        def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+            future: Future[Any] = Future()
+            future.set_result(function(inputs, *arguments))
+            return future
+
+        yield Workers(submit, lambda future: future.result(), check=lambda: None)
 
 
 @contextmanager

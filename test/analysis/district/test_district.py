@@ -15,15 +15,14 @@ import pytest
 from browsers import drawn_page
 from commands import Forked, run_command
 from dask_cluster import Dask
-from districts import DISTRICT, edit, empty_totals, write_district
+from districts import DISTRICT, edit, write_district
 from graphs import wait_for
 
-from greenroof_ros.analysis.district.parts import simulate_part
-from greenroof_ros.analysis.district.run import DistrictRun, read_run, simulate_district
-from greenroof_ros.analysis.district.totals import Flow, Totals
+import greenroof_ros as gr
+from greenroof_ros.analysis.district.run import read_run, simulate_district
+from greenroof_ros.analysis.district.totals import Flow
 from greenroof_ros.analysis.workers.cluster import cluster
-from greenroof_ros.analysis.workers.input_files import write_inputs
-from greenroof_ros.analysis.workers.processes import processes
+from greenroof_ros.analysis.workers.processes import processes, this_process
 
 SHORT = edit("hours: 72", "hours: 24").replace("T00:00", "T20:00")
 
@@ -58,7 +57,7 @@ def test_command(tmp_path: Path) -> None:
     half = [row for row in buildings if float(row["adopts_at"]) <= 0.5]
     assert len(half) == 4
     mains = sum(
-        float(row["drain:mains_m3"] if row["low_outlet"] == "True" else row["none:mains_m3"])
+        float(row["drain:mains_m3"] if row["low_outlet"] == "true" else row["none:mains_m3"])
         for row in half
     )
     of_half = next(row for row in rows if (row["outlet"], row["adoption"]) == ("drain", "0.5"))
@@ -71,14 +70,18 @@ def test_command(tmp_path: Path) -> None:
     assert "--output = 'out': exists and is not empty" in again.stderr
 
 
-def totals_in(run: DistrictRun) -> Totals:
-    """Simulate a district in this process."""
-    directory = run.district.path.parent
-    write_inputs(run.files, directory)
-    totals = empty_totals(run)
-    for part in run.parts(directory):
-        totals.add(part.places, simulate_part(directory, part))
-    return totals
+def test_in_python(tmp_path: Path) -> None:
+    """The same table and page as the command's."""
+    text = SHORT.replace("buildings: 8", "buildings: 3\noutlets: [drain]")
+    write_district(tmp_path, text)
+    assert district(tmp_path, "--output", "out").returncode == 0
+    result = gr.district(tmp_path / "district.yaml")
+    assert result.table.write_csv() == (tmp_path / "out" / "results.csv").read_text()
+    assert "less storm water reaches the sewer" in result.sentence
+    (tmp_path / "mine").mkdir()
+    result.save(tmp_path / "mine")
+    for name in ("page.html", "buildings.csv"):
+        assert (tmp_path / "mine" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
 
 
 def test_processes_and_dask_with_a_killed_worker(
@@ -90,7 +93,9 @@ def test_processes_and_dask_with_a_killed_worker(
     dask.start_worker()
     dask.start_worker()
     with processes(2, run.files, []) as workers:
-        here = simulate_district(run, workers, lambda *_: None, lambda: None)
+        here = simulate_district(run, workers)
+    with this_process(run.files) as workers:
+        one = simulate_district(run, workers)
     seen: list[float] = []
 
     def kill(_: str, share: float) -> None:
@@ -100,10 +105,9 @@ def test_processes_and_dask_with_a_killed_worker(
             dask.wait_for_log("Remove worker")
 
     with cluster(dask.address, run.files) as workers:
-        there = simulate_district(run, workers, kill, lambda: None)
+        there = simulate_district(run, workers, kill)
     assert dask.workers[0].poll() is not None
     assert seen[-1] == 1
-    one = totals_in(run)
     for other in (here, there):
         assert json.dumps(one.rows()) == json.dumps(other.rows())
         for flow in one.flows:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from districts import WEATHER, edit, empty_totals, simulate_here, write_district
 
-from greenroof_ros.analysis.district.parts import SITE_FILE, simulate_part
+from greenroof_ros.analysis.district.parts import simulate_part
 from greenroof_ros.analysis.district.run import DistrictRun, read_run
 from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
 from greenroof_ros.analysis.workers.input_files import write_inputs
@@ -25,7 +25,9 @@ from greenroof_ros.model.site import Site, read_site
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DistrictRun, Totals]:
     """Simulate the district once; return the directory, too."""
     directory = tmp_path_factory.mktemp("district")
-    return directory, *simulate_here(directory)
+    run, totals = simulate_here(directory)
+    write_inputs(run.files, directory)
+    return directory, run, totals
 
 
 Simulated = tuple[Path, DistrictRun, Totals]
@@ -34,7 +36,7 @@ Simulated = tuple[Path, DistrictRun, Totals]
 def site_of(run: DistrictRun, directory: Path, place: int, outlet: str) -> Site:
     """Return the site of a building with a kind of outlet."""
     changes = {key: values[place] for key, values in run.buildings.values.items()}
-    site = read_site(directory / SITE_FILE, changes)
+    site = read_site(directory / "site.yaml", changes)
     if outlet == "none":
         return replace(
             site, low_outlet_level=None, low_outlet_radius=None, low_outlet_valve=False
@@ -64,14 +66,14 @@ def test_sums_of_single_runs(simulated: Simulated) -> None:
     for outlet in ("none", "orifice", "drain", "plan"):
         sums: Counter[str] = Counter()
         for rank, place in enumerate(order.tolist()):
-            site = site_of(run, directory / "inputs", place, outlet)
+            site = site_of(run, directory, place, outlet)
             area = site.a2 + site.a_in * site.runoff_coefficient
             if rank >= 4:
                 for name in ("discharge_m3", "wet_discharge_m3"):
                     sums[name] += area * run.rain.sum()
                 continue
             own = outlet if rank % 2 else "none"  # every other one has a valve
-            results = results_of(site_of(run, directory / "inputs", place, own), own)
+            results = results_of(site_of(run, directory, place, own), own)
             for name in ("discharge_m3", "wet_discharge_m3", "mains_m3", "pumped_m3"):
                 sums[name] += results[name] or 0.0
         row = rows[outlet, 0.5]

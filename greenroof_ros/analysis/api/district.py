@@ -1,0 +1,39 @@
+"""Districts from Python."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from greenroof_ros.analysis.district.result import DistrictResult
+from greenroof_ros.analysis.district.run import PRELOADED, read_run, simulate_district
+from greenroof_ros.analysis.workers.processes import processes, this_process
+
+
+def district(
+    file: str | os.PathLike[str], *, weather: str | os.PathLike[str] | None = None, jobs: int = 1
+) -> DistrictResult:
+    """Add up what many buildings send to one sewer, as ``greenroof district``.
+
+    Args:
+        file: of the district.
+        weather: directory of weather files that are not next to it.
+        jobs: number of processes. With more than 1, a script must start under
+            ``if __name__ == "__main__":``.
+
+    Returns:
+        The results: ``.sentence``, ``.table``, ``.buildings``, ``.hydrographs`` and
+        ``.save(directory)``, which writes the page to an empty directory.
+
+    Raises:
+        ConfigurationError: a file is wrong; the message states which, and what would be right.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> result = gr.district("my_district.yaml", jobs=2)  # doctest: +SKIP
+        >>> result.table["outlet", "adoption", "wet_discharge_m3"]  # doctest: +SKIP
+    """
+    run = read_run(Path(file), [] if weather is None else [Path(weather)])
+    those = this_process(run.files) if jobs == 1 else processes(jobs, run.files, PRELOADED)
+    with those as workers:
+        return DistrictResult(run, simulate_district(run, workers))

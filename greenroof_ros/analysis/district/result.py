@@ -1,0 +1,161 @@
+"""The results of a district: tables, hydrographs and page, and the directory that holds them."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import timedelta
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from greenroof_ros.analysis.district import page, swmm
+from greenroof_ros.analysis.district.run import DistrictRun
+from greenroof_ros.analysis.district.totals import Flow, Totals
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.files import add_path_to_errors, replace_text
+from greenroof_ros.experiment.run_directory import writable
+
+PAGE = "page.html"
+
+
+def make_directory(directory: Path) -> None:
+    """Make the directory of the results.
+
+    Raises:
+        ConfigurationError: it holds something, or cannot be written.
+    """
+    with writable(directory):
+        directory.mkdir(parents=True, exist_ok=True)
+        if any(directory.iterdir()):
+            raise ConfigurationError(
+                "exists and is not empty; nothing is overwritten", key="--output",
+                value=str(directory),
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class DistrictResult:
+    """What many buildings send to one sewer.
+
+    Attributes:
+        run: what was simulated.
+        totals: the sums.
+    """
+
+    run: DistrictRun
+    totals: Totals
+
+    @cached_property
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each adoption and kind of outlet, the district as it is first."""
+        return self.totals.rows()
+
+    @property
+    def sentence(self) -> str:
+        """The most important result."""
+        return page.summarise(self.run, self.rows)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What would go wrong, in sentences; mostly empty."""
+        return page.warn(self.run, self.rows)
+
+    @property
+    def table(self) -> pl.DataFrame:
+        """The rows as a data frame; units are in the names."""
+        return pl.DataFrame(self.rows)
+
+    @property
+    def buildings(self) -> pl.DataFrame:
+        """A row for each building: from which adoption on it takes part, and its results."""
+        return pl.DataFrame(list(self._list_buildings()), infer_schema_length=None)
+
+    @property
+    def hydrographs(self) -> pl.DataFrame:
+        """Flows (m3/s) and rain (mm/h), with the time at which each interval begins."""
+        run, totals = self.run, self.totals
+        start, seconds = run.runs[0].start, totals.seconds
+        first = start.replace(tzinfo=None)
+        last = first + timedelta(seconds=seconds * (totals.rain.shape[1] - 1))
+        return pl.DataFrame({
+            f"time_utc{start.isoformat()[-6:]}": pl.datetime_range(
+                first, last, timedelta(seconds=seconds), eager=True
+            ),
+            **{
+                f"rain_{cell}_mm_h" if cell else "rain_mm_h": 3.6e6 / seconds * rain
+                for cell, rain in zip(run.cells or ("",), totals.rain, strict=True)
+            },
+            "wet": totals.wet,
+            **{
+                f"{name_flow(flow)}_m3_s": totals.discharge(flow) / seconds
+                for flow in totals.flows
+            },
+        })
+
+    def save(self, directory: Path, *, with_swmm: bool = False) -> None:
+        """Write all results to a directory.
+
+        Args:
+            directory: there, and empty.
+            with_swmm: whether time series for SWMM are written, too.
+
+        Raises:
+            OSError: for instance on a full disk.
+        """
+        shutil.copyfile(self.run.district.path, directory / "district.yaml")
+        replace_text(directory / "results.csv", self.table.write_csv())
+        replace_text(directory / "buildings.csv", self.buildings.write_csv())
+        file = directory / "hydrographs.parquet"
+        with add_path_to_errors(file):
+            self.hydrographs.write_parquet(file)
+        if with_swmm:
+            self._save_for_swmm(directory / "swmm")
+        replace_text(directory / PAGE, page.render(self.run, self.totals, self.rows))
+
+    def _list_buildings(self) -> Iterator[dict[str, Any]]:
+        run, totals, adoption = self.run, self.totals, self.run.adoption
+        buildings = run.buildings
+        groups, valves = adoption.groups(buildings.ranks), adoption.have_valve(buildings.ranks)
+        for place, name in enumerate(buildings.ids):
+            takes_part = groups[place] < len(adoption.shares)
+            yield {
+                "id": name,
+                **({"cell": run.cells[buildings.cells[place]]} if run.cells else {}),
+                **{key: values[place] for key, values in buildings.values.items()},
+                "connected_area_m2": float(totals.areas[place]),
+                "adopts_at": adoption.shares[groups[place]] if takes_part else None,
+                "low_outlet": bool(valves[place]) if takes_part else None,
+                **{
+                    f"{outlet}:{metric}":
+                        None if np.isnan(values[place]) else float(values[place])
+                    for outlet in totals.outlets
+                    for metric, values in totals.metrics[outlet].items()
+                },
+            }
+
+    def _save_for_swmm(self, directory: Path) -> None:
+        """Write a time series for each flow, and a network that takes the first of them."""
+        directory.mkdir()
+        run, totals = self.run, self.totals
+        start = run.runs[0].start.replace(tzinfo=None)
+        for flow in totals.flows:
+            outlet = page.LABELS[flow.outlet] if flow.adoption else page.AS_IS_LABEL
+            share = page.percent(flow.adoption)
+            text = swmm.format_series(
+                start, totals.seconds, totals.discharge(flow),
+                f"{len(run.buildings)} buildings, {share} of them with a cistern: {outlet}",
+            )
+            replace_text(directory / f"{name_flow(flow)}.dat", text)
+        hours = totals.rain.shape[1] * totals.seconds / 3600
+        network = swmm.format_network(start, hours, f"{name_flow(totals.flows[0])}.dat")
+        replace_text(directory / swmm.NETWORK, network)
+
+
+def name_flow(flow: Flow) -> str:
+    """Return the name of a hydrograph: ``as_is``, or ``drain_050`` for half of the buildings."""
+    return f"{flow.outlet}_{100 * flow.adoption:03g}" if flow.adoption else "as_is"
