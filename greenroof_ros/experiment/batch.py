@@ -162,10 +162,12 @@ class BatchResult:
         hydrograph: discharge to the sewer of each group's sites in each interval of
             :func:`greenroof_ros.model.storm_water.interval_seconds` (m3), shape (groups,
             intervals); None without groups.
+        low_outlet: the part of it through low outlets, likewise.
     """
 
     metrics: dict[str, Values]
     hydrograph: Values | None
+    low_outlet: Values | None
 
 
 def simulate_batch(
@@ -187,20 +189,19 @@ def simulate_batch(
         raise ConfigurationError("all sites of a batch must have the same tau and as many steps")
     every = Sites.of(batch.sites)
     steps, per_interval = batch.weather[0].steps, _count_per_interval(batch.sites[0])
-    hydrograph = None if groups is None else np.zeros((
-        int(groups.max()) + 1, -(-steps // per_interval)
-    ))
+    shape = 0 if groups is None else int(groups.max()) + 1, -(-steps // per_interval)
+    hydrograph, low_outlet = (None if groups is None else np.zeros(shape) for _ in range(2))
     metrics: dict[str, Values] = {}
     done = 0
     for rows in _split(every, batch.weather_of):
-        part = _Part(batch, every, rows, groups, hydrograph)
+        part = _Part(batch, every, rows, groups, hydrograph, low_outlet)
         for ticks in part.simulate():
             done += ticks * len(rows)
             if progress is not None:
                 progress(done / (steps * len(every)))
         for name, values in part.results().items():
             metrics.setdefault(name, np.empty(len(every)))[rows] = values
-    return BatchResult(metrics, hydrograph)
+    return BatchResult(metrics, hydrograph, low_outlet)
 
 
 def _count_per_interval(site: Site) -> int:
@@ -221,7 +222,7 @@ class _Part:
 
     def __init__(
         self, batch: Batch, every: Sites, rows: Rows, groups: Rows | None,
-        hydrograph: Values | None,
+        hydrograph: Values | None, low_outlet: Values | None,
     ) -> None:
         self._batch, self._sites = batch, every.take(rows)
         self._weather_of = batch.weather_of[rows]
@@ -247,7 +248,7 @@ class _Part:
         self._allowed: NDArray[np.bool_] | None = None
         self._metrics = BatchMetrics(
             self._plants, self._steps, self._per_interval, list(self._find_wet()), self._clocks,
-            None if groups is None else groups[rows], hydrograph,
+            None if groups is None else groups[rows], hydrograph, low_outlet,
         )
 
     def _by_weather(self) -> Iterator[tuple[int, Rows]]:

@@ -44,6 +44,7 @@ class BatchMetrics:
     def __init__(
         self, plants: Plants, ticks: int, per_interval: int, wet: Sequence[tuple[Rows, Flags]],
         clocks: Sequence[Clock], groups: Rows | None = None, hydrograph: Values | None = None,
+        low_outlet: Values | None = None,
     ) -> None:
         """Start with the initial state.
 
@@ -55,6 +56,7 @@ class BatchMetrics:
             clocks: each row is in one of them.
             groups: number of each row's group; None without a hydrograph.
             hydrograph: where the discharge of each group is added (m3), shape (groups, intervals).
+            low_outlet: likewise the part of it through low outlets.
         """
         self._plants, self._sites = plants, (sites := plants.sites)
         self._tau, self._per_interval, n = float(sites.tau[0]), per_interval, len(sites)
@@ -68,7 +70,8 @@ class BatchMetrics:
         self._stress_below = np.maximum(sites.stress_volume, np.nextafter(0.0, 1.0))
         self._of_day, self._overflow_days = np.zeros((2, n))
         self._midnights = _find_midnights(clocks, self._tau, ticks)
-        self._wet, self._groups, self._hydrograph = wet, groups, hydrograph
+        self._wet, self._groups = wet, groups
+        self._hydrograph, self._low_outlet = hydrograph, low_outlet
         self._discharge, self._wet_discharge = np.zeros((2, n))
         self._to_sewer = 1 - sites.drainage_to_cistern
         self._peaks = np.zeros((len(_PEAKS_MIN), n))
@@ -104,6 +107,10 @@ class BatchMetrics:
             ):
                 np.add(total, values, out=total)
             self._of_day += moved.outflow - moved.low_outlet
+            if self._groups is not None and self._low_outlet is not None:
+                self._low_outlet[:, tick // self._per_interval] += np.bincount(
+                    self._groups, moved.low_outlet, len(self._low_outlet)
+                )
         self._add_roof(tick + 1)
         if (tick + 1) % self._per_interval == 0:
             self._filled += 1

@@ -120,6 +120,12 @@ def test_hydrographs_of_groups_add_up(runs: list[Run], result: BatchResult) -> N
     for group in range(2):
         of_group = result.metrics["discharge_m3"][np.arange(len(runs)) % 2 == group]
         assert result.hydrograph[group].sum() == pytest.approx(of_group.sum())
+    assert result.low_outlet is not None
+    let_out = result.metrics["outflow_m3"] - result.metrics["overflow_m3"]
+    for group in range(2):
+        of_group = let_out[np.arange(len(runs)) % 2 == group]
+        assert result.low_outlet[group].sum() == pytest.approx(of_group.sum())
+    assert (result.low_outlet <= result.hydrograph + 1e-12).all()
 
 
 def test_seasons_that_start_at_different_times() -> None:

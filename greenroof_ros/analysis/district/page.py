@@ -60,7 +60,8 @@ COLUMNS = {
     "sewer_overflow_m3": "sewer overflow (m³)",
     "sewer_overflow_reduction": "less",
     "sewer_overflow_hours": "hours of overflow",
-    "dry_peak_5min_mm_h": "peak in dry weather, 5 min (mm/h)",
+    "wet_low_outlet_m3": "through low outlets in wet weather (m³)",
+    "low_outlet_peak_5min_mm_h": "at most, 5 min (mm/h)",
     "mains_m3": "mains water (m³)",
     "demand_met_share": "irrigation without it",
 }
@@ -101,6 +102,25 @@ def _compare(reference: dict[str, Any], row: dict[str, Any]) -> str:
         amount = f"{percent(abs(change))} {less if change >= 0 else more}"
         parts.append(f"{what} {amount}" if what.endswith("is") else f"{amount} {what}")
     return " and ".join([*filter(None, [", ".join(parts[:-1])]), *parts[-1:]]) or "nothing changes"
+
+
+def describe_valves(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Return a sentence for each kind of valve: when its buildings let water out, and how fast."""
+    storm, sentences = rows[0]["peak_5min_mm_h"], []
+    for outlet in (DRAIN, PLAN):
+        row = max(
+            (row for row in rows if row["outlet"] == outlet and row["low_outlet_m3"]),
+            key=lambda row: float(row["adoption"]), default=None,
+        )
+        if row is not None:
+            peak = row["low_outlet_peak_5min_mm_h"]
+            sentences.append(
+                f"{LABELS[outlet]}, {percent(row['adoption'])} of the buildings: "
+                f"{percent(row['wet_low_outlet_m3'] / row['low_outlet_m3'])} of what the valves "
+                f"let out falls in wet weather. All together they let out at most {peak:.3g} mm/h"
+                + (f", {percent(peak / storm)} of the storm's peak." if storm else ".")
+            )
+    return sentences
 
 
 def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
@@ -153,11 +173,14 @@ def _draw(
     )
     yield _draw_over_adoption(
         "together", "Do the valves open together?",
-        "The highest flow over five minutes, with a storm in the sewer and without one: what "
-        "drains in dry weather from all buildings at once. " + _capacity_note(capacity),
+        " ".join([
+            "They do, in dry weather.", *describe_valves(rows),
+            "The highest flow over five minutes.",
+            _capacity_note(capacity),
+        ]),
         rows, names, [
             ("peak_5min_mm_h", "At any time", "mm/h", capacity),
-            ("dry_peak_5min_mm_h", "In dry weather", "mm/h", capacity),
+            ("low_outlet_peak_5min_mm_h", "Through valves or orifices", "mm/h", capacity),
         ],
     )
     yield _draw_storm(run, totals, [AS_IS_LABEL, *names])

@@ -78,11 +78,13 @@ class PartResult:
         areas: connected area of each building (m2), shape (n,).
         hydrographs: discharge to the sewer of each group in each interval (m3), by outlet, shape
             (groups, intervals); of none those with a valve first, then the others.
+        low_outlets: the part of it through low outlets, likewise.
         metrics: of each building, by outlet and name, shape (n,); NaN if it has another outlet.
     """
 
     areas: Values
     hydrographs: dict[str, Values]
+    low_outlets: dict[str, Values]
     metrics: dict[str, dict[str, Values]]
 
 
@@ -119,7 +121,7 @@ def simulate_part(directory: Path, part: Part) -> PartResult:
         ]
         rows[outlet] = slice(first, first := first + count * (1 + everyone))
     if not variants:
-        return PartResult(_areas(sites), {}, {})
+        return PartResult(_areas(sites), {}, {}, {})
     places = np.concatenate([*simulated.values()])
     cells, weather_of = np.unique(buildings.cells[places], return_inverse=True)
     result = simulate_batch(
@@ -143,11 +145,13 @@ def simulate_part(directory: Path, part: Part) -> PartResult:
             metrics[outlet][name][places] = result.metrics[name][begin:end]
         begin = end
     assert result.hydrograph is not None
-    hydrograph = np.zeros((first, result.hydrograph.shape[1]))
-    hydrograph[: len(result.hydrograph)] = result.hydrograph  # the last groups may be empty
-    return PartResult(
-        _areas(sites), {outlet: hydrograph[those] for outlet, those in rows.items()}, metrics
+    assert result.low_outlet is not None
+    flows = np.zeros((2, first, result.hydrograph.shape[1]))
+    flows[:, : len(result.hydrograph)] = result.hydrograph, result.low_outlet  # the last are empty
+    hydrographs, low_outlets = (
+        {outlet: each[own] for outlet, own in rows.items()} for each in flows
     )
+    return PartResult(_areas(sites), hydrographs, low_outlets, metrics)
 
 
 def _areas(sites: Sequence[Site]) -> Values:

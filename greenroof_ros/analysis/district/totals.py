@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greenroof_ros.analysis.district.adoption import Adoption
 from greenroof_ros.analysis.district.buildings import Buildings, Values
@@ -76,10 +77,10 @@ class Totals:
         count = len(adoption.shares)
         self.areas = np.zeros(len(buildings))
         """connected area of each building (m2)"""
-        self._volumes = {
+        self._volumes, self._let_out = ({
             outlet: np.zeros((count * (1 + (outlet == NONE)), rain.shape[1]), np.int64)
             for outlet in outlets
-        }
+        } for _ in range(2))
         self.metrics = {
             outlet: {name: np.full(len(buildings), np.nan) for name in METRICS}
             for outlet in outlets
@@ -94,7 +95,10 @@ class Totals:
         """Add the part with the buildings at some places; each place and outlet comes once."""
         self.areas[places] = result.areas
         for outlet, volumes in result.hydrographs.items():
-            self._volumes[outlet] += np.rint(volumes * _PER_M3).astype(np.int64)
+            for sums, added in (
+                (self._volumes, volumes), (self._let_out, result.low_outlets[outlet]),
+            ):
+                sums[outlet] += np.rint(added * _PER_M3).astype(np.int64)
             for name, values in result.metrics[outlet].items():
                 self.metrics[outlet][name][places] = values
 
@@ -116,13 +120,19 @@ class Totals:
         Buildings without a low outlet have the same in every kind; on those without a green roof
         all rain runs off at once.
         """
-        adopted = self._adopted(flow)
+        others = np.where(self._groups < self._adopted(flow), 0.0, self.areas)
+        areas = np.bincount(self._buildings.cells, others, len(self.rain))
+        return np.asarray(self._add_groups(self._volumes, flow) + areas @ self.rain)
+
+    def let_out(self, flow: Flow) -> Values:
+        """Return what leaves through low outlets in each interval (m3), shape (intervals,)."""
+        return self._add_groups(self._let_out, flow)
+
+    def _add_groups(self, sums: Mapping[str, NDArray[np.int64]], flow: Flow) -> Values:
         total = np.zeros(self.rain.shape[1], np.int64)
         for outlet, groups in self._parts(flow):
-            total += self._volumes[outlet][groups].sum(axis=0)
-        others = np.where(self._groups < adopted, 0.0, self.areas)
-        areas = np.bincount(self._buildings.cells, others, len(self.rain))
-        return np.asarray(total / _PER_M3 + areas @ self.rain)
+            total += sums[outlet][groups].sum(axis=0)
+        return np.asarray(total / _PER_M3)
 
     def sum(self, flow: Flow, name: str) -> float:
         """Return the sum of a metric over the buildings with a green roof."""
@@ -161,6 +171,14 @@ class Totals:
                 peak = find_peak(Intervals(self.seconds, self.rain[0], where), minutes)
                 row[f"{weather}peak_{minutes}min_l_s"] = 1000 * peak
                 row[f"{weather}peak_{minutes}min_mm_h"] = 1000 * _HOUR_S * peak / area
+        let_out = self.let_out(flow)
+        row |= {
+            "low_outlet_m3": float(let_out.sum()),
+            "wet_low_outlet_m3": float(let_out[self.wet].sum()),
+            "low_outlet_peak_5min_mm_h": 1000 * _HOUR_S / area * find_peak(
+                Intervals(self.seconds, self.rain[0], let_out), 5
+            ),
+        }
         if self._capacity is not None:
             beyond = volumes - self._capacity / 1000 / _HOUR_S * area * self.seconds
             hours = self.seconds / _HOUR_S

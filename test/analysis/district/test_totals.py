@@ -82,6 +82,23 @@ def test_sums_of_single_runs(simulated: Simulated) -> None:
             assert row[name] == pytest.approx(value, rel=1e-6), (outlet, name)
 
 
+def test_valves_are_closed_in_wet_weather(simulated: Simulated) -> None:
+    """An orifice is not; what valves let out is what leaves besides overflow and drainage."""
+    _, _, totals = simulated
+    rows = {(row["outlet"], row["adoption"]): row for row in totals.rows()}
+    assert rows["none", 1.0]["low_outlet_m3"] == 0
+    assert 0 < rows["orifice", 1.0]["wet_low_outlet_m3"] < rows["orifice", 1.0]["low_outlet_m3"]
+    for outlet in ("drain", "plan"):
+        row = rows[outlet, 1.0]
+        assert row["low_outlet_m3"] > 1
+        assert row["wet_low_outlet_m3"] == 0
+        flow = totals.let_out(Flow(outlet, 1.0))
+        assert (flow[totals.wet] == 0).all()
+        sums = flow.reshape(-1, 5).sum(axis=1)  # at most a fifth above whole five minutes
+        peak = 12 * 1000 * sums.max() / totals.area
+        assert peak * (1 - 1e-9) <= row["low_outlet_peak_5min_mm_h"] <= 1.2 * peak
+
+
 def test_no_green_roof(simulated: Simulated) -> None:
     """All rain runs off at once, in wet weather; its peak is the rain's."""
     _, run, totals = simulated
