@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +14,8 @@ Values = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
+_TINY = 1e-150
+
 
 class CisternFlows(NamedTuple):
     """What moves in a tick (m3), each of shape (n,)."""
@@ -26,7 +27,6 @@ class CisternFlows(NamedTuple):
     mains: Values
 
 
-@dataclass(frozen=True, eq=False)
 class Cisterns:
     """What of the sites' parameters decides the flows of cisterns, each of shape (n,).
 
@@ -35,50 +35,42 @@ class Cisterns:
         lower: volume up to the low outlet, or to the upper one if there is none (m3).
         lowest: volume that the pumps leave (m3).
         filled: volume up to which the mains fill (m3).
-        much: of more than this volume (m3) in a tick, pumping is quick.
+        mains_flow: see :class:`.site.Site`, as others are.
     """
 
-    a1: Values
-    b: Values
-    c_hat: Values
-    d: Values
-    c_out: Values
-    c_low: Values
-    mains_flow: Values
-    upper: Values
-    lower: Values
-    lowest: Values
-    filled: Values
-    much: Values
+    def __init__(self, values: Values) -> None:
+        """Set the parameters, which :meth:`of` puts in order."""
+        self._values = values
+        (
+            self._a1, self._b, self._c_hat, self._d, self._c_out, self._c_low, self.mains_flow,
+            self.upper, self.lower, self.lowest, self.filled, self._much,
+        ) = values
 
     @classmethod
     def of(cls, sites: Sites) -> Cisterns:
         """Return those of sites."""
         a1 = sites.a1
-        derived = {
-            "upper": a1 * sites.z_o,
-            "lower": a1 * sites.low_outlet_level,
-            "lowest": a1 * sites.suction_level * (1 + ABOVE_SUCTION),
-            "filled": a1 * sites.mains_level,
-            "much": SHORT_SHARE * sites.x2_star,
-        }
-        own = (field.name for field in fields(cls) if field.name not in derived)
-        return cls(**{name: getattr(sites, name) for name in own}, **derived)
+        return cls(np.stack((
+            a1, sites.b, sites.c_hat, sites.d, sites.c_out, sites.c_low, sites.mains_flow,
+            a1 * sites.z_o, a1 * sites.low_outlet_level,
+            a1 * sites.suction_level * (1 + ABOVE_SUCTION), a1 * sites.mains_level,
+            SHORT_SHARE * sites.x2_star,
+        )))
 
     def take(self, rows: Rows | slice) -> Cisterns:
         """Return some of them."""
-        return Cisterns(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return Cisterns(self._values[:, rows])
 
-    def pump_flow(self, x1: Values, rows: Rows | slice = slice(None)) -> Values:
-        """Return the flow of some pumps at command 1 (m3/s), at volumes (m3), Eq. (3e)."""
-        head = x1 / self.a1[rows]
-        head += self.c_hat[rows]
-        head -= self.d[rows]
-        return np.asarray(self.b[rows] * np.sqrt(np.maximum(head, 0.0)))
+    def pump_flow(self, x1: Values) -> Values:
+        """Return the pumps' flow at command 1 (m3/s), Eq. (3e)."""
+        head = x1 / self._a1
+        head += self._c_hat
+        head -= self._d
+        return np.asarray(self._b * np.sqrt(np.maximum(head, 0.0)))
 
     def hold(self, outlet: Values) -> Values:
         """Return the volume above which water leaves for the sewer (m3)."""
-        return np.where(outlet > 0, self.lower, self.upper)
+        return np.asarray(np.where(outlet > 0, self.lower, self.upper))
 
     def mains(self, x1: Values, drawn: Values, seconds: float) -> Values:
         """Return the mean flow of the mains in a step (m3/s); see :func:`.plant.mains_flow`."""
@@ -104,9 +96,9 @@ class Cisterns:
             flow: of the pumps (m3/s).
             outlet: share to which each low outlet is open (1).
         """
-        pump, level = tau * flow, x1 / self.a1
-        low = tau * outlet * self.c_low * _root(level - self.lower / self.a1)
-        out = low + tau * self.c_out * _root(level - self.upper / self.a1)
+        pump, level = tau * flow, x1 / self._a1
+        low = tau * outlet * self._c_low * _root(level - self.lower / self._a1)
+        out = low + tau * self._c_out * _root(level - self.upper / self._a1)
         demand = out + pump
         mains = tau * self.mains(x1, demand / tau - collected, tau)
         available = x1 + tau * collected + mains
@@ -133,7 +125,7 @@ class Cisterns:
         """
         flow = np.where(missing > 0, command * self.pump_flow(x1), 0.0)
         quick = np.maximum(x1, self.filled) + tau * collected > self.hold(outlet)
-        quick |= tau * flow > self.much
+        quick |= tau * flow > self._much
         given = x1, collected, command, outlet, missing, rise
         if quick.all():
             return self._step(tau, steps, *given)
@@ -156,31 +148,27 @@ class Cisterns:
         arrives = seconds * collected
         running = np.zeros(len(x1), bool)
         volumes = np.zeros((steps, len(x1)))
-        out, let_out, let_in = np.zeros((3, len(x1)))
+        let_in, outlets = np.zeros(len(x1)), _Outlets(self, outlet, seconds)
         pumps = bool((missing > 0).any())
+        # Outlets are above the level of the mains: without pumping it never falls to that.
+        fills = pumps or bool((np.minimum(x1, self.lower) < self.filled).any())
         for volume in volumes:
-            held = x1 + arrives
             if pumps:
                 flow = np.where(missing > 0, command * self.pump_flow(x1), 0.0)
-                mains = self._pump(
-                    seconds, x1, collected, flow, missing, rise, running, volume
-                )
+                mains = self._pump(seconds, x1, collected, flow, missing, rise, running, volume)
                 running = (volume >= flow * seconds) & (flow > 0)
                 missing = missing - volume - seconds * rise
                 pumps = bool((missing > 0).any())
-                x1 = held + mains - volume
                 let_in += mains
-            elif (x1 < self.filled).any():
+                x1 = x1 + arrives + mains - volume
+            elif fills:
                 mains = seconds * self.mains(x1, -collected, seconds)
-                x1 = held + mains
                 let_in += mains
+                x1 = x1 + arrives + mains
             else:
-                x1 = held
-            upper, low = self.let_out(x1, outlet, seconds)
-            x1 -= upper + low
-            out += upper + low
-            let_out += low
-        return CisternFlows(volumes, out, let_out, let_in)
+                x1 = x1 + arrives
+            outlets.let_out(x1)
+        return CisternFlows(volumes, outlets.upper + outlets.low, outlets.low, let_in)
 
     def _pump(
         self, seconds: float, x1: Values, collected: Values, flow: Values, missing: Values,
@@ -224,38 +212,60 @@ class Cisterns:
             outlet: share to which each low outlet is open (1).
             volumes: what is pumped in each step (m3), shape (steps, n).
         """
-        out, let_out, let_in = np.zeros((3, len(x1)))
+        let_in, outlets = np.zeros(len(x1)), _Outlets(self, outlet, seconds)
         for pumped in volumes:
             mains = seconds * self.mains(x1, pumped / seconds - arriving, seconds)
-            x1 = x1 + seconds * arriving + mains - pumped
-            upper, low = self.let_out(x1, outlet, seconds)
-            x1 -= upper + low
-            out += upper + low
-            let_out += low
             let_in += mains
-        return CisternFlows(volumes, out, let_out, let_in)
+            x1 = x1 + seconds * arriving + mains - pumped
+            outlets.let_out(x1)
+        return CisternFlows(volumes, outlets.upper + outlets.low, outlets.low, let_in)
 
-    def let_out(self, x1: Values, outlet: Values, seconds: float) -> tuple[Values, Values]:
-        """Return what both outlets take in a step (m3); see :class:`.plant.Plant`.
+
+class _Outlets:
+    """Both outlets of cisterns in steps; :class:`.plant.Plant` has the formula.
+
+    Attributes:
+        upper: what the upper outlets have taken (m3).
+        low: what the low ones have taken (m3).
+    """
+
+    def __init__(self, cisterns: Cisterns, outlet: Values, seconds: float) -> None:
+        """Begin with the first step.
 
         Args:
-            x1: in each cistern, without their flow (m3).
+            cisterns: whose they are.
             outlet: share to which each low outlet is open (1).
-            seconds: duration of the step (s).
+            seconds: duration of a step (s).
         """
-        upper: Values = np.zeros_like(x1)
-        above = x1 - self.upper
-        if (above > 0).any():
-            upper = self._let_out(above, self.c_out * seconds)
-        return upper, self._let_out(x1 - upper - self.lower, outlet * self.c_low * seconds)
+        self._cisterns, self._four_a1 = cisterns, 4 * cisterns._a1
+        self._drop_upper, self._drop_low = (
+            cisterns._c_out * seconds, outlet * cisterns._c_low * seconds
+        )
+        self.upper, self.low = np.zeros((2, len(outlet)))
 
-    def _let_out(self, above: Values, drop: Values) -> Values:
+    def let_out(self, x1: Values) -> None:
+        """Let out what the outlets take in a step of what the cisterns hold (m3)."""
+        above = x1 - self._cisterns.upper
+        if (above > 0).any():
+            upper = self._take(above, self._drop_upper)
+            self.upper += upper
+            x1 -= upper
+        low = self._take(x1 - self._cisterns.lower, self._drop_low)
+        self.low += low
+        x1 -= low
+
+    def _take(self, above: Values, drop: Values) -> Values:
         """Return what an outlet takes (m3) of what stands above it (m3)."""
-        above = np.maximum(above, 0.0)
-        root = np.sqrt(drop * drop + 4 * self.a1 * above)
+        np.maximum(above, 0.0, out=above)
+        root = self._four_a1 * above
+        root += drop * drop
+        np.sqrt(root, out=root)
         root += drop
-        root[root == 0] = 1.0
-        return np.asarray(drop * 2 * above / root)
+        root += _TINY  # a closed outlet takes nothing
+        taken = 2 * drop
+        taken *= above
+        taken /= root
+        return taken
 
 
 def _root(head: Values) -> Values:

@@ -78,13 +78,16 @@ class Plants:
         self.flowed = False
         self._short, self._steps = bool(sites.has_short_ticks[0]), math.ceil(self._tau / MAX_STEP_S)
         self._cisterns, self._soils = Cisterns.of(sites), soils_of(sites)
-        self._target, self._kept = sites.a2 * sites.z_veg, bool(sites.drainage_to_cistern.any())
-        self._fraction, self._dry_below = fraction, level * sites.z_veg
+        self._kept = bool(sites.drainage_to_cistern.any())
+        self._of_pumps = np.stack((
+            sites.a1, sites.suction_level, sites.a2, level * sites.z_veg, fraction,
+            sites.a2 * sites.z_veg,
+        ))
         # A layer that stores nothing lets through what percolates.
         self._layers, decay = bool(sites.has_layer.any()), sites.layer_storage * sites.drainage_time
         self._decay = np.divide(1, decay, out=np.zeros_like(decay), where=sites.has_layer)
         self._command, self._missing, self._rise = np.zeros((3, len(sites)))
-        self._work = np.empty((2, len(sites)))
+        self._work = [np.empty(len(sites)), np.empty(len(sites))]
         self._outlet, self._calm = np.empty(0), np.empty(0)
         # In a long tick a pump lifts no less than this (m3).
         flow = fraction * self._cisterns.pump_flow(sites.a1 * sites.suction_level)
@@ -102,10 +105,11 @@ class Plants:
         self._collected = rain * sites.effective_catchment
         self._soils.set_weather(tau * potential, self._raining)
         # Of what is missing at most a share passes the soil; it is replaced with what evaporates.
-        highest = self._target + tau * potential
+        _, _, a2, dry, _, target = self._of_pumps
+        highest = target + tau * potential
         least = self._min_lifted * (1 - self._soils.passing(highest))
         self._pumps_below = (1 + _ROUNDING) * np.minimum(
-            highest - least, sites.a2 * self._dry_below
+            highest - least, a2 * dry
         )
 
     def tick(self, outlet: Values, allowed: Flags | None = None) -> Moved:
@@ -157,15 +161,15 @@ class Plants:
         if not len(found):
             return None
         rows: Rows = found if 2 * len(found) < len(below) else _ALL
-        sites, x2 = self.sites, self.x2[rows]
-        runs = x2 / sites.a2[rows] < self._dry_below[rows]
-        runs &= self.x1[rows] / sites.a1[rows] >= sites.suction_level[rows]
+        x1, x2 = self.x1[rows], self.x2[rows]
+        a1, suction, a2, dry, fraction, to = self._of_pumps[:, rows]
+        runs = (x2 / a2 < dry) & (x1 / a1 >= suction)
         if allowed is not None:
             runs &= allowed[rows]
-        self._command[rows] = runs * self._fraction[rows]
+        self._command[rows] = runs * fraction
         if self._short:
             return rows
-        evaporated, to = self.moved.evapotranspiration[rows], self._target[rows]
+        evaporated = self.moved.evapotranspiration[rows]
         if not self._raining:
             missing = self._soils.water_to_raise(x2, to + evaporated, rows)
         else:
@@ -239,15 +243,15 @@ class Plants:
 
     def _lift(self, rows: Rows, stepped: Flags) -> None:
         """Write what pumps lift in the first step of a tick without rain, and what needs steps."""
-        cisterns, missing, x1 = self._cisterns, self._missing[rows], self.x1[rows]
+        cisterns, missing, x1 = self._cisterns.take(rows), self._missing[rows], self.x1[rows]
         seconds = self._tau / self._steps
-        flow = self._command[rows] * cisterns.pump_flow(x1, rows)
+        flow = self._command[rows] * cisterns.pump_flow(x1)
         min_volume = flow * min(seconds, MIN_RUN_S)
         lifted = missing * (missing >= min_volume)
-        usable = x1 - cisterns.lowest[rows]
+        usable = x1 - cisterns.lowest
         more = lifted > np.minimum(flow * seconds, usable)
         if more.any():
-            empty = more & (usable < min_volume) & (cisterns.mains_flow[rows] == 0)
+            empty = more & (usable < min_volume) & (cisterns.mains_flow == 0)
             lifted[empty] = 0.0
             stepped[rows] |= more & ~empty
         self.moved.pump[rows] = lifted
@@ -303,7 +307,7 @@ class Plants:
             np.add(part, 1, out=part)
             np.divide(layer, part, out=remaining)
             np.subtract(layer, remaining, out=moved.drainage)
-            layer[:] = remaining
+            self.layer, self._work[1], layer = remaining, layer, remaining
         else:
             moved.drainage.fill(0.0)
         x2 -= moved.evapotranspiration

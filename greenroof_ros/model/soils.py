@@ -90,6 +90,8 @@ class MeasuredSoils:
         """Set the sites."""
         self._sites, self._settled = sites, False
         self._drying = sites.stress_onset * sites.available_volume
+        self._volumes = np.stack((sites.wilting_volume, sites.available_volume, sites.z_cap))
+        self._rows: Rows | None = None
 
     def set_weather(self, potential: Values, raining: bool) -> None:
         """Set the weather; see :class:`PaperSoils`."""
@@ -114,31 +116,42 @@ class MeasuredSoils:
 
     def passing(self, x2: Values) -> Values:
         """Return S^2; see :class:`PaperSoils`."""
-        return np.asarray(self._filled(x2, slice(None)) ** 2)
+        return np.asarray(self._fill(x2, *self._volumes) ** 2)
 
-    def _filled(self, x2: Values, rows: Rows) -> Values:
+    def _take(self, rows: Rows) -> tuple[Values, Values, Values]:
+        """Return wilting, available and full volume of some soils (m3)."""
+        if rows is not self._rows:
+            self._rows, self._taken = rows, self._volumes[:, rows]
+        wilting, available, full = self._taken
+        return wilting, available, full
+
+    def _fill(self, x2: Values, wilting: Values, available: Values, full: Values) -> Values:
         """Return the filled share of the water that plants can take (1)."""
-        sites = self._sites
-        share = (x2 - sites.wilting_volume[rows]) / sites.available_volume[rows]
-        np.maximum(share, 0.0, out=share)
-        share[x2 >= sites.z_cap[rows]] = 1.0
+        share = (x2 - wilting) / available
+        if not self._settled:
+            np.maximum(share, 0.0, out=share)
+            share[x2 >= full] = 1.0
         return np.asarray(share)
 
     def water_to_raise(self, x2: Values, to: Values, rows: Rows) -> Values:
         """Return the water that raises some of the soils; see :class:`PaperSoils`."""
-        filled, reached = self._filled(x2, rows), self._filled(to, rows)
+        volumes = self._take(rows)
+        filled, reached = self._fill(x2, *volumes), self._fill(to, *volumes)
         np.minimum(reached, ALMOST_FULL, out=reached)
         g = np.maximum((reached - filled) / (1 - filled * reached), 0.0)
-        first = np.maximum(np.minimum(to, self._sites.wilting_volume[rows]) - x2, 0.0)
-        return np.asarray(first + self._sites.available_volume[rows] * np.arctanh(g))
+        water = volumes[1] * np.arctanh(g)
+        if not self._settled:
+            water += np.maximum(np.minimum(to, volumes[0]) - x2, 0.0)
+        return np.asarray(water)
 
     def percolate(self, x2: Values, arrived: Values, rows: Rows) -> Values:
         """Return what percolates out of some of the soils; see :class:`PaperSoils`."""
-        sites, filled, available = self._sites, self._filled(x2, rows), self._sites.available_volume
-        first = np.minimum(arrived, np.maximum(sites.wilting_volume[rows] - x2, 0.0))
-        g = np.tanh((arrived - first) / available[rows])
-        retained = available[rows] * g * (1 - filled * filled)
-        retained /= 1 + filled * g
+        wilting, available, full = self._take(rows)
+        filled, first = self._fill(x2, wilting, available, full), np.zeros(1)
+        if not self._settled:
+            first = np.minimum(arrived, np.maximum(wilting - x2, 0.0))
+        g = np.tanh((arrived - first) / available)
+        retained = available * g * (1 - filled * filled) / (1 + filled * g)
         return np.asarray(np.maximum(arrived - (first + retained), 0.0))
 
     def lose(self, x2: Values, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
