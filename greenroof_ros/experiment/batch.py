@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.times import epoch_ns
-from greenroof_ros.controllers.onoff import FRACTION, LEVEL
-from greenroof_ros.controllers.outlet import PLAN, parameters_on
+from greenroof_ros.controllers.onoff import OnOff
+from greenroof_ros.controllers.outlet import PARAMETERS
 from greenroof_ros.controllers.outlet_plan import HORIZON_H
 from greenroof_ros.controllers.outlets import OutletGroup, Outlets, find_dry_ticks
 from greenroof_ros.controllers.registry import find_controller
@@ -37,7 +37,7 @@ Values = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 # Sites that are stepped together: their arrays fit in the processor's cache.
-_TOGETHER = 2000
+_TOGETHER = 5000
 # Ticks between two reports of progress.
 _BLOCK = 1440
 
@@ -359,10 +359,10 @@ class _Part:
 def _complete(sites: Sequence[Site], given: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return each parameter of on/off control and the outlet, as an array over sites."""
     onoff = find_controller("onoff")
-    complete = []
-    for site, own in zip(sites, given, strict=True):
-        values = onoff.complete_parameters(site, onoff.check_parameters(own))
-        for parameter in (FRACTION, LEVEL, *parameters_on(site, PLAN)):
-            values.setdefault(parameter.name, parameter.default)
-        complete.append(values)
-    return {name: np.array([values[name] for values in complete]) for name in complete[0]}
+    names = [parameter.name for parameter in (*OnOff.parameters, *PARAMETERS)]
+    complete = [
+        onoff.complete_parameters(site, onoff.check_parameters(own))
+        for site, own in zip(sites, given, strict=True)
+    ]
+    unused = {parameter.name: parameter.default for parameter in PARAMETERS}  # without a valve
+    return {name: np.array([{**unused, **own}[name] for own in complete]) for name in names}

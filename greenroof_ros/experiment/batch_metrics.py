@@ -192,7 +192,8 @@ class BatchMetrics:
         self._add_counts()
         self._end_day(np.arange(len(sites)))
         self._filled += ticks % self._per_interval > 0
-        self._add_intervals()
+        if self._filled > self._before:
+            self._add_intervals()
         # After the run nothing flows.
         self._find_peaks(np.concatenate((
             self._flows[: self._before], np.zeros((self._before, len(sites)))
