@@ -28,8 +28,6 @@ _HOUR_S, _DAY_S = 3600.0, 86_400.0
 _NODES = 121
 # A plan is made each hour, or if a member's total rain has changed by more than this (m).
 _CHANGED_M = 1e-3
-# Interval (s) at which it checks whether they have.
-_CHECK_S = 60.0
 # Levels whose costs differ by less than this share of the cistern cost the same.
 _TIE = 1e-3
 # Sites and members that are computed together: they fit in the processor's cache.
@@ -40,7 +38,8 @@ class PlannedLevels:
     """The volumes to which cisterns are drained, by plans that are made in the same ticks."""
 
     def __init__(
-        self, sites: Sites, ends: Array, reserves: Array, prices: Array, reaches: Array
+        self, sites: Sites, ends: Array, reserves: Array, prices: Array, reaches: Array,
+        check_s: float = 60.0,
     ) -> None:
         """Set the sites; the arrays have an entry for each.
 
@@ -50,7 +49,9 @@ class PlannedLevels:
             reserves: to which they are drained without a forecast (m3).
             prices: of mains water, in m3 of discharge in wet weather (1).
             reaches: days for which stored water is worth its price.
+            check_s: how often it checks whether the forecast has changed (s).
         """
+        self._check_s = check_s
         self._sites, self._tau = sites, float(sites.tau[0])
         self._ends, self._lengths = ends, np.diff(ends)
         self._reserves, self._prices, self._reaches_s = reserves, prices, reaches * _DAY_S
@@ -86,7 +87,7 @@ class PlannedLevels:
         self._unchecked += self._tau
         if not dry:
             self._age = math.inf
-        elif max(self._age - _HOUR_S, self._unchecked - _CHECK_S) > -self._tau / 2:
+        elif max(self._age - _HOUR_S, self._unchecked - self._check_s) > -self._tau / 2:
             self._plan(*observe())
         return self._levels
 
@@ -132,10 +133,12 @@ class PlannedLevels:
         """
         sites, kept = self._sites, self._sites.drainage_to_cistern
         most = float(rain.sum(axis=1).max()) * (sites.effective_catchment + kept * sites.a2)
-        comes = x1 + most + kept * np.maximum(x2 - sites.x2_star, 0.0)
+        comes = most + kept * np.maximum(x2 - sites.x2_star, 0.0)
         levels = self._full.copy()
-        planned, size = np.flatnonzero(comes > self._full), max(1, _TOGETHER // len(rain))
-        for first in range(0, len(planned), size):  # whatever comes to the others, it fits
+        # Where it does not fit; without any the plan keeps all.
+        planned = np.flatnonzero((comes > 0) & (x1 + comes > self._full))
+        size = max(1, _TOGETHER // len(rain))
+        for first in range(0, len(planned), size):
             rows = planned[first : first + size]
             levels[rows] = self._solve(
                 rows, x1[rows], x2[rows], rain, self._hourly(evaporated[rows]), needed[rows]

@@ -33,12 +33,14 @@ class OutletGroup:
         ends: of the steps of the forecasts (s from now), the first 0.
         foresee: returns a tick's forecast for some of the sites: rain (m/s), shape (members,
             steps), and evapotranspiration off each bed (m3/s), shape (sites, steps).
+        has_rain: whether these forecasts have rain, which can change.
     """
 
     rows: Rows
     dry: Flags
     ends: Array
     foresee: Callable[[int, Rows], tuple[Array, Array]]
+    has_rain: bool = True
 
 
 def find_dry_ticks(rain: Array, tau: float, wet_after: float) -> Flags:
@@ -85,7 +87,8 @@ class Outlets:
         ]
         self._planning = [
             (_Moving(group, rows), PlannedLevels(
-                sites.take(rows), group.ends, reserves[rows], prices[rows], reaches[rows]
+                sites.take(rows), group.ends, reserves[rows], prices[rows], reaches[rows],
+                **({} if group.has_rain else {"check_s": math.inf}),
             ))
             for group in groups
             if len(rows := group.rows[moves[group.rows] & (names[group.rows] == PLAN)])

@@ -271,7 +271,7 @@ class _Part:
                 return rain, self._beds[rows, None] * evaporated
 
             dry = find_dry_ticks(weather.rain, tau, wet_after)
-            return OutletGroup(rows, dry, weather.ends, foresee)
+            return OutletGroup(rows, dry, weather.ends, foresee, with_rain)
 
         for weather, wet_after, rows in self._by_wet_after():
             yield make(weather, rows, wet_after)

@@ -14,7 +14,7 @@ Values = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-_TINY = 1e-150
+_TINY = 1e-300
 
 
 class CisternFlows(NamedTuple):
@@ -145,7 +145,7 @@ class Cisterns:
     ) -> CisternFlows:
         """Return what moves in a long tick, each site in the same number of steps."""
         seconds = tau / steps
-        arrives = seconds * collected
+        arrives = seconds * collected if collected.any() else 0.0
         running = np.zeros(len(x1), bool)
         volumes = np.zeros((steps, len(x1)))
         let_in, outlets = np.zeros(len(x1)), _Outlets(self, outlet, seconds)
@@ -238,34 +238,34 @@ class _Outlets:
             seconds: duration of a step (s).
         """
         self._cisterns, self._four_a1 = cisterns, 4 * cisterns._a1
-        self._drop_upper, self._drop_low = (
-            cisterns._c_out * seconds, outlet * cisterns._c_low * seconds
-        )
+        self._upper = self._drop(cisterns._c_out * seconds)
+        self._low = self._drop(outlet * cisterns._c_low * seconds)
         self.upper, self.low = np.zeros((2, len(outlet)))
+
+    def _drop(self, drop: Values) -> tuple[Values, Values, Values]:
+        """Return c t, its double and its square; more than 0, so that a closed outlet has roots."""
+        return drop, 2 * drop, drop * drop + _TINY
 
     def let_out(self, x1: Values) -> None:
         """Let out what the outlets take in a step of what the cisterns hold (m3)."""
         above = x1 - self._cisterns.upper
-        if (above > 0).any():
-            upper = self._take(above, self._drop_upper)
+        if above.max() > 0:
+            upper = self._take(above, *self._upper)
             self.upper += upper
             x1 -= upper
-        low = self._take(x1 - self._cisterns.lower, self._drop_low)
+        low = self._take(np.subtract(x1, self._cisterns.lower, out=above), *self._low)
         self.low += low
         x1 -= low
 
-    def _take(self, above: Values, drop: Values) -> Values:
+    def _take(self, above: Values, drop: Values, double: Values, square: Values) -> Values:
         """Return what an outlet takes (m3) of what stands above it (m3)."""
         np.maximum(above, 0.0, out=above)
         root = self._four_a1 * above
-        root += drop * drop
+        root += square
         np.sqrt(root, out=root)
         root += drop
-        root += _TINY  # a closed outlet takes nothing
-        taken = 2 * drop
-        taken *= above
-        taken /= root
-        return taken
+        above *= double
+        return np.asarray(np.divide(above, root, out=root))
 
 
 def _root(head: Values) -> Values:

@@ -91,7 +91,9 @@ class Plants:
         self._outlet, self._calm = np.empty(0), np.empty(0)
         # In a long tick a pump lifts no less than this (m3).
         flow = fraction * self._cisterns.pump_flow(sites.a1 * sites.suction_level)
-        self._min_lifted = 0.0 if self._short else flow * min(self._tau / self._steps, MIN_RUN_S)
+        self._min_lifted = (1 - _ROUNDING) * flow * min(self._tau / self._steps, MIN_RUN_S)
+        if self._short:
+            self._min_lifted.fill(0.0)
 
     def set_weather(self, rain: Values, potential: Values) -> None:
         """Set the weather of the present tick and of those that follow.
@@ -178,7 +180,7 @@ class Plants:
             missing = self._soils.water_to_raise(x2, to + np.where(rises, 0.0, evaporated), rows)
             missing -= np.where(rises, 0.0, fallen)
             self._rise[rows] = np.where(rises & runs, fallen - evaporated, 0.0) / self._tau
-        self._missing[rows] = missing * runs
+        self._missing[rows] = missing * (runs & (missing >= self._min_lifted[rows]))
         return rows
 
     # --- cisterns ---------------------------------------------------------------------------
