@@ -9,6 +9,7 @@ that dataclass.
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 import types
@@ -147,17 +148,18 @@ class Key:
     optional: bool
 
 
-def keys(kind: Any) -> list[Key]:
+@functools.cache  # a district makes thousands of sites
+def keys(kind: Any) -> tuple[Key, ...]:
     """Return the keys that a dataclass reads: its fields that were made by `entry`."""
     hints = get_type_hints(kind)
-    return [
+    return tuple(
         Key(
             attribute.name, hints[attribute.name],
             replace(attribute.metadata["entry"], name=attribute.name),
             attribute.default is not MISSING or attribute.default_factory is not MISSING,
         )
         for attribute in fields(kind) if "entry" in attribute.metadata
-    ]
+    )
 
 
 def parameters_of(kind: Any) -> list[Parameter]:

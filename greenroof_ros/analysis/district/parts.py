@@ -187,15 +187,17 @@ def with_outlet(
         name: values[place] for name, values in buildings.values.items() if is_of_policy(name)
     }
     if outlet in (NONE, ORIFICE):
-        lacking = dict.fromkeys(("low_outlet_level", "low_outlet_radius")) if outlet == NONE else {
+        changes = dict.fromkeys(("low_outlet_level", "low_outlet_radius")) if outlet == NONE else {
             name: value for name, value in asdict(district.orifice).items() if value is not None
         }
-        site = replace(site, low_outlet_valve=False, valve_closed_in_frost=False, **lacking)
+        site = replace(site, low_outlet_valve=False, valve_closed_in_frost=False, **changes)
         given = {name: value for name, value in given.items() if name == LEVEL.name}
     else:
         given["outlet"] = outlet
     try:
-        parameters = find_controller("onoff").complete_parameters(check_site(site), given)
+        if outlet == ORIFICE:
+            check_site(site)
+        parameters = find_controller("onoff").complete_parameters(site, given)
         return _Variant(site, parameters, find_state(site, None, None)[1])
     except ConfigurationError as error:
         raise buildings.refuse(place, error) from None
