@@ -34,6 +34,7 @@ from readme_pictures import draw as draw_readme_pictures
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
+from greenroof_ros.analysis.api.scenarios import read_references
 from greenroof_ros.analysis.district.district_file import (
     District,
     DistrictWeather,
@@ -668,6 +669,20 @@ def nodes() -> str | None:
     ])
 
 
+def scenario_scores() -> str:
+    """Return what the controllers of each scenario reach, the best first."""
+    rows = sorted(read_references(), key=lambda row: row["score"])
+    names = dict.fromkeys(row["scenario"] for row in read_references())
+    return "\n".join(
+        f"**`{name}`**\n\n" + markdown(("controller", "score", "at best", "water stress"), (
+            (row["controller"], f"{row['score']:.2f}", f"{row['bound']:.2f}",
+             f"{row['stress_hours']:.0f} h")
+            for row in rows if row["scenario"] == name
+        ))
+        for name in names
+    )
+
+
 TABLES: dict[str, Callable[[], str | None]] = {
     "topics": topics,
     "quality of service": quality,
@@ -692,6 +707,7 @@ TABLES: dict[str, Callable[[], str | None]] = {
     "district file": district_file,
     "relay file": relay_files,
     "relays": relays,
+    "scenarios": scenario_scores,
 }
 
 

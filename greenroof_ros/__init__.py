@@ -17,21 +17,22 @@ if TYPE_CHECKING:
     from greenroof_ros.analysis.api.arguments import read_site
     from greenroof_ros.analysis.api.district import district
     from greenroof_ros.analysis.api.environment import Environment
+    from greenroof_ros.analysis.api.scenarios import scenarios, score
     from greenroof_ros.analysis.api.simulate import Result, compare, read_bag, simulate
     from greenroof_ros.analysis.api.size import size
 
 __version__ = "1.0.0"
 
 __all__ = [
-    "Environment", "Result", "compare", "district", "gym", "read_bag", "read_site", "simulate",
-    "size",
+    "Environment", "Result", "compare", "district", "gym", "read_bag", "read_site", "scenarios",
+    "score", "simulate", "size",
 ]
 
 # The module of each of these names in analysis/api; gym is itself one.
 _MODULES = {
     "Environment": "environment", "Result": "simulate", "compare": "simulate",
-    "district": "district",
-    "read_bag": "simulate", "read_site": "arguments", "simulate": "simulate", "size": "size",
+    "district": "district", "read_bag": "simulate", "read_site": "arguments",
+    "scenarios": "scenarios", "score": "scenarios", "simulate": "simulate", "size": "size",
 }
 
 

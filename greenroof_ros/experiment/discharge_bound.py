@@ -9,7 +9,7 @@ as little mains water, for the same irrigation. doc/explanation/bound.md has the
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -92,6 +92,37 @@ def simulate_frontier(run: Run, watch: Callable[[Tick], object] | None = None) -
         ConfigurationError: the site has no valve.
         NoBoundError: the solver found no optimum.
     """
+    simulation = Simulation(run)
+
+    def flows() -> Iterator[tuple[float, float, float, float]]:
+        for tick in simulation.ticks():
+            if watch is not None:
+                watch(tick)
+            yield (
+                tick.precipitation, tick.evapotranspiration, tick.flows.pump, tick.flows.drainage
+            )
+
+    points = bound_discharge(run, flows())
+    results = simulation.metrics.results()
+    return Frontier(points, results["wet_discharge_m3"], results.get("mains_m3", 0.0))
+
+
+def bound_discharge(
+    run: Run, flows: Iterable[tuple[float, float, float, float]],
+    weights: Sequence[float] = WEIGHTS,
+) -> list[FrontierPoint]:
+    """Return the frontier for the irrigation that a run had.
+
+    Args:
+        run: at a site with a valve.
+        flows: of the ticks 0..N: rain (m/s), evapotranspiration, and what was pumped and drained
+            off the roof (m3/s).
+        weights: of mains water, rising.
+
+    Raises:
+        ConfigurationError: the site has no valve.
+        NoBoundError: the solver found no optimum.
+    """
     site, tau = run.site, run.site.tau
     if not site.low_outlet_valve:
         raise ConfigurationError(
@@ -99,22 +130,15 @@ def simulate_frontier(run: Run, watch: Callable[[Tick], object] | None = None) -
         )
     seconds = interval_seconds(site)
     ticks = round(seconds / tau)  # of an interval
-    simulation, closed, rows = Simulation(run), Plant(site, run.x1, run.x2), array("d")
+    closed, rows = Plant(site, run.x1, run.x2), array("d")
     rain = pumped = drainage = most_pumped = 0.0
-    for tick in simulation.ticks():
-        if watch is not None:
-            watch(tick)
-        if tick.k % ticks == 0 or tick.k == run.steps:
-            rows.extend((tick.k * tau, closed.x1, tau * rain, tau * pumped, tau * drainage))
+    for k, (rains, evaporates, pumps, drains) in enumerate(flows):
+        if k % ticks == 0 or k == run.steps:
+            rows.extend((k * tau, closed.x1, tau * rain, tau * pumped, tau * drainage))
             rain = pumped = drainage = 0.0
-        flows = tick.flows
-        rain, pumped, drainage = (
-            rain + tick.precipitation, pumped + flows.pump, drainage + flows.drainage
-        )
-        most_pumped = max(most_pumped, tau * flows.pump)
-        closed.step(tick.precipitation, closed.flows(
-            tick.precipitation, tick.evapotranspiration, 0.0, flows.pump, outlet=0.0
-        ))
+        rain, pumped, drainage = rain + rains, pumped + pumps, drainage + drains
+        most_pumped = max(most_pumped, tau * pumps)
+        closed.step(rains, closed.flows(rains, evaporates, 0.0, pumps, outlet=0.0))
     times, highest, *sums = np.frombuffer(rows).reshape(-1, 5).T
     depths = sums[0][1:]
     wet = find_wet_weather(site.wet_after, Intervals(seconds, depths, depths))
@@ -130,15 +154,15 @@ def simulate_frontier(run: Run, watch: Callable[[Tick], object] | None = None) -
         highest[ends], lowest,
     )
     of_roof = float((drained - kept)[steps.wet].sum())
-    points = [
+    return [
         point._replace(wet_discharge_m3=of_roof + point.wet_discharge_m3)
-        for point in find_frontier(site, run.x1, steps)
+        for point in find_frontier(site, run.x1, steps, weights)
     ]
-    results = simulation.metrics.results()
-    return Frontier(points, results["wet_discharge_m3"], results.get("mains_m3", 0.0))
 
 
-def find_frontier(site: Site, x1: float, steps: Steps) -> list[FrontierPoint]:
+def find_frontier(
+    site: Site, x1: float, steps: Steps, weights: Sequence[float] = WEIGHTS
+) -> list[FrontierPoint]:
     """Return the frontier without the roof's drainage, the point with the most mains water first.
 
     In each step, with the volume v at its beginning,
@@ -158,6 +182,7 @@ def find_frontier(site: Site, x1: float, steps: Steps) -> list[FrontierPoint]:
         site: with a valve.
         x1: in the cistern at the beginning (m3).
         steps: of the run.
+        weights: of mains water, rising.
 
     Raises:
         NoBoundError: the solver found no optimum.
@@ -181,7 +206,7 @@ def find_frontier(site: Site, x1: float, steps: Steps) -> list[FrontierPoint]:
         )),
     ))
     points: list[FrontierPoint] = []
-    for weight in WEIGHTS:
+    for weight in weights:
         costs = np.concatenate((np.zeros(n), wet, wet, np.full(n, weight)))
         result = linprog(costs, A_eq=balance, b_eq=change, bounds=bounds, method="highs")
         if result.status != 0:

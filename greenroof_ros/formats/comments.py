@@ -20,15 +20,15 @@ STAMPED = "stamped"
 START, END = STAMPS = ("start", "end")
 """The time of a row is the start of the row, or its end."""
 RAIN_KIND = "rain_kind"
-"""what the rain is of, if it was not measured by a gauge: :data:`REANALYSIS`"""
-REANALYSIS = "reanalysis"
-"""a weather model that follows measurements; its rain is the mean of a grid cell"""
+"""what the rain is of, if no gauge measured it: one of :data:`RAIN_KINDS`"""
+REANALYSIS, FORECAST = RAIN_KINDS = ("reanalysis", "forecast")
+"""Results of a weather model, which follows measurements, or runs ahead of them."""
 
 _NUMBERS = {
     LATITUDE: Range(-90.0, 90.0, "degrees"), LONGITUDE: Range(-180.0, 180.0, "degrees"),
     WIND_HEIGHT: Range(0.5, 100.0, "m"), RAIN_LATE: Range(0, 1, "h", whole=True),
 }
-_WORDS = {STAMPED: STAMPS, RAIN_KIND: (REANALYSIS,)}
+_WORDS = {STAMPED: STAMPS, RAIN_KIND: RAIN_KINDS}
 _COMMENT = re.compile(r"\s*(\"?#|$)")
 _KEY = rf"\b({'|'.join((*_NUMBERS, *_WORDS))})\s*[:=]\s*"
 # A value ends at the end of a clause, or before the next key, also an unknown one.
@@ -57,7 +57,7 @@ class Stated(NamedTuple):
     stamped: str
     """one of :data:`STAMPS`"""
     rain_kind: str
-    """:data:`REANALYSIS`, or empty"""
+    """one of :data:`RAIN_KINDS`, or empty"""
     notes: list[str]
     """of what is not read"""
 

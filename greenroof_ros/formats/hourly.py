@@ -40,7 +40,7 @@ class Records:
         wind_height: height at which the wind was measured (m); None if it is in the site file.
         minutes: rain of each minute (mm/h), shape (hours, 60), NaN where no row of less than an
             hour has it; None if there are none. The precipitation of their hours is their mean.
-        rain_kind: :data:`.comments.REANALYSIS` if any of the rain is; empty if none is known to be.
+        rain_kind: one of :data:`.comments.RAIN_KINDS` if any of the rain is; otherwise empty.
     """
 
     files: tuple[Path, ...]

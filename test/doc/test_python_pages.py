@@ -9,7 +9,9 @@ from doc_commands.blocks import fences
 from places import CHECKOUT
 
 
-@pytest.mark.parametrize("page", ["doc/tutorials/python.md", "doc/reference/gymnasium.md"])
+@pytest.mark.parametrize("page", [
+    "doc/tutorials/python.md", "doc/reference/gymnasium.md", "doc/reference/scenarios.md",
+])
 def test_code_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if "gymnasium" in page:
         pytest.importorskip("gymnasium", reason="gymnasium is not installed")

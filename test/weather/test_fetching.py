@@ -27,6 +27,7 @@ from greenroof_ros.common.http_client import ServiceError
 from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.formats.quantities import PRECIPITATION, TEMPERATURE
 from greenroof_ros.model.site import read_site
+from greenroof_ros.weather import fetching
 from greenroof_ros.weather.fetching import (
     Source,
     eccc_station,
@@ -263,6 +264,41 @@ def test_a_slow_service_is_given_up(service, tmp_path, monkeypatch):
     monkeypatch.setattr(http_client, "ANSWER_S", 0.2)
     service.faults = 9 * ["slow"]
     assert "no complete answer within 0.2 s" in failure(service, tmp_path, archive(service))
+
+
+@pytest.mark.parametrize(("error", "wait"), [
+    (ServiceError("429: Minutely API request limit exceeded. Please try again in one minute."), 60),
+    (ServiceError("429: Hourly API request limit exceeded. Try again in the next hour."), 3600),
+    (ServiceError("429 Too Many Requests", 5.0), 5),
+    (ServiceError("503 Service Unavailable"), 0),
+])
+def test_a_service_is_left_alone_as_long_as_it_asks(error, wait):
+    assert fetching._find_wait(error) == wait
+
+
+def test_rain_that_no_gauge_measured_is_noted_also_beside_a_gauges(tmp_path):
+    head, rows = "time,rain [mm]\n", "2024-06-{0}T00:00-05:00,1\n2024-06-{0}T01:00-05:00,2\n"
+    for name, comment, day in (
+        ("gauge.csv", "", "01"), ("model.csv", "# rain_kind: Reanalysis\n", "02"),
+        ("radar.csv", "# rain_kind: radar\n", "03"),
+    ):
+        (tmp_path / name).write_text(comment + head + rows.format(day))
+    gauge, model, radar = (
+        read_measured([tmp_path / name], SITE) for name in ("gauge.csv", "model.csv", "radar.csv")
+    )
+    assert (gauge.rain_note, radar.rain_note) == ("", "")
+    assert any("is not read: rain_kind: radar" in note for note in radar.left_out)
+    both = read_measured([tmp_path / "gauge.csv", tmp_path / "model.csv"], SITE)
+    assert LOW_PEAKS in both.rain_note == model.rain_note
+    # Written again by greenroof weather, it still says so; and the description does.
+    done = run_command(
+        "weather_file", "model.csv", "--output", "again.csv", cwd=tmp_path,
+        env={**os.environ, "COLUMNS": "400"},
+    )
+    assert LOW_PEAKS in done.stdout
+    assert read_measured([tmp_path / "again.csv"], SITE).rain_kind == "reanalysis"
+    (tmp_path / "both.csv").write_text(head + rows.format("01") + "# rain_kind: reanalysis\n")
+    assert "make a file of each part" in refusal(read_measured, [tmp_path / "both.csv"], SITE)
 
 
 def test_parts_of_another_request_are_not_mixed_in(service, tmp_path):

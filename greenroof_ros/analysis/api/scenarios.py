@@ -1,0 +1,225 @@
+"""Scenarios: runs that stay as they are, with a score, its bound, and what other controllers reach.
+
+``config/scenarios.yaml`` has them, and ``config/scenarios.csv`` the scores of their controllers,
+which ``tools/reference_scores.py`` has computed with :func:`score`.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from greenroof_ros.analysis.api.arguments import read_site
+from greenroof_ros.analysis.api.control import Function
+from greenroof_ros.analysis.api.simulate import Result, simulate
+from greenroof_ros.common.errors import ConfigurationError, describe_choices, require_extra
+from greenroof_ros.common.files import read_lines, read_yaml, shared_directory
+from greenroof_ros.common.processes import refuse_forked_polars
+from greenroof_ros.controllers.protocol import Controller
+from greenroof_ros.experiment.clairvoyant import BLOCK_S, clairvoyant_bound
+from greenroof_ros.experiment.discharge_bound import bound_discharge
+from greenroof_ros.experiment.inputs import INPUTS
+
+if TYPE_CHECKING:
+    import polars
+
+REFERENCES = "scenarios.csv"
+"""the scores of the scenarios' controllers, in ``config/``"""
+_COLUMNS = ("scenario", "controller", "score", "bound", "stress_hours")
+_MAINS = "mains_m3"
+# At most so many blocks of time have a variable of their own in a bound.
+_BLOCKS = 5000
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A site, weather, window and forecast that stay as they are, and a score.
+
+    Attributes:
+        name: of the scenario.
+        about: what it is, in a sentence.
+        inputs: of :func:`.simulate`, apart from the controller.
+        unit: of the score.
+        score: what it is; the less, the better.
+        weights: the metrics whose weighted sum it is.
+        controllers: inputs of those that others are compared with, by name.
+    """
+
+    name: str
+    about: str
+    inputs: Mapping[str, Any] = field(repr=False)
+    unit: str
+    score: str
+    weights: Mapping[str, float] = field(repr=False)
+    controllers: Mapping[str, Mapping[str, Any]] = field(repr=False)
+
+    def evaluate(self, result: Result) -> float:
+        """Return the score of a run in this scenario."""
+        return sum(weight * result.metrics[name] for name, weight in self.weights.items())
+
+    def bound(self, result: Result) -> float:
+        """Return what no run in this scenario is below, with the result's irrigation if it matters.
+
+        Of the deviation it is the minimum for any commands up to 1, or up to the result's highest.
+        Of storm water it is the minimum for any control of the valve and the roof's irrigation of
+        the result, without water stress.
+        """
+        run, metrics = result.run, result.metrics
+        if _MAINS in self.weights:
+            ticks, price = result.ticks, self.weights[_MAINS]
+            flows = zip(
+                *(series.tolist() for series in (
+                    ticks.precipitation, ticks.evapotranspiration, ticks.pump_flow, ticks.drainage,
+                )), strict=True,
+            )
+            (point,) = bound_discharge(run, flows, [price])
+            return point.wet_discharge_m3 + price * point.mains_m3
+        block_s = max(BLOCK_S, run.steps * run.site.tau / _BLOCKS)
+        total = clairvoyant_bound(run, block_s, max(1.0, metrics["max_command"]))
+        return metrics["mean_deviation_mm"] * total / metrics["total_deviation_m3"]
+
+
+def _read_scenarios() -> dict[str, Scenario]:
+    config = shared_directory() / "config"
+    content = read_yaml(config / "scenarios.yaml")
+    scenarios = {}
+    for name, entry in content["scenarios"].items():
+        site, run, score = {**entry["site"]}, entry["run"], entry["score"]
+        inputs = {
+            "site": read_site(config / site.pop("file"), **site),
+            "weather": str(config / "weather" / entry["weather"]),
+            **run,
+        }
+        if Path(inputs.get("forecast", "")).suffix:
+            inputs["forecast"] = str(config / inputs["forecast"])
+        scenarios[name] = Scenario(
+            name, entry["about"], inputs, score["unit"], score["about"], score["weights"],
+            entry["controllers"],
+        )
+    return scenarios
+
+
+scenarios = _read_scenarios()
+"""by name"""
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What a controller reaches in a scenario; printed, it is compared with others.
+
+    Attributes:
+        scenario: the scenario.
+        name: of the controller.
+        value: the score, in the scenario's unit; the less, the better.
+        bound: what no run has less than; see :meth:`Scenario.bound`.
+        result: the run.
+    """
+
+    scenario: Scenario
+    name: str
+    value: float
+    bound: float
+    result: Result
+
+    @cached_property
+    def rows(self) -> list[dict[str, Any]]:
+        """This controller and those of the scenario, the best first."""
+        own = (
+            self.scenario.name, f"yours: {self.name}", self.value, self.bound,
+            self.result.metrics["stress_hours"],
+        )
+        others = [row for row in read_references() if row["scenario"] == self.scenario.name]
+        rows = [*others, dict(zip(_COLUMNS, own, strict=True))]
+        return sorted(rows, key=lambda row: float(row["score"]))
+
+    @property
+    def table(self) -> polars.DataFrame:
+        """The rows as a data frame of polars: controller, score, bound and hours of water stress.
+
+        Raises:
+            ConfigurationError: polars is not installed.
+        """
+        refuse_forked_polars()
+        with require_extra("study"):
+            import polars
+        return polars.DataFrame(self.rows).drop("scenario")
+
+    def __repr__(self) -> str:
+        """Return the score in a line, and the table."""
+        known = self.scenario
+        lines = [
+            f"{known.name}: {self.value:.2f} {known.unit}, at best {self.bound:.2f}. The score is "
+            f"the {known.score}: the less, the better.",
+            f"{'score':>8}{'at best':>9}{'stress':>9}  controller",
+        ]
+        lines += [
+            f"{row['score']:8.2f}{row['bound']:9.2f}{row['stress_hours']:7.0f} h  "
+            f"{row['controller']}"
+            for row in self.rows
+        ]
+        return "\n".join(lines)
+
+
+def read_references() -> list[dict[str, Any]]:
+    """Return the scores of the scenarios' controllers, a row for each."""
+    lines = read_lines(shared_directory() / "config" / REFERENCES)
+    return [
+        {name: text if name in _COLUMNS[:2] else float(text) for name, text in row.items()}
+        for row in csv.DictReader(line for line in lines if not line.startswith("#"))
+    ]
+
+
+def score(
+    controller: str | type | Controller | Function, scenario: str, **parameters: Any
+) -> Score:
+    """Return how good a controller is in a scenario, beside the bound and other controllers.
+
+    Args:
+        controller: as :func:`.simulate` takes it.
+        scenario: its name, one of ``gr.scenarios``.
+        parameters: of the controller, and of what commands the valve, such as ``outlet="plan"``.
+
+    Returns:
+        The score, its bound, the run, and a table of what the scenario's controllers reach.
+
+    Raises:
+        ConfigurationError: there is no such scenario, or a parameter is wrong or is fixed by the
+            scenario.
+
+    Example:
+        >>> import greenroof_ros as gr
+        >>> def dry(state, forecast):
+        ...     return 1.0 if state.roof_level < 0.9 * state.site.z_veg else 0.0
+        >>> found = gr.score(dry, "paper")
+        >>> found.bound <= found.value < gr.score("onoff", "paper").value
+        True
+    """
+    if scenario not in scenarios:
+        raise ConfigurationError(
+            describe_choices([*scenarios], scenario), key="scenario", value=scenario
+        )
+    for name, value in parameters.items():
+        if name in INPUTS:
+            raise ConfigurationError("is fixed by the scenario", key=name, value=value)
+    return evaluate(scenarios[scenario], controller, parameters)
+
+
+def evaluate(
+    scenario: Scenario, controller: str | type | Controller | Function,
+    inputs: Mapping[str, Any],
+) -> Score:
+    """Simulate a controller in a scenario, with parameters, or inputs in place of the scenario's.
+
+    Raises:
+        ConfigurationError: an input is wrong.
+        NoBoundError: the solver found no bound.
+    """
+    result = simulate(controller, **{**scenario.inputs, **inputs})
+    return Score(
+        scenario, result.run.controller.name, scenario.evaluate(result), scenario.bound(result),
+        result,
+    )

@@ -1,0 +1,82 @@
+"""Compute what the controllers of scenarios reach: ``python tools/reference_scores.py [NAME...]``.
+
+The scores are written into config/scenarios.csv, with which gr.score compares. All of them take
+about ten minutes.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+import tempfile
+import warnings
+from datetime import datetime, timedelta
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from greenroof_ros.analysis.api.scenarios import (
+    REFERENCES,
+    Score,
+    evaluate,
+    read_references,
+    scenarios,
+)
+from greenroof_ros.common.files import replace_text, shared_directory
+
+A_WEEK_LATE = "a week late"
+
+
+def delay_by_a_week(archive: Path, late: Path) -> None:
+    """Write an archive of forecasts with all its times a week later."""
+    head, *rows = archive.read_text(encoding="utf-8").splitlines()
+    lines = [head]
+    for row in rows:
+        time, _, values = row.partition(",")
+        lines.append(f"{datetime.fromisoformat(time) + timedelta(days=7):%Y-%m-%dT%H:%M},{values}")
+    late.write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def compute(scenario: str, controller: str) -> Score:
+    """Return the score of one of a scenario's controllers."""
+    known = scenarios[scenario]
+    inputs = {**known.controllers[controller]}
+    name = inputs.pop("controller")
+    # The scenario's other options are for its own kind of forecast.
+    own = {**dict.fromkeys(key for key in known.inputs if key.startswith("forecast_"))}
+    if "forecast" in inputs and inputs["forecast"] != known.inputs.get("forecast"):
+        inputs = {**own, **inputs}
+    with tempfile.TemporaryDirectory() as directory:
+        if inputs.get("forecast") == A_WEEK_LATE:
+            inputs["forecast"] = str(Path(directory) / "late.csv")
+            delay_by_a_week(Path(known.inputs["forecast"]), Path(inputs["forecast"]))
+        return evaluate(known, name, inputs)
+
+
+def main() -> None:
+    """Write the scores of the scenarios named on the command line, or of all."""
+    wanted = sys.argv[1:] or [*scenarios]
+    path = shared_directory() / "config" / REFERENCES
+    rows = read_references() if path.exists() else []
+    kept = [row for row in rows if row["scenario"] not in wanted]
+    for name in wanted:
+        for controller in scenarios[name].controllers:
+            found = compute(name, controller)
+            print(f"{name}, {controller}: {found.value:.3f}, at best {found.bound:.3f}", flush=True)
+            kept.append({
+                "scenario": name, "controller": controller, "score": f"{found.value:.6g}",
+                "bound": f"{found.bound:.6g}",
+                "stress_hours": f"{found.result.metrics['stress_hours']:.6g}",
+            })
+    kept.sort(key=lambda row: [*scenarios].index(row["scenario"]))
+    with tempfile.TemporaryFile("w+", newline="") as stream:
+        writer = csv.DictWriter(stream, [*kept[0]], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(kept)
+        stream.seek(0)
+        replace_text(path, f"# Written by python tools/reference_scores.py\n{stream.read()}")
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    main()
