@@ -267,5 +267,7 @@ def _run(given: Mapping[str, Any]) -> Iterator[str]:
     yield from _line(
         given, "initial_roof", float(f"{target * given['roof_area']:.6g}"), "roof_area z_veg"
     )
-    yield from _line(given, "tau", 60.0, "duration of a tick: precise for a pump this small")
+    yield from _line(
+        given, "tau", 60.0, "duration of a tick: precise for a pump this small; a live site needs 1"
+    )
     yield from _line(given, "N", 720, "length of a run unless --hours is given, 12 h")
