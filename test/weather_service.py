@@ -28,7 +28,7 @@ _UNITS = {
 _FIRST_DAY = date(1940, 1, 1)
 
 
-def open_meteo_values(variable: str, first: datetime, hours: int) -> list[float]:
+def open_meteo_values(variable: str, first: datetime, hours: int) -> list[float | None]:
     """Return the made-up values of a variable, as the service rounds them."""
     hour = round(first.timestamp() / 3600) + np.arange(hours)
     day, year = 2 * np.pi * hour / 24, 2 * np.pi * hour / 8766
@@ -51,7 +51,8 @@ class WeatherService:
         faults: of the next requests, one each: "" for none; "html"; "half" of the answer, then the
             connection ends; "limit", "limit 1" with Retry-After, and "tomorrow": 429; "error": 503;
             "refusal": 400 with a reason; "slow": a pause of 20 s; "fewer" variables; "short": a
-            day less; "JSON error": an answer with status 200 that is an error.
+            day less; "gap": five hours without values; "JSON error": an answer with status 200 that
+            is an error.
         requests: the queries, in order.
     """
 
@@ -118,12 +119,16 @@ def _archive(query: dict[str, str], fault: str) -> bytes:
     hours = 24 * ((last - first).days + (fault != "short"))
     names = query["hourly"].split(",")[: -1 if fault == "fewer" else None]
     times = [f"{begin + timedelta(hours=hour):%Y-%m-%dT%H:%M}" for hour in range(hours)]
+    hourly = {name: open_meteo_values(name, begin, hours) for name in names}
+    if fault == "gap":
+        for series in hourly.values():
+            series[100:105] = [None] * 5
     return json.dumps({
         "latitude": round(float(query["latitude"]), 1),
         "longitude": round(float(query["longitude"]), 1), "generationtime_ms": 1.5,
         "utc_offset_seconds": 0, "timezone": "GMT", "timezone_abbreviation": "GMT",
         "elevation": 77.0, "hourly_units": {"time": "iso8601", **_UNITS},
-        "hourly": {"time": times} | {name: open_meteo_values(name, begin, hours) for name in names},
+        "hourly": {"time": times, **hourly},
     }).encode()
 
 

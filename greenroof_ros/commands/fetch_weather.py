@@ -107,6 +107,10 @@ def _parse_years(text: str) -> range:
     return years
 
 
+# Shown by argparse and the documentation.
+_parse_years.__name__ = "years"
+
+
 def _parse_station(text: str) -> int:
     if len(text) == 7:
         raise argparse.ArgumentTypeError(
@@ -116,6 +120,9 @@ def _parse_station(text: str) -> int:
     if not (text.isascii() and text.isdecimal()):
         raise argparse.ArgumentTypeError(f"must be a number such as 48549, not {text}")
     return int(text)
+
+
+_parse_station.__name__ = "number"
 
 
 @command

@@ -100,6 +100,18 @@ def test_two_years_come_in_spite_of_all_that_services_send(service, tmp_path):
         assert records.values[quantity].tolist() == expected
 
 
+def test_hours_that_the_service_does_not_have_are_named_and_empty(service, tmp_path):
+    service.faults = ["gap"]
+    done = run(service, tmp_path, "--years", "2024")
+    assert done.returncode == 0
+    # Its hours 100 to 104 from 2023-12-31 on, UTC; rain falls in the hour before.
+    assert "temperature is missing: 2024-01-03T23:00-05:00 to 2024-01-04T03:00-05:00 (5 hours)" in (
+        done.stdout
+    )
+    assert "precipitation is missing: 2024-01-03T22:00-05:00 to" in done.stdout
+    assert "\n2024-01-03T23:00:00-05:00,,,,,," in (tmp_path / "out.csv").read_text()
+
+
 def test_a_run_is_as_with_the_services_own_answer_and_says_that_peaks_are_low(service, tmp_path):
     assert run(service, tmp_path, "--years", "2024").returncode == 0
     query = service.requests[-1]

@@ -13,6 +13,7 @@ from refusals import refusal
 
 import greenroof_ros as gr
 from greenroof_ros.analysis.api.scenarios import read_references
+from greenroof_ros.experiment.discharge_bound import simulate_frontier
 from greenroof_ros.formats.reading import read_archive
 from greenroof_ros.model.storm_water import Intervals, find_wet_weather
 
@@ -93,7 +94,10 @@ def test_the_papers_deviation_is_that_of_the_authors_code():
                 "low-low", "onoff", 1
             )
         )
-    assert gr.score("onoff", "paper").value == pytest.approx(1000 * total / 43201 / 68.8, rel=1e-4)
+    found = gr.score("onoff", "paper")
+    assert found.value == pytest.approx(1000 * total / 43201 / 68.8, rel=1e-4)
+    # doc/explanation/bound.md: what greenroof bound prints for this run.
+    assert found.bound == pytest.approx(1000 * 4421.98 / 43201 / 68.8, rel=1e-5)
 
 
 @pytest.mark.parametrize("scenario", SHORT)
@@ -107,6 +111,9 @@ def test_own_controllers_are_scored_and_stay_above_the_bound(scenario):
             reference(scenario, "valve closed")["score"], rel=1e-5
         )
     assert found[0].value == found[1].value  # the suction level does not matter here
+    if known.unit == "m3":  # the whole frontier of a run of its own
+        point = simulate_frontier(found[1].result.run).at(0.3)
+        assert found[1].bound == pytest.approx(point.wet_discharge_m3 + 0.3 * point.mains_m3)
     for one in found:
         assert one.bound <= one.value
         ticks, site = one.result.ticks, one.result.run.site
