@@ -251,7 +251,7 @@ class Plan:
         self._site, self._drain = site, drain
         self._levels = PlannedLevels(
             Sites.of([site]), ends, np.array([drain.reserve]), np.array([price]),
-            np.array([reach]),
+            np.array([reach]), np.ones(1),
         )
 
     def command(
@@ -269,7 +269,7 @@ class Plan:
                 np.array([site.cistern_volume(cistern_level)]),
                 np.array([site.roof_volume(roof_level)]),
                 np.atleast_2d(np.asarray(precipitation, dtype=float)),
-                np.atleast_2d(np.asarray(evapotranspiration, dtype=float)),
+                np.asarray(evapotranspiration, dtype=float),
             ),
         )
         if self._drain.wet_hours:

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Observe = Callable[[], tuple[Array, Array, Array, Array]]
 """Returns the volumes in cisterns and on roofs (m3), shape (sites,), and the forecast: rain (m/s),
-shape (members, steps), and evapotranspiration off each bed (m3/s), shape (sites, steps)."""
+shape (members, steps), and evapotranspiration (m/s) off the areas of :class:`PlannedLevels`."""
 
 HORIZON_H = 48
 """How far a plan looks ahead (h)."""
@@ -39,7 +39,7 @@ class PlannedLevels:
 
     def __init__(
         self, sites: Sites, ends: Array, reserves: Array, prices: Array, reaches: Array,
-        check_s: float = 60.0,
+        areas: Array, check_s: float = 60.0,
     ) -> None:
         """Set the sites; the arrays have an entry for each.
 
@@ -49,9 +49,10 @@ class PlannedLevels:
             reserves: to which they are drained without a forecast (m3).
             prices: of mains water, in m3 of discharge in wet weather (1).
             reaches: days for which stored water is worth its price.
+            areas: off which the forecast's evapotranspiration leaves the beds (m2).
             check_s: how often it checks whether the forecast has changed (s).
         """
-        self._check_s = check_s
+        self._areas, self._check_s = areas, check_s
         self._sites, self._tau = sites, float(sites.tau[0])
         self._ends, self._lengths = ends, np.diff(ends)
         self._reserves, self._prices, self._reaches_s = reserves, prices, reaches * _DAY_S
@@ -94,7 +95,7 @@ class PlannedLevels:
     def _plan(self, x1: Array, x2: Array, rain: Array, evaporated: Array) -> None:
         """Make a plan, if the last one is old or the forecast has changed."""
         self._unchecked, old = 0.0, self._age > _HOUR_S - self._tau / 2
-        usable = rain.shape[-1] == evaporated.shape[-1] == len(self._lengths)
+        usable = rain.shape[1] == evaporated.size == len(self._lengths)
         total = rain @ self._lengths if usable else np.full(1, math.nan)
         if not math.isfinite(float(x1.sum() + x2.sum() + total.sum() + evaporated.sum())):
             if old:
@@ -105,8 +106,11 @@ class PlannedLevels:
         )
         if old or changed:
             self._age, self._total = 0.0, total
-            needed = self._reaches_s * (evaporated @ self._lengths) / float(self._ends[-1])
-            levels = self._find_levels(x1, x2, self._hourly(rain), evaporated, needed)
+            mean = float(evaporated @ self._lengths) / float(self._ends[-1])
+            needed = self._reaches_s * self._areas * mean
+            levels = self._find_levels(
+                x1, x2, self._hourly(rain), self._hourly(evaporated), needed
+            )
             levels = np.minimum(levels, np.maximum(self._reserves, self._floor + needed))
             self._levels = np.minimum(levels, self._max_levels)
 
@@ -128,7 +132,7 @@ class PlannedLevels:
             x1: in each cistern (m3).
             x2: on each roof (m3).
             rain: in each hour (m), shape (members, hours).
-            evaporated: off each roof (m3/s), shape (sites, steps).
+            evaporated: in each hour (m), shape (hours,).
             needed: what each roof needs within the reach (m3).
         """
         sites, kept = self._sites, self._sites.drainage_to_cistern
@@ -141,7 +145,7 @@ class PlannedLevels:
         for first in range(0, len(planned), size):
             rows = planned[first : first + size]
             levels[rows] = self._solve(
-                rows, x1[rows], x2[rows], rain, self._hourly(evaporated[rows]), needed[rows]
+                rows, x1[rows], x2[rows], rain, self._areas[rows, None] * evaporated, needed[rows]
             )
         return levels
 

@@ -31,15 +31,15 @@ class OutletGroup:
         rows: the sites.
         dry: whether the weather is dry in each tick, from :func:`find_dry_ticks`.
         ends: of the steps of the forecasts (s from now), the first 0.
-        foresee: returns a tick's forecast for some of the sites: rain (m/s), shape (members,
-            steps), and evapotranspiration off each bed (m3/s), shape (sites, steps).
+        foresee: returns a tick's forecast: rain (m/s), shape (members, steps), and
+            evapotranspiration off a bed with crop coefficient 1 (m/s), shape (steps,).
         has_rain: whether these forecasts have rain, which can change.
     """
 
     rows: Rows
     dry: Flags
     ends: Array
-    foresee: Callable[[int, Rows], tuple[Array, Array]]
+    foresee: Callable[[int], tuple[Array, Array]]
     has_rain: bool = True
 
 
@@ -63,7 +63,7 @@ class Outlets:
 
     def __init__(
         self, sites: Sites, policies: Sequence[str], reserves: Array, prices: Array,
-        reaches: Array, groups: Sequence[OutletGroup],
+        reaches: Array, beds: Array, groups: Sequence[OutletGroup],
     ) -> None:
         """Set the policies; :data:`.outlet.PARAMETERS` has units and meanings.
 
@@ -73,6 +73,7 @@ class Outlets:
             reserves: ``outlet_reserve`` of each.
             prices: ``outlet_price`` of each.
             reaches: ``outlet_reach`` of each.
+            beds: areas with crop coefficient 1 that evaporate as much as the beds (m2).
             groups: each site is in one of them.
         """
         self._sites, names = sites, np.array(policies)
@@ -88,7 +89,7 @@ class Outlets:
         self._planning = [
             (_Moving(group, rows), PlannedLevels(
                 sites.take(rows), group.ends, reserves[rows], prices[rows], reaches[rows],
-                **({} if group.has_rain else {"check_s": math.inf}),
+                beds[rows], **({} if group.has_rain else {"check_s": math.inf}),
             ))
             for group in groups
             if len(rows := group.rows[moves[group.rows] & (names[group.rows] == PLAN)])
@@ -107,7 +108,7 @@ class Outlets:
         for planning, plans in self._planning:
             group, rows, dry = planning.group, planning.rows, bool(planning.group.dry[tick])
             levels = plans.update(dry, lambda: (
-                x1[rows], x2[rows], *group.foresee(tick, rows)  # noqa: B023 - called at once
+                x1[rows], x2[rows], *group.foresee(tick)  # noqa: B023 - called at once
             ))
             if levels is not planning.levels:
                 planning.levels = self._volumes[rows] = levels

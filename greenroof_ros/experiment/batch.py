@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -210,7 +210,8 @@ def _count_per_interval(site: Site) -> int:
 
 def _split(sites: Sites, weather_of: Rows) -> Iterator[Rows]:
     """Yield rows that can be stepped together, those with the same weather next to each other."""
-    kind = 2 * sites.measured + sites.has_short_ticks
+    kept = sites.drainage_to_cistern > 0  # needs more steps
+    kind = 4 * kept + 2 * sites.measured + sites.has_short_ticks
     for value in np.unique(kind):
         rows = np.flatnonzero(kind == value)
         rows = rows[np.argsort(weather_of[rows], kind="stable")]
@@ -240,7 +241,8 @@ class _Part:
             self._beds[of_weather] = batch.weather[number].beds(self._sites)[of_weather]
         self._outlets = Outlets(
             self._sites, parameters["outlet"], parameters["outlet_reserve"],
-            parameters["outlet_price"], parameters["outlet_reach"], list(self._groups()),
+            parameters["outlet_price"], parameters["outlet_reach"], self._beds,
+            list(self._groups()),
         )
         self._clocks = self._find_clocks(own)
         self._has_quiet_hours = any(site.quiet for site in own)
@@ -264,17 +266,11 @@ class _Part:
 
     def _groups(self) -> Iterator[OutletGroup]:
         tau, with_rain = float(self._sites.tau[0]), self._batch.with_forecast
-
-        def make(weather: BatchWeather, rows: Rows, wet_after: float) -> OutletGroup:
-            def foresee(tick: int, rows: Rows) -> tuple[Values, Values]:
-                rain, evaporated = weather.foresee(tick, with_rain)
-                return rain, self._beds[rows, None] * evaporated
-
-            dry = find_dry_ticks(weather.rain, tau, wet_after)
-            return OutletGroup(rows, dry, weather.ends, foresee, with_rain)
-
         for weather, wet_after, rows in self._by_wet_after():
-            yield make(weather, rows, wet_after)
+            yield OutletGroup(
+                rows, find_dry_ticks(weather.rain, tau, wet_after), weather.ends,
+                partial(weather.foresee, with_rain=with_rain), with_rain,
+            )
 
     def _find_wet(self) -> Iterator[tuple[Rows, NDArray[np.bool_]]]:
         """Yield sites, and which intervals are in wet weather for them."""

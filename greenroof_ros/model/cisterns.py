@@ -14,7 +14,7 @@ Values = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
-_TINY = 1e-300
+_TINY, _ALMOST = 1e-300, 1 - 1e-9
 
 
 class CisternFlows(NamedTuple):
@@ -124,6 +124,12 @@ class Cisterns:
             rise: by how much that falls because of rain (m3/s).
         """
         flow = np.where(missing > 0, command * self.pump_flow(x1), 0.0)
+        if flow.any():
+            # Less than a dose is never pumped, not even at the level to which it can fall.
+            held = np.minimum(x1, self.upper)
+            held -= tau * self._c_low * _root((held - self.lower) / self._a1)
+            lowest_flow = command * self.pump_flow(np.maximum(held, self.lowest))
+            missing = missing * (missing >= lowest_flow * min(tau / steps, MIN_RUN_S) * _ALMOST)
         quick = np.maximum(x1, self.filled) + tau * collected > self.hold(outlet)
         quick |= tau * flow > self._much
         given = x1, collected, command, outlet, missing, rise
@@ -161,7 +167,7 @@ class Cisterns:
                 pumps = bool((missing > 0).any())
                 let_in += mains
                 x1 = x1 + arrives + mains - volume
-            elif fills:
+            elif fills and (x1 < self.filled).any():
                 mains = seconds * self.mains(x1, -collected, seconds)
                 let_in += mains
                 x1 = x1 + arrives + mains

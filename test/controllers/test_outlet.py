@@ -257,7 +257,7 @@ def test_level_against_all_ways(seed: int) -> None:
     plan = make_outlet(site, HOUR * np.arange(hours + 1.0), "plan", 0.0, price, 1.0)
     assert isinstance(plan, outlet.Plan)
     (level,) = plan._levels._find_levels(
-        np.array([x1]), np.array([x2]), fallen / 1000, np.full((1, hours), evaporated / HOUR),
+        np.array([x1]), np.array([x2]), fallen / 1000, np.full(hours, evaporated),
         np.array([needed]),
     )
     grid, costs = find_costs(site, x2, fallen, evaporated, price, needed)

@@ -50,7 +50,7 @@ def split(drawn: list[Site]) -> list[list[Site]]:
     ]
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(
     drawn=st.lists(
         st.sampled_from([PAPER_SITE, VALVE, NO_MAINS, KEPT]) | sites() | measured_sites(),
