@@ -35,20 +35,36 @@ class House:
     """down to it"""
 
 
-def find_demand(weather: pd.DataFrame, house: House) -> pd.Series:
+# Water arrives in such portions (mm), and a part of each percolates.
+_PORTION_MM = 0.1
+
+
+def find_demand(weather: pd.DataFrame, house: House, *, percolates: bool) -> pd.Series:
     """Return what must be pumped at the end of each day to bring the roof to its target (mm).
 
     Args:
         weather: daily ``rain`` and ``evapotranspiration`` of plants that lack no water (mm).
         house: with the roof.
+        percolates: whether a share of the arriving water percolates also below field capacity, the
+            square of the filled share of the soil, as in HBV; otherwise the roof is a bucket.
     """
+    def hold(level: float) -> float:
+        """Return the share of the arriving water that stays."""
+        return 1 - ((level - house.wilted) / (house.full - house.wilted)) ** 2 if percolates else 1
+
     level, demand = house.target, []
     for rain, potential in zip(weather["rain"], weather["evapotranspiration"], strict=True):
-        level = min(level + rain, house.full)
+        while rain > 0:
+            level = min(level + min(rain, _PORTION_MM) * hold(level), house.full)
+            rain -= _PORTION_MM
         share = min(1.0, max(0.0, (level - house.wilted) / (house.stressed - house.wilted)))
         level -= potential * share
-        demand.append(max(0.0, house.target - level))
-        level = max(level, house.target)
+        pumped = 0.0
+        while level < house.target:
+            missing = min(house.target - level, _PORTION_MM)
+            pumped += missing / hold(level)
+            level += missing
+        demand.append(pumped)
     return pd.Series(demand, weather.index)
 
 
@@ -86,20 +102,20 @@ def find_share(
         house: the site.
         capacity: that can be used (m3).
         stored: of that at the start (m3).
-        rule: ``daily YAS``, ``daily YBS``, or ``monthly YAS`` with the demand that is usual in
-            monthly tables, evapotranspiration less rain.
+        rule: one of :data:`RULES`; in months the demand is that of monthly tables,
+            evapotranspiration less rain.
     """
-    demand = find_demand(weather, house)
+    demand = find_demand(weather, house, percolates="percolation" in rule)
     if rule.startswith("monthly"):
         weather = weather.resample("MS").sum()
         demand = (weather["evapotranspiration"] - weather["rain"]).clip(lower=0.0)
     demand *= house.roof / 1000
     inflow = weather["rain"] * house.catchment / 1000
-    met = find_yield(inflow, demand, capacity, stored, after_spillage=rule.endswith("YAS"))
+    met = find_yield(inflow, demand, capacity, stored, after_spillage="YAS" in rule)
     return met / demand.sum()
 
 
-RULES = ("daily YAS", "daily YBS", "monthly YAS")
+RULES = ("daily YAS, percolation", "daily YBS, percolation", "daily YAS, bucket", "monthly YAS")
 
 
 def compare(sizes: object, weather: dict[str, pd.DataFrame], target: float) -> pd.DataFrame:

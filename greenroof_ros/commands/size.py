@@ -177,9 +177,8 @@ def show(sizes: Sizes, page: Path) -> None:
                 cells.append(format_spread(spread, column) + per_roof)
             table.add_row(f"{design.volume:g}", *cells, style="bold" if design is own else None)
         console.print(table)
-    if sizes.starts is not None:
-        console.print(sizes.describe_starts(), highlight=False)
-    for note in (*sizes.notes, *sizes.list_incomplete()):
+    console.print(sizes.describe_starts(), highlight=False)
+    for note in sizes.list_remarks():
         console.print(f"NOTE: {note}", highlight=False)
     others = [f"{target:g} mm" for target in sizes.targets if target != own.target]
     if others:

@@ -6,8 +6,6 @@ volumes V_1 < V_2 < ... that save the water or the money S_1, S_2, ... in a seas
     knee = the smallest V_i with (S_{j+1} - S_j) / (V_{j+1} - V_j) < amount for all j >= i.
 
 Water that is saved is mains water that is not used, and storm water that does not reach the sewer.
-Ghisi's Netuno stops likewise where another m3 meets less than a stated share of the demand; a
-volume for each m3 is the same for small and large roofs.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from greenroof_ros.common.parameter import entry
 Values = NDArray[np.float64]
 
 KNEE = 1.0
-"""Amount that another m3 must bring (m3 a season): below it, it is not filled and used once."""
+"""Amount that another m3 must bring (m3 a season), one filling [assumed]."""
 
 MAX_STRESS = 0.01
 """share of a season's hours that plants may lack water at the recommended target [assumed]"""

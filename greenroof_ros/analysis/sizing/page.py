@@ -15,7 +15,6 @@ from greenroof_ros.analysis.report.drawing import (
     round_value,
 )
 from greenroof_ros.analysis.report.page import make_page
-from greenroof_ros.analysis.sizing.choice import MAX_STRESS
 from greenroof_ros.analysis.sizing.columns import (
     COLUMNS,
     ENDS,
@@ -34,7 +33,7 @@ def render(sizes: Sizes, figures: Sequence[Figure]) -> str:
     """Return the page."""
     return make_page(
         __package__, figures, sizes=sizes, columns=sizes.columns,
-        spread=format_spread, per_roof=format_per_roof, max_stress=MAX_STRESS, warnings=(),
+        spread=format_spread, per_roof=format_per_roof, warnings=(),
         percent=format_share,
     )
 
@@ -74,6 +73,9 @@ def _cells(sizes: Sizes, column: str, design: Design) -> dict[str, Any]:
 def _draw_panel(sizes: Sizes, key: str, column: Column, dataset: str) -> Panel:
     axis = f"{column.label} ({column.unit})"
     scale = alt.Scale(type="log", nice=False, domain=[sizes.volumes[0], sizes.volumes[-1]])
+    series = distinguish_series("outlet", sizes.outlets)
+    for channel in series.values():
+        channel.legend = alt.Legend(symbolType="stroke", symbolSize=400, columns=3)
     base = alt.Chart(alt.NamedData(dataset)).encode(
         x=alt.X(
             "volume:Q", title=_VOLUME, scale=scale,
@@ -83,7 +85,7 @@ def _draw_panel(sizes: Sizes, key: str, column: Column, dataset: str) -> Panel:
             "outlet:N", ("volume:Q", _VOLUME), (f"{key}:Q", axis), (f"{key}_min:Q", "lowest"),
             (f"{key}_max:Q", "highest"),
         ),
-        **distinguish_series("outlet", sizes.outlets),
+        **series,
     )
     y = alt.Y(f"{key}:Q", title=None, scale=alt.Scale(zero=True))
     band = base.mark_area(opacity=0.15, strokeOpacity=0).encode(

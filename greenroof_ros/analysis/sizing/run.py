@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,8 @@ from greenroof_ros.analysis.sizing import designs as plans
 from greenroof_ros.analysis.sizing.choice import KNEE, Prices
 from greenroof_ros.analysis.sizing.columns import COST, KEPT
 from greenroof_ros.analysis.sizing.seasons import find_seasons, list_notes, read_window
-from greenroof_ros.analysis.sizing.simulation import Case, simulate_cases
-from greenroof_ros.analysis.sizing.sizes import Sizes, Starts
+from greenroof_ros.analysis.sizing.simulation import HALF, Case, simulate_cases
+from greenroof_ros.analysis.sizing.sizes import Sizes
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import make_record, parameters_of
 from greenroof_ros.common.ranges import Range
@@ -70,8 +71,10 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     )
     site = inputs.read_site()
     window = read_window(values.get("season"), site)
+    targets = targets or plans.choose_targets(site)
+    middle = targets[len(targets) // 2]
     designs, notes = plans.make_designs(
-        site, volumes or plans.choose_volumes(site), targets or plans.choose_targets(site), outlets
+        site, volumes or plans.choose_volumes(site), targets, outlets
     )
     progress.show("reading weather", 0.0)
     weather, _ = inputs.read_records(site)
@@ -79,18 +82,23 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     runs, incomplete = find_seasons(inputs, designs[0].site, weather, window)
     seasons = [BatchWeather.of_run(run) for run in runs.values()]
 
-    def simulate(cases: list[Case], text: str, first: float, last: float) -> dict[str, Any]:
-        return simulate_cases(
-            cases, seasons, jobs, lambda share: progress.show(text, first + (last - first) * share),
-            progress.check,
-        )
-
     shape = len(designs), len(seasons)
-    cases = [Case(design, season) for design in designs for season in range(len(seasons))]
     text = f"{shape[0]} designs in {shape[1]} season{'s' * (shape[1] > 1)}"
-    metrics = {
-        name: series.reshape(shape)
-        for name, series in simulate(cases, text, 0.05, 0.8).items()
+    # Of one target and outlet also from other initial states.
+    outlet = plans.choose_outlet(site, outlets)
+    tried = [one for one in designs if (one.target, one.outlet) == (middle, outlet)]
+    cases = [
+        Case(design, season, filled)
+        for group, filled in ((designs, HALF), (tried, 0.0), (tried, 1.0))
+        for design in group for season in range(len(seasons))
+    ]
+    results = simulate_cases(
+        cases, seasons, jobs, lambda share: progress.show(text, share), progress.check
+    )
+    metrics = {name: series[: math.prod(shape)].reshape(shape) for name, series in results.items()}
+    starts = {
+        name: series[math.prod(shape) :].reshape(2, len(tried), -1).mean(axis=2)
+        for name, series in results.items()
     }
     metrics[KEPT] = 1 - np.divide(
         metrics["wet_discharge_m3"], metrics["rain_m3"], where=metrics["rain_m3"] > 0,
@@ -99,19 +107,10 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     if prices is not None:
         cistern = np.array([[prices.yearly_cistern_price * design.volume] for design in designs])
         metrics[COST] = cistern + prices.cost_water(metrics["mains_m3"], metrics["discharge_m3"])
-    sizes = Sizes(
+    return Sizes(
         site, designs, list(runs), f"{window}", 24.0 * window.days, metrics, incomplete,
-        [*notes, *list_notes(runs)], prices, knee,
+        [*notes, *list_notes(runs, site)], prices, knee, tried, starts,
     )
-    own = sizes.recommended
-    others = [Case(own, season, filled) for filled in (0.0, 1.0) for season in range(len(seasons))]
-    means = {
-        name: np.nanmean(series.reshape(2, -1), axis=1)
-        for name, series in simulate(others, "other initial states", 0.8, 1.0).items()
-        if name in ("demand_met_share", "mains_m3", "wet_discharge_m3")
-    }
-    starts = Starts(*({name: float(mean[end]) for name, mean in means.items()} for end in (0, 1)))
-    return replace(sizes, starts=starts)
 
 
 def _read_prices(given: Mapping[str, Any]) -> Prices | None:

@@ -112,9 +112,15 @@ def _overlaps(weather: Weather, year: int, window: Window) -> bool:
     return start < weather.end and weather.first < start + timedelta(window.days)
 
 
-def list_notes(runs: Mapping[str, Run]) -> list[str]:
-    """Return what a reader must know of the weather of the seasons, each sentence once."""
-    notes = [note for run in runs.values() for note in (*run.weather.notes, *run.notes())]
+def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
+    """Return what a reader must know of site and weather of the seasons, each sentence once.
+
+    Args:
+        runs: the seasons.
+        site: as the user gives it, since a note on the duration of a tick must not be on ours.
+    """
+    own = (replace(run, site=site) for run in runs.values())
+    notes = [note for run in own for note in (*run.weather.notes, *run.notes())]
     notes += [
         f"{sentence}; used unchanged" for run in runs.values() for sentence in run.series.suspicious
     ]

@@ -55,12 +55,15 @@ def simulate_cases(
 
     if jobs == 1:
         return simulate_batch(_make_batch(cases, weather), progress=report).metrics
-    # Each process gets designs of every kind, since plans take longest.
-    parts = [cases[first::jobs] for first in range(min(jobs, len(cases)))]
+    # Each process gets whole seasons: where it does not rain, steps are short.
+    by_season = np.argsort([case.season for case in cases], kind="stable")
+    parts = np.array_split(by_season, min(jobs, len(cases)))
     with scratch_directory() as scratch, processes(jobs, {}, [__name__]) as workers:
         files = [ShareFile(scratch / f"{number}") for number in range(len(parts))]
         pending = {
-            workers.submit(_simulate_part, _make_batch(part, weather), file): number
+            workers.submit(
+                _simulate_part, _make_batch([cases[row] for row in part], weather), file
+            ): number
             for number, (part, file) in enumerate(zip(parts, files, strict=True))
         }
         results: dict[int, dict[str, Values]] = {}
@@ -71,7 +74,7 @@ def simulate_cases(
     metrics = {name: np.empty(len(cases)) for name in results[0]}
     for number, result in results.items():
         for name, values in result.items():
-            metrics[name][number::jobs] = values
+            metrics[name][parts[number]] = values
     return metrics
 
 

@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.analysis.sizing.choice import Prices, find_knee, find_target
+from greenroof_ros.analysis.sizing.choice import MAX_STRESS, Prices, find_knee, find_target
 from greenroof_ros.analysis.sizing.columns import (
     COLUMNS,
     COST,
@@ -25,7 +25,7 @@ from greenroof_ros.analysis.sizing.columns import (
     Spread,
     format_share,
 )
-from greenroof_ros.analysis.sizing.designs import NONE, Design
+from greenroof_ros.analysis.sizing.designs import NONE, Design, choose_outlet
 from greenroof_ros.common.errors import require_extra
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.processes import refuse_forked_polars
@@ -45,27 +45,9 @@ PAGE, TABLE = "sizes.html", "sizes.csv"
 _DESIGN = ("volume_m3", "target_mm", "outlet")
 
 
-class Starts(NamedTuple):
-    """Means of the recommended design from cisterns that begin a season empty and full."""
-
-    empty: Mapping[str, float]
-    full: Mapping[str, float]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Sizes:
     """Cisterns, targets and outlets compared over the seasons of a record.
-
-    Example:
-        >>> import greenroof_ros as gr
-        >>> sizes = gr.size(
-        ...     site="config/site_valve.yaml", weather="config/weather/toronto_2021-07.csv",
-        ...     season="07-07/07-08", volumes=[5, 10], targets=[39], outlets=["none"],
-        ... )
-        >>> sizes
-        <Sizes: 2 designs, 1 season>
-        >>> sizes.table["volume_m3", "target_mm", "outlet"].rows()
-        [(5.0, 39.0, 'none'), (10.0, 39.0, 'none')]
 
     Attributes:
         site: of all designs.
@@ -78,7 +60,10 @@ class Sizes:
         notes: what was assumed, and what a reader must know of the weather.
         prices: of water and cistern; None without costs.
         knee_m3: m3 of water that another m3 of cistern must save in a season.
-        starts: the recommended design from other initial states; None if that was not run.
+        tried: the designs that were also run from other initial states: by volume, of one target
+            and the recommended outlet.
+        starts: means of each metric of these, from an empty and from a full cistern, shape (2,
+            designs), by name.
     """
 
     site: Site
@@ -91,7 +76,8 @@ class Sizes:
     notes: Sequence[str]
     prices: Prices | None
     knee_m3: float
-    starts: Starts | None = None
+    tried: Sequence[Design]
+    starts: Mapping[str, Values]
 
     def __repr__(self) -> str:
         """Return how many designs and seasons there are."""
@@ -156,22 +142,15 @@ class Sizes:
         place = find_knee([design.volume for design in designs], saved, amount)
         return None if place is None else designs[place]
 
-    @cached_property
+    @property
     def outlet(self) -> str:
-        """The outlet of the recommended design: the site file's, with plan if it has a valve."""
-        own = PLAN if self.site.low_outlet_valve else NONE
-        return own if own in self.outlets else self.outlets[0]
+        """The recommended outlet."""
+        return choose_outlet(self.site, self.outlets)
 
     @cached_property
     def recommended(self) -> Design:
         """The recommended design: lowest target without stress, the site's outlet, the knee."""
-        stress = [
-            np.mean([
-                self.spread("stress_hours", design).mean / self.hours
-                for design in self.select(target, self.outlet)
-            ]) for target in self.targets
-        ]
-        target = find_target(self.targets, np.array(stress))
+        target = find_target(self.targets, np.array(list(map(self._stress, self.targets))))
         return self.find_knee(target, self.outlet) or self.select(target, self.outlet)[-1]
 
     @property
@@ -203,6 +182,32 @@ class Sizes:
             "water out of the sewer"
         )
 
+    def _stress(self, target: float) -> float:
+        """Return the share of a season's hours in which plants lack water (1), at a target (mm)."""
+        designs = self.select(target, self.outlet)
+        hours = [self.spread("stress_hours", design).mean for design in designs]
+        return float(np.mean(hours)) / self.hours
+
+    def describe_target(self) -> str:
+        """Return why the recommended target is recommended, in a sentence."""
+        stress, most = self._stress(self.recommended.target), f"{MAX_STRESS:.0%}".replace("%", " %")
+        if stress > MAX_STRESS:
+            return f"at each target plants lack water in more than {most} of the hours; least here."
+        if len(self.targets) == 1:
+            return f"plants lack water in at most {most} of the hours of a season."
+        return (
+            f"the lowest of {len(self.targets)} at which plants lack water in at most {most} of "
+            "the hours of a season."
+        )
+
+    def describe_outlet(self) -> str:
+        """Return why the recommended outlet is recommended, in a sentence."""
+        if self.outlet == PLAN and self.site.low_outlet_valve:
+            return "the site file has a valve on the low outlet."
+        if self.outlet == NONE and not self.site.low_outlet_valve:
+            return "the site file has no valve."
+        return "the first of those that were compared."
+
     def describe_knee(self) -> str:
         """Return why the recommended cistern is recommended, in a sentence."""
         amount = f"another m³ of cistern saves less than {self.knee_m3:g} m³ of water in a season"
@@ -219,16 +224,19 @@ class Sizes:
 
     def describe_starts(self) -> str:
         """Return how much the initial state of a season matters, in a sentence."""
-        assert self.starts is not None
-        ends = [
-            f"{format_share(start['demand_met_share'])} % of the demand, "
-            f"{start['mains_m3']:.1f} m³ of mains water and {start['wet_discharge_m3']:.1f} m³ of "
-            "discharge in wet weather"
-            for start in self.starts
-        ]
+        place = [design.volume for design in self.tried].index(self.recommended.volume)
+        design = self.tried[place]
+        names = "demand_met_share", "mains_m3", "wet_discharge_m3"
+        half = [self.spread(name, design).mean for name in names]
+        empty, full = ([self.starts[name][end, place] for name in names] for end in (0, 1))
+        empty_text, half_text, full_text = (
+            f"{format_share(met)} % of the demand, {mains:.1f} m³ of mains water and {wet:.1f} m³ "
+            "of discharge in wet weather" for met, mains, wet in (empty, half, full)
+        )
         return (
-            "Each season begins with half of the cistern full. From an empty cistern the "
-            f"recommended one gives {ends[0]}, from a full one {ends[1]}, on average."
+            f"Each season begins with half of the cistern full. With {design.volume:g} m³ and a "
+            f"target of {design.target:g} mm this gives {half_text} on average; from an empty "
+            f"cistern {empty_text}, and from a full one {full_text}."
         )
 
     # --- tables and files -------------------------------------------------------------------------
@@ -323,7 +331,7 @@ class Sizes:
     def to_csv(self) -> str:
         """Return the results of each design in each season, with what was assumed as comments."""
         text = io.StringIO()
-        for note in (*self.notes, *self.list_incomplete()):
+        for note in self.list_remarks():
             text.write(f"# {note}\n")
         rows = self._rows()
         writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
@@ -333,9 +341,10 @@ class Sizes:
         )
         return text.getvalue()
 
-    def list_incomplete(self) -> list[str]:
-        """Return which seasons were left out, in sentences."""
-        return [f"season {name} is left out: {why}" for name, why in self.incomplete.items()]
+    def list_remarks(self) -> list[str]:
+        """Return :attr:`notes`, and which seasons were left out, each with a capital letter."""
+        left_out = (f"season {name} is left out: {why}" for name, why in self.incomplete.items())
+        return [f"{note[0].upper()}{note[1:]}" for note in (*self.notes, *left_out)]
 
 
 def _name(design: Design) -> dict[str, Any]:

@@ -110,7 +110,6 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 YEARS = {
     # On each roof two on/off, and two controllers with three forecasts.
     "seasons.yaml": (2, {300}, 2 * (2 + 2 * 3)),
-    "sizing.yaml": (18, {60}, 2 * 18),
     "ticks.yaml": (8, {1, 10, 60, 300}, 8 * 2),
     # Two roofs with four cisterns each; closed, open, plan, and three reserves.
     "storm_water.yaml": (8, {300}, 8 * 6),
