@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -40,8 +41,9 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.site import Site, format_site
 from greenroof_ros.model.storm_water import interval_seconds
 
-# Buildings in a part. Parts do not depend on the workers, and so neither do the bits of their sums.
-_PART = 500
+# Most buildings in a part: more take no less time each. Parts do not depend on the workers, and so
+# neither do the bits of their sums.
+_PART = 650
 _REFRESH_S = 0.5
 PRELOADED = ["greenroof_ros.analysis.district.parts"]
 """modules that every worker needs"""
@@ -106,9 +108,11 @@ class DistrictRun:
         """
         adoption = self.adoption
         together = tuple(name for name in self.outlets if name != PLAN)
+        count = len(self.buildings)
+        size = math.ceil(count / math.ceil(count / _PART))
         for outlets in ((PLAN,) * (PLAN in self.outlets), together):  # the longest first
-            for first in range(0, len(self.buildings) * bool(outlets), _PART):
-                places = slice(first, first + _PART)
+            for first in range(0, count * bool(outlets), size):
+                places = slice(first, first + size)
                 buildings = self.buildings.part(places)
                 yield Part(
                     places, replace(self.district, content=YamlMapping()), outlets, buildings,
