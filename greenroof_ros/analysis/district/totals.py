@@ -1,7 +1,7 @@
 """The sums over a district: what reaches the sewer at each adoption, with each kind of outlet.
 
-Flows add up at once: nothing is routed, so a peak here is at most reached in a real sewer, and
-later. Wet weather is that of any cell, as they share one sewer.
+Flows add up at once: nothing is routed, so a real sewer has lower peaks, and later ones. Wet
+weather is that of any cell, as they share one sewer.
 """
 
 from __future__ import annotations
@@ -32,8 +32,11 @@ _NOTHING = 1e-6
 # Unit of the sums of volumes: 2^-40 m3. A million buildings stay below 2^63 of it.
 _PER_M3 = 2.0**40
 # Results of which the reduction is given, against the district as it is.
-_REDUCED = ("wet_discharge_m3", *(f"peak_{minutes}min_l_s" for minutes in PEAK_MIN),
-            "sewer_overflow_m3")
+_REDUCED = {
+    "wet_discharge": "wet_discharge_m3",
+    **{f"peak_{minutes}min": f"peak_{minutes}min_l_s" for minutes in PEAK_MIN},
+    "sewer_overflow": "sewer_overflow_m3",
+}
 
 
 class Flow(NamedTuple):
@@ -193,6 +196,6 @@ class Totals:
             1 - row["mains_m3"] / row["pumped_m3"] if row["pumped_m3"] else None
         )
         return row | {
-            f"{name.rpartition('_')[0]}_reduction": 1 - row[name] / reference[name]
-            for name in _REDUCED if reference.get(name)
+            f"{what}_reduction": 1 - row[name] / reference[name]
+            for what, name in _REDUCED.items() if reference.get(name)
         }

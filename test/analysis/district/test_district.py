@@ -19,6 +19,7 @@ from districts import DISTRICT, edit, write_district
 from graphs import wait_for
 
 import greenroof_ros as gr
+from greenroof_ros.analysis.district.page import COLUMNS
 from greenroof_ros.analysis.district.run import read_run, simulate_district
 from greenroof_ros.analysis.district.totals import Flow
 from greenroof_ros.analysis.workers.cluster import cluster
@@ -65,6 +66,8 @@ def test_command(tmp_path: Path) -> None:
     with drawn_page(out / "page.html", 7) as page:
         assert "8 buildings" in page.inner_text("h1")
         assert page.locator("table tbody tr").count() == len(rows)
+        headers = page.locator("table thead th").all_inner_texts()
+        assert len(headers) == 2 + len(COLUMNS)
     again = district(tmp_path, "--output", "out")
     assert again.returncode == 2
     assert "--output = 'out': exists and is not empty" in again.stderr
