@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -101,13 +102,14 @@ def cluster(workers: int, directory: Path) -> Iterator[Dask]:
 
 
 def measure(
-    buildings: int, outlets: str, way: str, count: int, weather: Path, directory: Path
+    buildings: int, outlets: str, hours: int, way: str, count: int, weather: Path, directory: Path
 ) -> str:
-    """Run a district once, and return a row of the table."""
+    """Run a district once, and return a row of the table; its results are in the directory."""
     text = EXAMPLE.read_text(encoding="utf-8")
     for old, new in (
         ("buildings: 1000 ", f"buildings: {buildings} "),
         ("outlets: [none, orifice, drain, plan]", f"outlets: [{outlets}]"),
+        ("hours: 4416", f"hours: {hours}"),
         ("site: house.yaml", f"site: {EXAMPLE.parent / 'house.yaml'}"),
     ):
         assert old in text
@@ -133,7 +135,7 @@ def measure(
         if code:
             sys.exit(f"exit code {code}")
         return row([
-            f"{buildings:,}", outlets, f"{count} {way}", f"{wall:.0f} s",
+            f"{buildings:,}", outlets, f"{hours / 24:.0f}", f"{count} {way}", f"{wall:.0f} s",
             f"{watched.cpu:.0f} s", f"{watched.memory:.0f} MB",
         ])
 
@@ -152,18 +154,26 @@ def main() -> None:
     parser.add_argument("--weather", type=Path, required=True, help="of Toronto, YYYY_M.csv")
     parser.add_argument("--buildings", type=int, nargs="+", default=[100, 1000, 10_000])
     parser.add_argument("--outlets", nargs="+", default=["none, orifice, drain"])
+    parser.add_argument("--hours", type=int, default=4416)
+    parser.add_argument("--keep", type=Path, help="keep the results in this new directory")
     parser.add_argument("--ways", nargs="+", default=["1p", "2p", "2d"],
                         help="number of processes (p) or Dask workers (d)")
     arguments = parser.parse_args()
-    print(head(["buildings", "outlets", "on", "time", "processor time", "memory"]), flush=True)
+    columns = ["buildings", "outlets", "days", "on", "time", "processor time", "memory"]
+    print(head(columns), flush=True)
     for outlets in arguments.outlets:
         for buildings in arguments.buildings:
             for way in arguments.ways:
-                with tempfile.TemporaryDirectory() as directory:
+                with tempfile.TemporaryDirectory() as scratch:
+                    directory = Path(scratch)
                     print(measure(
-                        buildings, outlets, PROCESSES if way[-1] == "p" else DASK, int(way[:-1]),
-                        arguments.weather.resolve(), Path(directory),
+                        buildings, outlets, arguments.hours,
+                        PROCESSES if way[-1] == "p" else DASK, int(way[:-1]),
+                        arguments.weather.resolve(), directory,
                     ), flush=True)
+                    if arguments.keep is not None:
+                        kept = f"{buildings}-{outlets.replace(', ', '-')}-{way}"
+                        shutil.copytree(directory / "out", arguments.keep / kept)
 
 
 if __name__ == "__main__":
