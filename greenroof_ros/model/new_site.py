@@ -30,7 +30,7 @@ _DAY, _CROP = 0.004, 0.96
 # The target is at most this share of what the substrate holds.
 _MAX_FILLED = 0.95
 # Time in which an open valve empties a full cistern, and an orifice its upper half (h).
-_VALVE_H, _ORIFICE_H = 6.0, 12.0
+_EMPTIED_H = 12.0
 # Levels in the cistern (m), and the least flow from the mains (m3/s), of config/site_valve.yaml.
 _SUCTION, _MAINS_LEVEL, _VALVE_LEVEL, _MAINS_FLOW = 0.05, 0.07, 0.1, 2e-4
 # Columns at which comments begin, and of the page.
@@ -161,8 +161,8 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     if not valve:
         yield "# No low outlet [assumed]. To empty the cistern before rain, a valve on one:"
     yield from _outlet(
-        _VALVE_LEVEL, base, height, f"open, it empties a full cistern in {_VALVE_H:g} h",
-        _VALVE_H, given, active=valve,
+        _VALVE_LEVEL, base, height, f"open, it empties a full cistern in {_EMPTIED_H:g} h", given,
+        active=valve,
     )
     yield from _line(
         given, "low_outlet_valve", "true", "a policy opens and closes it", "", active=valve
@@ -170,21 +170,21 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     if not valve:
         yield "# Or an orifice that is always open, without low_outlet_valve:"
         yield from _outlet(
-            height / 2, base, height, f"it empties the upper half in {_ORIFICE_H:g} h", _ORIFICE_H,
-            given, active=False,
+            height / 2, base, height, f"it empties the upper half in {_EMPTIED_H:g} h", given,
+            active=False,
         )
 
 
 def _outlet(
-    level: float, base: float, height: float, meaning: str, hours: float,
-    given: Mapping[str, Any], *, active: bool,
+    level: float, base: float, height: float, meaning: str, given: Mapping[str, Any], *,
+    active: bool,
 ) -> Iterator[str]:
-    """Yield the keys of a low outlet that takes some hours from the overflow down to its level.
+    """Yield the keys of a low outlet that takes 12 h from the overflow down to its level.
 
     Torricelli's law: the time is 2 a1 sqrt(head) / c, with the c of Eq. (2).
     """
     paper = _paper()
-    coefficient = 2 * base * math.sqrt(max(0.0, height - level)) / (3600 * hours)
+    coefficient = 2 * base * math.sqrt(max(0.0, height - level)) / (3600 * _EMPTIED_H)
     radius = math.sqrt(coefficient / (paper.c_d * math.pi * math.sqrt(2 * paper.g)))
     yield from _line(given, "low_outlet_level", level, "its level", active=active)
     yield from _line(

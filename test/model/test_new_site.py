@@ -88,13 +88,13 @@ def drain_hours(site: Site, from_level: float) -> float:
 
 
 def test_outlets_ready_to_be_used(tmp_path: Path) -> None:
-    """A valve empties the full cistern in 6 h, an orifice its upper half in 12 h."""
+    """A valve empties the full cistern in 12 h, an orifice its upper half."""
     file = tmp_path / "my_site.yaml"
     text, keys = format_new_site(HOUSE), ("low_outlet_level", "low_outlet_radius")
     file.write_text(uncommented(text, *keys, "low_outlet_valve"))
     valve = read_site(file)
     assert valve.low_outlet_valve and valve.low_outlet_level == 0.1
-    assert drain_hours(valve, 2.0) == pytest.approx(6, rel=0.03)
+    assert drain_hours(valve, 2.0) == pytest.approx(12, rel=0.03)
     file.write_text(format_new_site(HOUSE, valve=True))
     assert read_site(file) == valve
     head, tail = text.split("# Or an orifice")

@@ -31,7 +31,8 @@ def read_site(path: PathText | None = None, **changes: Any) -> Site:
 
     Args:
         path: of the file.
-        changes: parameters with other values than in the file.
+        changes: parameters, or plain keys such as ``cistern_volume`` and ``roof_area``, with other
+            values than in the file.
 
     Raises:
         ConfigurationError: the file, or a value, is wrong.
