@@ -64,7 +64,7 @@ GROUPS = {
     },
     "fit it to your site": {
         "new-site": Command("new_site", "write a site file from a few answers"),
-        "size": Command("size", "choose a cistern: sizes, targets and outlets over all seasons"),
+        "size": Command("size", "choose a cistern, a target and an outlet over all seasons"),
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
         "fetch-weather": Command("fetch_weather", "fetch years of weather from the internet"),
         "weather": Command("weather_file", "describe a weather file; write it as a plain CSV"),

@@ -33,7 +33,7 @@ _DAY_MM = 4.0
 
 # What a site needs to be sized and its file may lack [assumed, as by new-site].
 _MAINS_ABOVE_SUCTION_M, _MAINS_MM_PER_H = 0.02, 10.0
-_OUTLET_ABOVE_MAINS_M, _EMPTIED_IN_H = 0.03, 6.0
+_OUTLET_ABOVE_MAINS_M, _EMPTIED_IN_H = 0.03, 12.0
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def _add_valve(site: Site, notes: list[str]) -> Site:
 
 
 def _find_radius(site: Site) -> float:
-    """Return the radius of the low outlet that empties a full cistern in 6 h (m).
+    """Return the radius of the low outlet that empties a full cistern in 12 h (m).
 
     The root of the head falls linearly in time, by Eq. (2): it takes 2 a1 sqrt(head) / c.
     """
