@@ -20,6 +20,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 
 HTML = b"<!DOCTYPE html><html><body>The site is under maintenance</body></html>"
+_NONSENSE = {"html": HTML, "deep": b"[" * 100_000}
 _DATA = Path(__file__).parent / "data"
 _UNITS = {
     "precipitation": "mm", "temperature_2m": "°C", "dew_point_2m": "°C", "wind_speed_10m": "km/h",
@@ -52,7 +53,7 @@ class WeatherService:
             connection ends; "limit", "limit 1" with Retry-After, and "tomorrow": 429; "error": 503;
             "refusal": 400 with a reason; "slow": a pause of 20 s; "fewer" variables; "short": a
             day less; "gap": five hours without values; "JSON error": an answer with status 200 that
-            is an error.
+            is an error; "odd": no list of times; "deep": nested JSON.
         requests: the queries, in order.
     """
 
@@ -85,7 +86,7 @@ class WeatherService:
                     body = json.dumps({"error": True, "reason": reason}).encode()
                 else:
                     status, headers = 200, {}
-                    body = HTML if fault == "html" else outer.answer(path.path, query, fault)
+                    body = _NONSENSE.get(fault) or outer.answer(path.path, query, fault)
                 self.send_response(status)
                 for name, value in {**headers, "Content-Length": str(len(body))}.items():
                     self.send_header(name, value)
@@ -128,7 +129,7 @@ def _archive(query: dict[str, str], fault: str) -> bytes:
         "longitude": round(float(query["longitude"]), 1), "generationtime_ms": 1.5,
         "utc_offset_seconds": 0, "timezone": "GMT", "timezone_abbreviation": "GMT",
         "elevation": 77.0, "hourly_units": {"time": "iso8601", **_UNITS},
-        "hourly": {"time": times, **hourly},
+        "hourly": {"time": 5 if fault == "odd" else times, **hourly},
     }).encode()
 
 

@@ -47,14 +47,15 @@ class Answer(NamedTuple):
     """its clock, as in the header; empty if there is none"""
 
 
-def check_url(url: str) -> None:
-    """Refuse a URL that is not of the web.
+def check_url(url: str) -> str:
+    """Return a URL, which must be of the web.
 
     Raises:
         ConfigurationError: it is not.
     """
     if not url.startswith(("http://", "https://")):
         raise ConfigurationError("must begin with http:// or https://", key="url", value=url)
+    return url
 
 
 def request(url: str, parameters: Mapping[str, str | float]) -> Answer:

@@ -92,8 +92,7 @@ class Service:
                     "evapotranspiration need it", key=name,
                 )
         self._site = site
-        self._url = url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL)
-        check_url(self._url)
+        self._url = check_url(url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL))
         self._parameters: dict[str, str | float] = {
             "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
             "hourly": ",".join(VARIABLES.values()), "forecast_days": days, "timezone": "GMT",

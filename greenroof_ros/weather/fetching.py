@@ -133,7 +133,7 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
         "Weather of a reanalysis from Open-Meteo.com, Historical Weather API (ERA5, ECMWF IFS): "
         "https://open-meteo.com\n"
         "Licence: CC BY 4.0, name the source. The service is free for non-commercial use.",
-        _checked(url or _OPEN_METEO_URL), {
+        check_url(url or _OPEN_METEO_URL), {
             "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
             "hourly": ",".join(VARIABLES.values()), "timezone": "GMT",
         }, [
@@ -173,11 +173,12 @@ def eccc_station(
         "Observations of Environment and Climate Change Canada, Historical Data, hourly bulk "
         f"files of stationID {station}: https://climate.weather.gc.ca\n"
         "Licence: Open Government Licence - Canada, name the source.",
-        _checked(url or _ECCC_URL),
+        check_url(url or _ECCC_URL),
         {"format": "csv", "stationID": station, "Day": 14, "timeframe": 1}, [
             Block(
-                date(year, month, 1), date(year, month, calendar.monthrange(year, month)[1]),
-                ".csv", {"Year": year, "Month": month},
+                date(year, month, 1),
+                min(date(year, month, calendar.monthrange(year, month)[1]), today), ".csv",
+                {"Year": year, "Month": month},
             )
             for year, month in months
         ],
@@ -185,15 +186,10 @@ def eccc_station(
     )
 
 
-def _checked(url: str) -> str:
-    check_url(url)
-    return url
-
-
 def _check_open_meteo(body: bytes, block: Block) -> None:
     try:
         content = json.loads(body)
-    except ValueError:
+    except (ValueError, RecursionError):
         raise ServiceError(f"sent no JSON, or a part of it: {read_reason(body)}") from None
     hourly = content.get("hourly") if isinstance(content, dict) else None
     if not isinstance(hourly, dict):
@@ -201,7 +197,7 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
     lacking = [name for name in VARIABLES.values() if name not in hourly]
     if lacking:
         raise ServiceError(f"sent no {', '.join(lacking)}", is_passing=False)
-    hours = len(hourly.get("time") or ())
+    hours = len(times) if isinstance(times := hourly.get("time"), list) else 0
     if hours != block.hours:
         raise ServiceError(f"sent {hours} hours of {block.hours}")
 

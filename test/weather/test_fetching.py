@@ -260,6 +260,8 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
     ("html", 8, "sent no JSON, or a part of it: <!DOCTYPE html>"),
     ("half", 8, "broke off after"),
     ("short", 8, "sent 8808 hours of 8832"),
+    ("odd", 8, "sent 0 hours of 8832"),
+    ("deep", 8, "sent no JSON, or a part of it"),
 ])
 def test_what_does_not_pass_is_tried_once_and_what_may_pass_eight_times(
     service, tmp_path, fault, requests, reason
@@ -329,3 +331,4 @@ def test_the_present_year_ends_where_the_archive_does_and_first_years_where_it_b
     assert archive(service, range(1940, 1941)).blocks[0].first == date(1940, 1, 1)
     months = eccc_station(1, SITE, range(2026, 2027), TODAY).blocks
     assert [block.first.month for block in months] == [1, 2, 3, 4, 5, 6]
+    assert (months[1].last, months[-1].last) == (date(2026, 2, 28), TODAY)
