@@ -39,6 +39,14 @@ _BLOCKS = 5000
 class Scenario:
     """A site, weather, window and forecast that stay as they are, and a score.
 
+    Example:
+        >>> import greenroof_ros as gr
+        >>> list(gr.scenarios)[:3]
+        ['paper', 'july-2021', 'season-forecasts']
+        >>> paper = gr.scenarios["paper"]
+        >>> round(paper.evaluate(gr.simulate("onoff", **paper.inputs)), 2), paper.unit
+        (3.23, 'mm')
+
     Attributes:
         name: of the scenario.
         about: what it is, in a sentence.
