@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from districts import WEATHER, edit, empty_totals, simulate_here, write_district
 
+from greenroof_ros.analysis.district.page import describe_valves, warn
 from greenroof_ros.analysis.district.parts import simulate_part
 from greenroof_ros.analysis.district.run import DistrictRun, read_run
 from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
@@ -97,6 +99,24 @@ def test_valves_are_closed_in_wet_weather(simulated: Simulated) -> None:
         sums = flow.reshape(-1, 5).sum(axis=1)  # at most a fifth above whole five minutes
         peak = 12 * 1000 * sums.max() / totals.area
         assert peak * (1 - 1e-9) <= row["low_outlet_peak_5min_mm_h"] <= 1.2 * peak
+
+
+def test_a_warning_of_valves_that_are_too_large(simulated: Simulated) -> None:
+    """Four valves of 8.5 mm let out at most what Eq. (2) gives at the overflow's level."""
+    _, run, totals = simulated
+    rows = totals.rows()
+    drain = next(row for row in rows if (row["outlet"], row["adoption"]) == ("drain", 1.0))
+    each = 0.61 * math.pi * 0.0085**2 * math.sqrt(2 * 9.81 * (2.0 - 0.1))  # m3/s
+    highest = 3.6e6 * 4 * each / totals.area
+    assert 2.0 < drain["low_outlet_peak_5min_mm_h"] < highest
+    (warning,) = warn(run, rows)
+    assert warning.startswith(
+        f"the cisterns empty together: in dry weather up to {drain['dry_peak_5min_mm_h']:.3g} mm/h "
+        "(valve, drain, 100 % of the buildings), more than the sewer's 2 mm/h"
+    )
+    (of_drain, of_plan) = describe_valves(rows)
+    assert "100 % of the buildings: 0 % of what the valves let out falls in wet weather" in of_drain
+    assert of_plan.startswith("valve, plan")
 
 
 def test_no_green_roof(simulated: Simulated) -> None:
