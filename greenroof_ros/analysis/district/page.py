@@ -63,7 +63,7 @@ COLUMNS = {
     "wet_low_outlet_m3": "through low outlets in wet weather (m³)",
     "low_outlet_peak_5min_mm_h": "at most, 5 min (mm/h)",
     "mains_m3": "mains water (m³)",
-    "demand_met_share": "irrigation without it",
+    "demand_met_share": "irrigation without mains water",
 }
 """Columns of the table, and their headers."""
 
@@ -79,8 +79,9 @@ def summarise(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> str:
         if row["outlet"] == best["outlet"] and row["adoption"] <= best["adoption"] / 2
     ]
     sentences = [
-        f"With green roofs and cisterns on {percent(best['adoption'])} of the "
-        f"{len(run.buildings):,} buildings ({LABELS[best['outlet']]}), "
+        "With green roofs and cisterns on "
+        + ("all" if best["adoption"] == 1 else f"{percent(best['adoption'])} of the")
+        + f" {len(run.buildings):,} buildings ({LABELS[best['outlet']]}), "
         f"{_compare(reference, best)}."
     ]
     sentences += [
@@ -93,14 +94,14 @@ def _compare(reference: dict[str, Any], row: dict[str, Any]) -> str:
     parts = []
     for key, what, less, more in (
         ("wet_discharge_m3", "storm water reaches the sewer in wet weather", "less", "more"),
-        ("sewer_overflow_m3", "overflows", "less", "more"),
+        ("sewer_overflow_m3", "the sewer overflows", "less", "more"),
         ("peak_60min_l_s", "the peak over an hour is", "lower", "higher"),
     ):
         if not reference.get(key):
             continue
         change = 1 - row[key] / reference[key]
         amount = f"{percent(abs(change))} {less if change >= 0 else more}"
-        parts.append(f"{what} {amount}" if what.endswith("is") else f"{amount} {what}")
+        parts.append(f"{what} {amount}" if what.startswith("the") else f"{amount} {what}")
     return " and ".join([*filter(None, [", ".join(parts[:-1])]), *parts[-1:]]) or "nothing changes"
 
 
@@ -115,7 +116,7 @@ def describe_valves(rows: Sequence[dict[str, Any]]) -> list[str]:
         if row is not None:
             peak = row["low_outlet_peak_5min_mm_h"]
             sentences.append(
-                f"{LABELS[outlet]}, {percent(row['adoption'])} of the buildings: "
+                f"{LABELS[outlet].capitalize()}, {percent(row['adoption'])} of the buildings: "
                 f"{percent(row['wet_low_outlet_m3'] / row['low_outlet_m3'])} of what the valves "
                 f"let out falls in wet weather. All together they let out at most {peak:.3g} mm/h"
                 + (f", {percent(peak / storm)} of the storm's peak." if storm else ".")
@@ -140,8 +141,8 @@ def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def percent(share: float) -> str:
-    """Write a share in per cent."""
-    return f"{100 * share:.0f} %"
+    """Write a share in per cent, which no line breaks."""
+    return f"{100 * share:.0f}\N{NO-BREAK SPACE}%"
 
 
 def _shown(key: str, value: float | None) -> str:
@@ -183,7 +184,7 @@ def _draw(
             ("low_outlet_peak_5min_mm_h", "Through valves or orifices", "mm/h", capacity),
         ],
     )
-    yield _draw_storm(run, totals, [AS_IS_LABEL, *names])
+    yield _draw_storm(run, totals, [*names, AS_IS_LABEL])
 
 
 def _capacity_note(capacity: float | None) -> str:

@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from districts import edit, simulate_here
 from places import CONFIG
 
 from greenroof_ros.analysis.district.buildings import Values
 from greenroof_ros.analysis.district.swmm import NETWORK, format_network, format_series
+from greenroof_ros.analysis.district.totals import AS_IS, Flow
 
 solver = pytest.importorskip("swmm.toolkit.solver")  # of the extra test
 
@@ -80,6 +82,24 @@ def test_overflow_of_a_combined_sewer(tmp_path: Path) -> None:
         assert routed.inflow == pytest.approx(volumes.sum(), rel=1e-6)
     assert storm.river > 0.25 * STORM.sum()
     assert valve.river == 0
+
+
+def test_valves_of_a_district_keep_the_river_clean(tmp_path: Path) -> None:
+    """Two storms of July 2021, on as many buildings of the district as the network is for."""
+    text = edit("valve_share: 0.5", "outlets: [drain]").replace("site_valve", "districts/house")
+    run, totals = simulate_here(tmp_path, text)
+    scale = 240_000 / totals.area
+    river = {}
+    for flow in (AS_IS, Flow("none", 1.0), Flow("drain", 0.5), Flow("drain", 1.0)):
+        volumes = scale * totals.discharge(flow)
+        routed = route(tmp_path, volumes)
+        assert abs(routed.error) < 0.2
+        assert routed.inflow == pytest.approx(volumes.sum(), rel=1e-5)
+        river[flow] = routed.river
+    as_is, overflow_only, half, everywhere = river.values()
+    assert as_is > half > everywhere
+    assert overflow_only > everywhere
+    assert run.runs[0].start.isoformat().startswith("2021-07-07T00:00")
 
 
 def test_network_is_complete_as_it_is(tmp_path: Path) -> None:

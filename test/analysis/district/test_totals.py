@@ -112,11 +112,11 @@ def test_a_warning_of_valves_that_are_too_large(simulated: Simulated) -> None:
     (warning,) = warn(run, rows)
     assert warning.startswith(
         f"the cisterns empty together: in dry weather up to {drain['dry_peak_5min_mm_h']:.3g} mm/h "
-        "(valve, drain, 100 % of the buildings), more than the sewer's 2 mm/h"
+        "(valve, drain, 100\N{NO-BREAK SPACE}% of the buildings), more than the sewer's 2 mm/h"
     )
     (of_drain, of_plan) = describe_valves(rows)
-    assert "100 % of the buildings: 0 % of what the valves let out falls in wet weather" in of_drain
-    assert of_plan.startswith("valve, plan")
+    assert ": 0\N{NO-BREAK SPACE}% of what the valves let out falls in wet weather." in of_drain
+    assert of_plan.startswith("Valve, plan")
 
 
 def test_no_green_roof(simulated: Simulated) -> None:
