@@ -35,9 +35,9 @@ that take part, and each kind of outlet: discharge in wet weather, peaks, overfl
 given capacity, and mains water, on one page that needs nothing but a browser.
 """
 _EPILOG = """\
-The output holds page.html, results.csv (a row for each adoption and outlet), buildings.csv (a row
-for each building) and hydrographs.parquet (m3/s, interval by interval), and with --swmm a folder
-for EPA SWMM.
+The output holds page.html, its figures as SVG and PNG, results.csv (a row for each adoption and
+outlet), buildings.csv (a row for each building) and hydrographs.parquet (m3/s, interval by
+interval), and with --swmm a folder for EPA SWMM.
 
 exit codes: 0 done, 1 the workers are gone, 2 bad usage or configuration, 130 interrupted
 

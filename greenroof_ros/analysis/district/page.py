@@ -32,17 +32,20 @@ AS_IS_LABEL = "as it is"
 _BEFORE_H, _AFTER_H, _POINT_MIN = 6, 48, 5
 
 
-def render(run: DistrictRun, totals: Totals, rows: Sequence[dict[str, Any]]) -> str:
+def render(
+    run: DistrictRun, area: float, rows: Sequence[dict[str, Any]], figures: Sequence[Figure]
+) -> str:
     """Return the page.
 
     Args:
         run: what was simulated.
-        totals: the sums.
+        area: connected area of all buildings (m2).
         rows: the results.
+        figures: of :func:`draw_figures`.
     """
     return make_page(
-        __package__, [*_draw(run, totals, rows)], headline=summarise(run, rows), rows=rows,
-        labels=LABELS, run=run, area=totals.area, start=to_people(run.runs[0].start),
+        __package__, figures, headline=summarise(run, rows), rows=rows,
+        labels=LABELS, run=run, area=area, start=to_people(run.runs[0].start),
         capacity=run.district.sewer_capacity, columns=COLUMNS, warnings=warn(run, rows),
         notes=run.notes, cells=len(run.runs), shown=_shown, percent=percent,
     )
@@ -156,9 +159,10 @@ def _shown(key: str, value: float | None) -> str:
 # --- figures --------------------------------------------------------------------------------------
 
 
-def _draw(
+def draw_figures(
     run: DistrictRun, totals: Totals, rows: Sequence[dict[str, Any]]
 ) -> Iterator[Figure]:
+    """Yield the figures: results over adoption, what valves let out, and the highest hour."""
     names = [LABELS[outlet] for outlet in totals.outlets]
     capacity = run.district.sewer_capacity
     amounts = [

@@ -115,7 +115,12 @@ class DistrictResult:
             self.hydrographs.write_parquet(file)
         if with_swmm:
             self._save_for_swmm(directory / "swmm")
-        replace_text(directory / PAGE, page.render(self.run, self.totals, self.rows))
+        figures = [*page.draw_figures(self.run, self.totals, self.rows)]
+        (directory / "figures").mkdir()
+        for figure in figures:
+            figure.save(directory / "figures")
+        text = page.render(self.run, self.totals.area, self.rows, figures)
+        replace_text(directory / PAGE, text)
 
     def _list_buildings(self) -> Iterator[dict[str, Any]]:
         run, totals, adoption = self.run, self.totals, self.run.adoption

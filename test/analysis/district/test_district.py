@@ -63,6 +63,7 @@ def test_command(tmp_path: Path) -> None:
     )
     of_half = next(row for row in rows if (row["outlet"], row["adoption"]) == ("drain", "0.5"))
     assert float(of_half["mains_m3"]) == pytest.approx(mains)
+    assert len(list((out / "figures").glob("*.svg"))) == 3
     with drawn_page(out / "page.html", 7) as page:
         assert "8 buildings" in page.inner_text("h1")
         assert page.locator("table tbody tr").count() == len(rows)
