@@ -15,6 +15,7 @@ from zoneinfo import ZoneInfo
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.plain_keys import LITRES_PER_HOUR, PLAIN, SUBSTRATES
+from greenroof_ros.model.plant import find_outlet_radius
 from greenroof_ros.model.site import Site, read_site, site_parameters
 
 KEYS: dict[str, Parameter] = {
@@ -29,8 +30,9 @@ _FLOWS = ("pump_flow", "irrigation_rate", "emitters")
 _DAY, _CROP = 0.004, 0.96
 # The target is at most this share of what the substrate holds.
 _MAX_FILLED = 0.95
-# Time in which an open valve empties a full cistern, and an orifice its upper half (h).
-_EMPTIED_H = 12.0
+EMPTIED_H = 12.0
+"""time in which an open valve empties a full cistern, and an orifice its upper half (h)"""
+
 # Levels in the cistern (m), and the least flow from the mains (m3/s), of config/site_valve.yaml.
 _SUCTION, _MAINS_LEVEL, _VALVE_LEVEL, _MAINS_FLOW = 0.05, 0.07, 0.1, 2e-4
 # Columns at which comments begin, and of the page.
@@ -161,7 +163,7 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     if not valve:
         yield "# No low outlet [assumed]. To empty the cistern before rain, a valve on one:"
     yield from _outlet(
-        _VALVE_LEVEL, base, height, f"open, it empties a full cistern in {_EMPTIED_H:g} h", given,
+        _VALVE_LEVEL, base, height, f"open, it empties a full cistern in {EMPTIED_H:g} h", given,
         active=valve,
     )
     yield from _line(
@@ -170,7 +172,7 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     if not valve:
         yield "# Or an orifice that is always open, without low_outlet_valve:"
         yield from _outlet(
-            height / 2, base, height, f"it empties the upper half in {_EMPTIED_H:g} h", given,
+            height / 2, base, height, f"it empties the upper half in {EMPTIED_H:g} h", given,
             active=False,
         )
 
@@ -179,13 +181,8 @@ def _outlet(
     level: float, base: float, height: float, meaning: str, given: Mapping[str, Any], *,
     active: bool,
 ) -> Iterator[str]:
-    """Yield the keys of a low outlet that takes 12 h from the overflow down to its level.
-
-    Torricelli's law: the time is 2 a1 sqrt(head) / c, with the c of Eq. (2).
-    """
-    paper = _paper()
-    coefficient = 2 * base * math.sqrt(max(0.0, height - level)) / (3600 * _EMPTIED_H)
-    radius = math.sqrt(coefficient / (paper.c_d * math.pi * math.sqrt(2 * paper.g)))
+    """Yield the keys of a low outlet that takes 12 h from the overflow down to its level."""
+    radius = find_outlet_radius(_paper(), base, max(0.0, height - level), 3600 * EMPTIED_H)
     yield from _line(given, "low_outlet_level", level, "its level", active=active)
     yield from _line(
         given, "low_outlet_radius", max(0.001, float(f"{radius:.2g}")), f"{meaning}, by Eq. (2)",

@@ -61,6 +61,21 @@ def low_outlet_flow(site: Site, x1: float) -> float:
     return site.c_low * math.sqrt(head) if head > 0 else 0.0
 
 
+def find_outlet_radius(site: Site, base: float, head: float, seconds: float) -> float:
+    """Return the radius of an outlet (m) that takes some time to drain a cistern to its level.
+
+    The root of the head falls linearly in time, by Eq. (2): it takes 2 a1 sqrt(head) / c.
+
+    Args:
+        site: with the discharge coefficient and the acceleration due to gravity.
+        base: area of the cistern (m2).
+        head: of the full cistern above the outlet (m).
+        seconds: until it is drained.
+    """
+    coefficient = 2 * base * math.sqrt(head) / seconds
+    return math.sqrt(coefficient / (site.c_d * math.pi * math.sqrt(2 * site.g)))
+
+
 def has_short_ticks(site: Site) -> bool:
     """Whether Euler's method is precise enough within a tick, as in Table I.
 

@@ -12,6 +12,8 @@ from greenroof_ros.common.errors import ConfigurationError, describe_choices
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.outlet import DRAIN, PLAN
 from greenroof_ros.controllers.registry import find_controller
+from greenroof_ros.model.new_site import EMPTIED_H
+from greenroof_ros.model.plant import find_outlet_radius
 from greenroof_ros.model.site import Site, check_site
 from greenroof_ros.model.storm_water import connected_area
 
@@ -33,7 +35,7 @@ _DAY_MM = 4.0
 
 # What a site needs to be sized and its file may lack [assumed, as by new-site].
 _MAINS_ABOVE_SUCTION_M, _MAINS_MM_PER_H = 0.02, 10.0
-_OUTLET_ABOVE_MAINS_M, _EMPTIED_IN_H = 0.03, 12.0
+_OUTLET_ABOVE_MAINS_M = 0.03
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,10 @@ def _make_design(site: Site, volume: float, target: float, outlet: str) -> Desig
     if outlet != NONE:
         parameters["outlet"] = outlet
         if math.isnan(site.low_outlet_radius or 0.0):
-            sized = replace(sized, low_outlet_radius=_find_radius(sized))
+            radius = find_outlet_radius(
+                sized, sized.a1, sized.z_o - (sized.low_outlet_level or 0.0), 3600 * EMPTIED_H
+            )
+            sized = replace(sized, low_outlet_radius=max(0.001, radius))
     sized = check_site(sized)
     complete = find_controller(CONTROLLER).complete_parameters(sized, parameters)
     return Design(volume, target, outlet, sized, complete)
@@ -207,18 +212,8 @@ def _add_valve(site: Site, notes: list[str]) -> Site:
     notes.append(
         "Assumed, as the site file has no low outlet: for drain and plan a valve at a level of "
         f"{level:.3g} m, {1000 * above:.3g} mm above that of the mains, so large that it empties "
-        f"a full cistern down to there in {_EMPTIED_IN_H:g} h."
+        f"a full cistern down to there in {EMPTIED_H:g} h."
     )
     return replace(
         site, low_outlet_level=level, low_outlet_radius=math.nan, low_outlet_valve=True
     )
-
-
-def _find_radius(site: Site) -> float:
-    """Return the radius of the low outlet that empties a full cistern in 12 h (m).
-
-    The root of the head falls linearly in time, by Eq. (2): it takes 2 a1 sqrt(head) / c.
-    """
-    head = site.z_o - (site.low_outlet_level or 0.0)
-    coefficient = 2 * site.a1 * math.sqrt(head) / (3600 * _EMPTIED_IN_H)
-    return max(0.001, math.sqrt(coefficient / (site.c_d * math.pi * math.sqrt(2 * site.g))))
