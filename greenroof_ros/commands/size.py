@@ -174,7 +174,7 @@ def show(sizes: Sizes, page: Path) -> None:
             for name, column in columns.items():
                 spread = sizes.spread(name, design)
                 per_roof = f"\n{format_per_roof(spread, sizes.site.a2)}" if column.per_roof else ""
-                cells.append(format_spread(spread, column) + per_roof)
+                cells.append(format_spread(spread, column).replace(" to ", "-") + per_roof)
             table.add_row(f"{design.volume:g}", *cells, style="bold" if design is own else None)
         console.print(table)
     console.print(sizes.describe_starts(), highlight=False)

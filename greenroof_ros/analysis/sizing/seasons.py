@@ -69,7 +69,7 @@ def read_window(text: str | None, site: Site) -> Window:
 def find_seasons(
     inputs: RunInputs, site: Site, weather: Weather, window: Window
 ) -> tuple[dict[str, Run], dict[str, str]]:
-    """Return the run of each complete season, by its name, and why others are incomplete.
+    """Return the run of each complete season, by its name, and what others lack.
 
     Args:
         inputs: of a run of the site, whose start and length do not matter.
@@ -92,12 +92,12 @@ def find_seasons(
         except ConfigurationError as error:
             if error.file != weather.source:
                 raise
-            if _overlaps(weather, year, window):
-                incomplete[window.name(year)] = error.expected.partition("; ")[0]
+            if reason := _find_reason(weather, year, window, error):
+                incomplete[window.name(year)] = reason
         else:
             runs[window.name(year)] = run
     if not runs:
-        seasons = "".join(f"; {name} {why}" for name, why in incomplete.items())
+        seasons = "".join(f"; {name}: {why}" for name, why in incomplete.items())
         raise ConfigurationError(
             f"has no complete season, {window}: its records are from {to_minutes(weather.first)} "
             f"to {to_minutes(weather.end)}{seasons}. Name other days as season, or fill missing "
@@ -106,10 +106,20 @@ def find_seasons(
     return runs, incomplete
 
 
-def _overlaps(weather: Weather, year: int, window: Window) -> bool:
-    start = datetime.combine(window.first.replace(year=year), datetime.min.time(),
-                             weather.first.tzinfo)
-    return start < weather.end and weather.first < start + timedelta(window.days)
+def _find_reason(
+    weather: Weather, year: int, window: Window, error: ConfigurationError
+) -> str:
+    """Return why a season that begins in a year is incomplete; empty if it is not in the record."""
+    zone, day = weather.first.tzinfo, window.first.replace(year=year)
+    start = datetime.combine(day, datetime.min.time(), zone)
+    end = start + timedelta(window.days)
+    if end <= weather.first or weather.end <= start:
+        return ""
+    if start < weather.first:
+        return f"the record begins at {to_minutes(weather.first)}"
+    if weather.end < end:
+        return f"the record ends at {to_minutes(weather.end)}"
+    return error.expected.partition("; ")[0]
 
 
 def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
