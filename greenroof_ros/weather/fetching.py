@@ -162,7 +162,8 @@ def eccc_station(
     """
     if site.utc_offset is None:
         raise ConfigurationError(
-            "must be in the site file: ECCC's files are in local standard time", key="utc_offset"
+            "must be in the site file, as in 'utc_offset: -5.0': ECCC's files are in standard "
+            "time", key="utc_offset"
         )
     if today.year < years[-1]:
         raise ConfigurationError("is in the future", key="years", value=years[-1])
@@ -297,6 +298,8 @@ def _is_empty(file: Path) -> bool:
 def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
     """Return the hours of the years that blocks hold, by the site's clock.
 
+    That is ``utc_offset`` of the site file, or else the whole hour nearest to solar time.
+
     Raises:
         ConfigurationError: they hold no precipitation.
     """
@@ -304,7 +307,8 @@ def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
     if not parts:
         raise ConfigurationError("the service has no hourly records of these years")
     records = read_measured(parts, site)
-    offset = timedelta(hours=site.utc_offset or 0.0)
+    hours = site.utc_offset
+    offset = timedelta(hours=round((site.longitude or 0.0) / 15) if hours is None else hours)
     clock = timezone.utc if offset % HOUR else timezone(offset)  # hours remain the service's
     first = records.first.astimezone(clock)
     begin, end = (

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -32,6 +33,7 @@ from greenroof_ros.weather.fetching import (
     Source,
     eccc_station,
     fetch,
+    join_blocks,
     open_meteo_archive,
     prepare_directory,
 )
@@ -321,6 +323,22 @@ def test_parts_of_another_request_are_not_mixed_in(service, tmp_path):
     other = eccc_station(1, SITE, range(2019, 2020), TODAY, f"{service.address}/bulk_data_e.html")
     assert "keeps parts of another request" in refusal(prepare_directory, tmp_path, other)
     prepare_directory(tmp_path, archive(service, range(2018, 2021)))
+
+
+@pytest.mark.parametrize(("offset", "expected"), [
+    (None, "-05:00"), (-4.0, "-04:00"), (-3.5, "+00:00"),
+])
+def test_years_are_of_the_sites_clock_or_of_solar_time(service, tmp_path, offset, expected):
+    """With an offset of half an hour they are of UTC, in whose whole hours the service's are."""
+    site = replace(SITE, utc_offset=offset)
+    source = open_meteo_archive(site, range(2020, 2021), TODAY, f"{service.address}/v1/archive")
+    prepare_directory(tmp_path, source)
+    records = join_blocks(
+        fetch(source, site, tmp_path, 0.001, ProgressBar()), site, range(2020, 2021)
+    )
+    assert records.first == datetime.fromisoformat(f"2020-01-01T00:00{expected}")
+    assert (records.hours, records.first.isoformat()[-6:]) == (8784, expected)
+    assert not np.isnan(records.values[PRECIPITATION]).any()
 
 
 def test_the_present_year_ends_where_the_archive_does_and_first_years_where_it_begins(service):
