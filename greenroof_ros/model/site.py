@@ -328,6 +328,12 @@ class Site:
         """Twice the soil's depth (m): a higher reading is not a level in metres."""
         return 2 * self.z_soil
 
+    @property
+    def clock_offset(self) -> float:
+        """Offset from UTC (h): the file's, or else the whole hour that is closest to solar time."""
+        solar = float(round((self.longitude or 0.0) / 15))
+        return solar if self.utc_offset is None else self.utc_offset
+
     def of_weather(self) -> Site:
         """Return a site with only what weather depends on; its other parameters are 0.
 

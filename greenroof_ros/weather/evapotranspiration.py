@@ -180,8 +180,7 @@ def _complete_place(site: Site, records: Records) -> Site:
     The offset from UTC, which only sets when its days begin, is the whole hour that is closest to
     solar time. The elevation is that of the mean pressure by FAO-56 Eq. 7.
     """
-    if site.utc_offset is None:
-        site = replace(site, utc_offset=float(round((site.longitude or 0.0) / 15)))
+    site = replace(site, utc_offset=site.clock_offset)
     pressure = records.values.get(PRESSURE)
     if site.elevation is None and pressure is not None:
         mean = float(np.nanmean(pressure))

@@ -298,8 +298,6 @@ def _is_empty(file: Path) -> bool:
 def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
     """Return the hours of the years that blocks hold, by the site's clock.
 
-    That is ``utc_offset`` of the site file, or else the whole hour nearest to solar time.
-
     Raises:
         ConfigurationError: they hold no precipitation.
     """
@@ -307,8 +305,7 @@ def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
     if not parts:
         raise ConfigurationError("the service has no hourly records of these years")
     records = read_measured(parts, site)
-    hours = site.utc_offset
-    offset = timedelta(hours=round((site.longitude or 0.0) / 15) if hours is None else hours)
+    offset = timedelta(hours=site.clock_offset)
     clock = timezone.utc if offset % HOUR else timezone(offset)  # hours remain the service's
     first = records.first.astimezone(clock)
     begin, end = (
