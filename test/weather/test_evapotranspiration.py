@@ -137,6 +137,19 @@ def test_site_matters() -> None:
     assert at_2_m == pytest.approx(standard, abs=2e-3)  # the factor at 2 m is 1.0002
 
 
+def test_a_place_without_its_elevation_and_clock() -> None:
+    """Example 2: 81.8 kPa is the pressure at 1800 m. 79.4 W is closest to UTC-5, in UTC, too."""
+    records = day_of_records(**{"station pressure": np.full(24, 81.8)})
+    known = replace(TORONTO, elevation=1800.0)
+    computed = compute_fao56(records, replace(known, elevation=None, utc_offset=None))
+    assert computed == pytest.approx(compute_fao56(records, known), abs=1e-3)
+    assert computed.sum() != pytest.approx(compute_fao56(records, TORONTO).sum(), rel=2e-3)
+    utc = replace(records, first=parse_time("2021-07-15T05:00+00:00"))
+    no_clock = replace(known, utc_offset=None)
+    for compute in (compute_fao56, compute_hargreaves):
+        assert compute(utc, no_clock).tolist() == compute(records, known).tolist()
+
+
 def test_what_is_missing_is_not_made_up() -> None:
     """Without pressure or wind the library would estimate them; here there is no value.
 
