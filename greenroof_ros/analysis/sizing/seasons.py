@@ -140,6 +140,7 @@ def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
     ]
     if filled:
         notes.append(
-            f"missing hours of weather were filled in, rain as none: {', '.join(filled)}"
+            "missing hours of weather were filled in, and missing rain counts as none: "
+            + ", ".join(filled)
         )
     return list(dict.fromkeys(notes))
