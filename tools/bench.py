@@ -151,6 +151,36 @@ def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
     return (time.perf_counter() - began) / run.steps, controller.statistics() or {}
 
 
+def measure_buildings(count: int = 1000) -> tuple[float, float]:
+    """Return the times of a minute's tick of many buildings at once, and of one of them (s)."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from greenroof_ros.controllers.registry import find_controller
+    from greenroof_ros.experiment.batch import Batch, BatchWeather, simulate_batch
+    from greenroof_ros.experiment.closed_loop import Simulation
+    from greenroof_ros.experiment.inputs import make_inputs
+    from greenroof_ros.model.site import read_site
+
+    site = read_site(CONFIG / "site_valve.yaml", {"tau": 60.0})
+    run = make_inputs(find_controller("onoff"), {
+        "site": site, "outlet": "drain", "start": "2021-07-07T00:00", "hours": 72.0,
+    }).build()
+    random = np.random.default_rng(1)
+    batch = Batch(
+        [replace(site, a1=site.a1 * share) for share in random.uniform(0.2, 2.0, count)],
+        [BatchWeather.of_run(run)], np.zeros(count, int), [run.parameters] * count,
+        np.full(count, run.x1), run.x2 * random.uniform(0.9, 1.0, count),
+    )
+    began = time.perf_counter()
+    for _ in Simulation(run).ticks():
+        pass
+    between = time.perf_counter()
+    simulate_batch(batch)
+    return (time.perf_counter() - between) / run.steps, (between - began) / run.steps
+
+
 def measure_do_mpc(steps: int = 30) -> float:
     """Return a do-mpc step's time (s) on the same problem: smooth plant, horizon 10, same cost."""
     import casadi
@@ -218,6 +248,7 @@ MEASURED = {
     "p99": "the same, 99th percentile",
     "plan": "longest decision of `lookahead`, with a plan / of `mpc`, mean",
     "do_mpc": "do-mpc step / MPC step of `simulate`",
+    "many": "tick of 1,000 buildings at once / of one",
 }
 
 
@@ -238,10 +269,13 @@ def main() -> None:
             rows["p99"].append(ahead["p99_s"] / mpc["p99_s"])
             rows["plan"].append(ahead["max_s"] / mpc["mean_s"])
             rows["do_mpc"].append(peer / step)
+            many, one = measure_buildings()
+            rows["many"].append(many / one)
             print(
                 f"round {number + 1} of {ROUNDS}, load {load:.1f} before: "
                 f"echo {recorded.echo * 1e6:.0f} us, tick {recorded.tick * 1e6:.0f} us, "
-                f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us",
+                f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us, "
+                f"1,000 buildings {many * 1e6:.0f} us",
                 file=sys.stderr, flush=True,
             )
     print(head(["measured together", "median", "rounds"]))

@@ -222,7 +222,7 @@ class Plants:
         after = self.x1 + self._tau * self._collected
         stepped = (after > self._find_calm(outlet)) | (self.x1 < filled)
         if rows is not None:
-            stepped[rows] |= self._command[rows] > 0
+            stepped[rows] |= self._missing[rows] > 0
         self._step_some(stepped, outlet, after)
         return after
 

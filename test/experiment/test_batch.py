@@ -110,7 +110,7 @@ def result(runs: list[Run]) -> BatchResult:
 
 @pytest.mark.parametrize("name", CASES)
 def test_metrics_are_those_of_the_run(name: str, runs: list[Run], result: BatchResult) -> None:
-    """Four days with 36 mm of rain."""
+    """Four days with 32 mm of rain."""
     row = list(CASES).index(name)
     check(result, row, simulated(runs[row]))
 
