@@ -72,7 +72,7 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
     ("options", "expected"),
     [
         (["grid.yaml", "--output", "out"], WRONG["value"][1]),
-        (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs: cannot be used with"),
+        (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs = 2: cannot be used with"),
         (["--output", "/proc/study"], "--output = '/proc/study': cannot be read or written"),
     ],
 )
@@ -310,7 +310,7 @@ def test_seconds_of_the_bound(tmp_path: Path) -> None:
 def test_names_of_files(tmp_path: Path) -> None:
     """Next to the grid first, then the package's config/; the error names both places."""
     text = GRID.replace(str(CONFIG / "site.yaml"), "site.yaml")
-    text = text.replace(str(WEATHER), "[weather/toronto_*.csv, weather/toronto_2021-07.csv]")
+    text = text.replace(str(WEATHER), "[weather/toronto_2021-*.csv, weather/toronto_2021-07.csv]")
     copy = tmp_path / grid(tmp_path, text)
     assert yaml.safe_load(read_grid(copy)[0].site.content)["a1"] == 25.0
     mine = (CONFIG / "site.yaml").read_text().replace("a1: 25.0", "a1: 26.0")
