@@ -9,11 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from paper import run_of_hours, site_with
 
 import greenroof_ros as gr
 from greenroof_ros.controllers import outlet
 from greenroof_ros.controllers.outlet import OutletPolicy, make_outlet
+from greenroof_ros.controllers.outlets import find_dry_ticks
 from greenroof_ros.experiment.closed_loop import Simulation
 from greenroof_ros.forecast.choice import ForecastChoice
 from greenroof_ros.forecast.resampling import make_forecast
@@ -199,6 +202,25 @@ def test_the_hours_of_steps_that_are_none() -> None:
     assert isinstance(plan, outlet.Plan)
     hourly = plan._levels._hourly(np.array([[3.0, 6.0, 1.0]]) / HOUR)
     assert hourly[0] == pytest.approx([1 + 4, 3 + 0.5, 1, 1, 1, 1, 1, 0.5])
+
+
+@given(
+    rates=st.lists(
+        st.tuples(st.sampled_from([0.0, 0.0, 0.03, 0.0999, 0.1, 5.0]), st.integers(1, 90)),
+        min_size=1, max_size=8,
+    ),
+    tau=st.sampled_from([60.0, 300.0, 900.0]), wet_after=st.sampled_from([0.0, 0.5, 2.0]),
+)
+def test_dry_ticks_of_a_whole_run(
+    rates: list[tuple[float, int]], tau: float, wet_after: float
+) -> None:
+    """Rain of some mm/h for some ticks: those in which drain counts no wet hours, tick by tick."""
+    rain = np.concatenate([np.full(ticks, rate / 3.6e6) for rate, ticks in rates])
+    drain, expected = outlet.Drain(replace(SITE, tau=tau, wet_after=wet_after), 1.0), []
+    for rate in rain.tolist():
+        drain.observe(rate)
+        expected.append(not drain.wet_hours)
+    assert find_dry_ticks(rain, tau, wet_after).tolist() == expected
 
 
 def find_costs(
