@@ -24,7 +24,7 @@ CONTROLLER = "onoff"
 TAU = 60.0
 """duration of a tick (s)"""
 
-VOLUMES, TARGETS = Range(0.05, 1e6, "m3"), Range(1.0, 1000.0, "mm")
+VOLUMES, TARGETS = Range(0.05, 1e5, "m3"), Range(1.0, 1000.0, "mm")
 # R5 of ISO 3, preferred numbers: each is 60 % larger than the one before.
 _PREFERRED = (1.0, 1.6, 2.5, 4.0, 6.3)
 # The default volumes begin with the one that holds this depth on the connected area [assumed].

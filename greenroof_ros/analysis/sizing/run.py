@@ -97,7 +97,9 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     )
     metrics = {name: series[: math.prod(shape)].reshape(shape) for name, series in results.items()}
     starts = {
-        name: series[math.prod(shape) :].reshape(2, len(tried), -1).mean(axis=2)
+        name: np.ma.masked_invalid(
+            series[math.prod(shape) :].reshape(2, len(tried), -1)
+        ).mean(axis=2).filled(np.nan)
         for name, series in results.items()
     }
     metrics[KEPT] = 1 - np.divide(

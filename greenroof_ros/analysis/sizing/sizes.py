@@ -166,21 +166,21 @@ class Sizes:
         group = self.select(own.target, own.outlet)
         text = self.describe(own)
         for larger in group[group.index(own) + 1 :][:1]:
-            met, kept = (self.spread(name, larger).mean for name in ("demand_met_share", KEPT))
-            met_text = "" if np.isnan(met) else f"{format_share(met)} % and "
-            text += f"; {larger.volume:g} m³: {met_text}{format_share(kept)} %"
+            shares = (self.spread(name, larger).mean for name in ("demand_met_share", KEPT))
+            text += f"; {larger.volume:g} m³: " + " and ".join(
+                f"{format_share(share)} %" for share in shares if not np.isnan(share)
+            )
         return f"{text}."
 
     def describe(self, design: Design) -> str:
         """Return what a design does, in a clause."""
         met, kept = (self.spread(name, design) for name in ("demand_met_share", KEPT))
-        meets = "has nothing to irrigate" if np.isnan(met.mean) else (
-            f"meets {_percent(met)} of the demand"
-        )
-        return (
-            f"A cistern of {design.volume:g} m³ {meets} and keeps {_percent(kept)} of the storm "
-            "water out of the sewer"
-        )
+        return f"A cistern of {design.volume:g} m³ " + " and ".join((
+            "has nothing to irrigate" if np.isnan(met.mean)
+            else f"meets {_percent(met)} of the demand",
+            "gets no rain" if np.isnan(kept.mean)
+            else f"keeps {_percent(kept)} of the storm water out of the sewer",
+        ))
 
     def _stress(self, target: float) -> float:
         """Return the share of a season's hours in which plants lack water (1), at a target (mm)."""
@@ -215,6 +215,8 @@ class Sizes:
         if self.prices is not None:
             amount = "another m³ of cistern saves less than it costs"
             what = f"mains and waste water against {self.prices.yearly_cistern_price:.4g} a year"
+        if len(self.volumes) == 1:
+            return "the only one that was compared."
         if self.find_knee(self.recommended.target, self.outlet) is None:
             return (
                 f"the largest of all: there is no size from which on {amount} ({what}), so larger "
@@ -230,8 +232,9 @@ class Sizes:
         half = [self.spread(name, design).mean for name in names]
         empty, full = ([self.starts[name][end, place] for name in names] for end in (0, 1))
         empty_text, half_text, full_text = (
-            f"{format_share(met)} % of the demand, {mains:.1f} m³ of mains water and {wet:.1f} m³ "
-            "of discharge in wet weather" for met, mains, wet in (empty, half, full)
+            ("" if np.isnan(met) else f"{format_share(met)} % of the demand, ")
+            + f"{mains:.1f} m³ of mains water and {wet:.1f} m³ of discharge in wet weather"
+            for met, mains, wet in (empty, half, full)
         )
         return (
             f"Each season begins with half of the cistern full. With {design.volume:g} m³ and a "

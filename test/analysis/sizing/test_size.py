@@ -19,6 +19,7 @@ from graphs import alive, wait_for
 from places import CONFIG, DATA, Once
 
 import greenroof_ros as gr
+from greenroof_ros.analysis.sizing.columns import COLUMNS, format_spread
 from greenroof_ros.analysis.sizing.sizes import Sizes
 from greenroof_ros.common.errors import ConfigurationError
 
@@ -175,6 +176,17 @@ def test_the_page_in_a_browser(sized: Path, tmp_path: Path) -> None:
         assert 3 <= document.count(b"/Type /Page\n") <= 12
 
 
+def test_a_season_without_rain_or_irrigation() -> None:
+    """Shares of nothing are left out, of sentences, tables and pages."""
+    dry = gr.size(**{**OPTIONS, "season": "07-03/07-03", "outlets": ["none"], "volumes": [2, 5]})
+    assert dry.sentence == (
+        "A cistern of 2 m³ meets 100 % of the demand and gets no rain; 5 m³: 100 %."
+    )
+    kept = dry.spread("storm_water_kept_share", dry.designs[0])
+    assert format_spread(kept, COLUMNS["storm_water_kept_share"]) == "none"
+    assert "nan" not in dry.describe_starts()
+
+
 def test_a_signal_ends_it(tmp_path: Path) -> None:
     """With exit code 130, one line, no page, and no process left."""
     process = Forked(
@@ -246,7 +258,7 @@ def test_a_site_without_its_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    (["--volumes", "5,0"], "--volumes: must be a number from 0.05 to 1000000, with a decimal"),
+    (["--volumes", "5,0"], "--volumes: must be a number from 0.05 to 100000, with a decimal"),
     (["--volumes", "5", "5"], "error: --volumes = 5.0: is given twice"),
     (["--cistern-price", "600"], "error: --mains-price: is missing: costs need all prices"),
     (["--season", "04-01/10-31"], "has no complete season, 1 April to 31 October"),
