@@ -27,8 +27,6 @@ _FROM_SITE: dict[str, Callable[[Site], Any]] = {
     "mains_level": lambda site: site.mains_level or 0.0,
     "mains_flow": lambda site: site.mains_flow or 0.0,
     "drainage_time": lambda site: site.drainage_time or 0.0,
-    "has_mains": lambda site: site.mains_level is not None,
-    "has_low_outlet": lambda site: site.low_outlet_level is not None,
     "has_layer": lambda site: site.drainage_storage is not None,
     "above_target": lambda site: soil_of(site).above_target,
     "stress_volume": lambda site: soil_of(site).stress_volume,
@@ -80,8 +78,6 @@ class Sites:
     stress_volume: Values
     initial_layer: Values
     wet_after: Values
-    has_mains: Flags
-    has_low_outlet: Flags
     low_outlet_valve: Flags
     valve_closed_in_frost: Flags
     has_layer: Flags
