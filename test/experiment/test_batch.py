@@ -216,6 +216,18 @@ def test_ticks_of_seconds() -> None:
     check(found, 0, expected)
 
 
+@pytest.mark.parametrize(("tau", "hours"), [(7.0, 14.0), (300.0, 96.0), (3600.0, 96.0)])
+def test_ticks_of_other_lengths(tau: float, hours: float) -> None:
+    """Peaks of windows that are no whole number of intervals, of 63 s or an hour."""
+    runs = [
+        run_of(replace(site, tau=tau), {"outlet": policy}, "2021-07-08T06:00", hours)
+        for site, policy in ((VALVE, "drain"), (SMALL, "plan"), (TABLE_I, "open"))
+    ]
+    result = simulate_batch(batch_of(runs))
+    for row, run in enumerate(runs):
+        check(result, row, simulated(run))
+
+
 def test_a_batch_that_does_not_fit_together(runs: list[Run]) -> None:
     other = run_of(VALVE, {}, "2021-07-06T00:00", 24)
     with pytest.raises(ConfigurationError, match="as many steps"):
