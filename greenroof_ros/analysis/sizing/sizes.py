@@ -60,8 +60,8 @@ class Sizes:
         notes: what was assumed, and what a reader must know of the weather.
         prices: of water and cistern; None without costs.
         knee_m3: m3 of water that another m3 of cistern must save in a season.
-        tried: the designs that were also run from other initial states: by volume, of one target
-            and the recommended outlet.
+        tried: the designs that were also run from other initial states: every second cistern, of
+            one target and the recommended outlet.
         starts: means of each metric of these, from an empty and from a full cistern, shape (2,
             designs), by name.
     """
@@ -226,7 +226,8 @@ class Sizes:
 
     def describe_starts(self) -> str:
         """Return how much the initial state of a season matters, in a sentence."""
-        place = [design.volume for design in self.tried].index(self.recommended.volume)
+        ratios = [abs(np.log(one.volume / self.recommended.volume)) for one in self.tried]
+        place = int(np.argmin(ratios))  # the recommended cistern, or one next to it
         design = self.tried[place]
         names = "demand_met_share", "mains_m3", "wet_discharge_m3"
         half = [self.spread(name, design).mean for name in names]

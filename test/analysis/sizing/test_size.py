@@ -144,7 +144,7 @@ def test_a_design_alone_gives_the_same(sizes: Sizes, outlet: str) -> None:
 
 def test_other_initial_states_bracket_the_half_full_one(sizes: Sizes) -> None:
     """More water at the start is less from the mains and more in the sewer, nearly always."""
-    assert [design.volume for design in sizes.tried] == sizes.volumes
+    assert [design.volume for design in sizes.tried] == [10.0, 2.0]
     for place, design in enumerate(sizes.tried):
         assert (design.target, design.outlet) == (39.0, "plan")
         mains, wet = (sizes.spread(name, design).mean for name in ("mains_m3", "wet_discharge_m3"))
