@@ -121,7 +121,7 @@ setup(
         ],
         # The graph for Foxglove and Lichtblick: their protocol, from its makers.
         "foxglove": ["foxglove-sdk>=0.30,<0.31"],  # its minor releases change the interface
-        "dask": ["distributed>=2024.1"],  # study --scheduler: more than one machine
+        "dask": ["distributed>=2024.1"],  # study, district --scheduler: more than one machine
         "gym": ["gymnasium>=1,<2"],  # the environment GreenRoof-v1, for reinforcement learning
         "test": [
             # With 9.2, pytest-xdist 3.8 keeps no group together: fixtures are made once a worker.

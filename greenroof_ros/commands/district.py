@@ -25,6 +25,7 @@ from greenroof_ros.common.command_line import (
     command,
 )
 from greenroof_ros.common.errors import ConfigurationError, require_extra
+from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.progress import ProgressBar
 
@@ -82,9 +83,11 @@ def main() -> int:
     with require_extra("study"):
         from greenroof_ros.analysis.district import page, run
         from greenroof_ros.analysis.district.result import PAGE, DistrictResult, make_directory
-    district = run.read_run(
-        arguments.district, [] if arguments.weather is None else [arguments.weather]
-    )
+    file: Path = arguments.district
+    shipped = shared_directory() / file  # outside a checkout, where the package's own are
+    if shipped.is_file() and not file.exists():
+        file = shipped
+    district = run.read_run(file, [] if arguments.weather is None else [arguments.weather])
     for note in district.notes:
         print(f"note: {note}", file=sys.stderr)
     make_directory(arguments.output)
