@@ -26,7 +26,7 @@ _UNITS = {
     "precipitation": "mm", "temperature_2m": "°C", "dew_point_2m": "°C", "wind_speed_10m": "km/h",
     "surface_pressure": "hPa", "shortwave_radiation": "W/m²",
 }
-_FIRST_DAY = date(1940, 1, 1)
+_FIRST_DAY = date(1971, 1, 1)
 
 
 def open_meteo_values(variable: str, first: datetime, hours: int) -> list[float | None]:
@@ -52,8 +52,9 @@ class WeatherService:
         faults: of the next requests, one each: "" for none; "html"; "half" of the answer, then the
             connection ends; "limit", "limit 1" with Retry-After, and "tomorrow": 429; "error": 503;
             "refusal": 400 with a reason; "slow": a pause of 20 s; "fewer" variables; "short": a
-            day less; "gap": five hours without values; "JSON error": an answer with status 200 that
-            is an error; "odd": no list of times; "deep": nested JSON.
+            day less; "other" hours, of ten years before; "gap": five hours without values; "JSON
+            error": an answer with status 200 that is an error; "odd": no list of times; "deep":
+            nested JSON.
         requests: the queries, in order.
     """
 
@@ -118,6 +119,8 @@ def _archive(query: dict[str, str], fault: str) -> bytes:
     assert query["timezone"] == "GMT"
     begin = datetime(first.year, first.month, first.day, tzinfo=timezone.utc)
     hours = 24 * ((last - first).days + (fault != "short"))
+    if fault == "other":
+        begin = begin.replace(year=begin.year - 10)
     names = query["hourly"].split(",")[: -1 if fault == "fewer" else None]
     times = [f"{begin + timedelta(hours=hour):%Y-%m-%dT%H:%M}" for hour in range(hours)]
     hourly = {name: open_meteo_values(name, begin, hours) for name in names}

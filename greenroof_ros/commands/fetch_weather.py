@@ -22,13 +22,13 @@ from greenroof_ros.common.command_line import (
 from greenroof_ros.common.files import replace_text
 from greenroof_ros.common.http_client import ServiceError
 from greenroof_ros.common.progress import ProgressBar
-from greenroof_ros.common.times import to_people
+from greenroof_ros.common.times import FIRST_YEAR, to_people
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import name_hours
 from greenroof_ros.formats.quantities import PRECIPITATION
+from greenroof_ros.model.place import format_place, measure_distance
 from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.fetching import (
-    FIRST_YEAR,
     eccc_station,
     fetch,
     join_blocks,
@@ -56,8 +56,8 @@ examples:
   greenroof fetch-weather --site my_site.yaml --years 2015-2024 --eccc 48549 --output toronto.csv
   greenroof weather weather.csv --site my_site.yaml       # describe what came
 
-exit codes: 0 done, 1 the service did not give all, 2 wrong usage or configuration, 130 ended by
-Ctrl-C
+exit codes: 0 done, 1 the service did not send everything, 2 wrong usage or configuration,
+130 ended by Ctrl-C
 """
 # Spans of missing hours that are named.
 _MAX_NAMED = 3
@@ -66,7 +66,7 @@ _MAX_NAMED = 3
 def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(prog="greenroof fetch-weather", description=_DESCRIPTION, epilog=_EPILOG)
-    add_site(parser, "site file, with latitude, longitude and utc_offset")
+    add_site(parser, "site file, with latitude and longitude; --eccc needs utc_offset")
     parser.add_argument(
         "--years", type=_parse_years, required=True, metavar="YEARS",
         help="a year, or the first and the last, such as 2015-2024; the present year as far as the "
@@ -93,9 +93,9 @@ def make_parser() -> Parser:
 
 
 def _parse_years(text: str) -> range:
-    first, _, last = text.partition("-")
+    first, dash, last = text.partition("-")
     try:
-        years = range(int(first), int(last or first) + 1)
+        years = range(int(first), int(last if dash else first) + 1)
     except ValueError:
         raise argparse.ArgumentTypeError(
             f"must be a year, or two such as 2015-2024, not {text}"
@@ -148,7 +148,7 @@ def main() -> int:
         kept = sum((part / block.file).exists() for block in source.blocks)
         if isinstance(error, ServiceError):
             print(f"error: {error}", file=sys.stderr)
-        if kept:
+        if 0 < kept < len(source.blocks):
             print(
                 f"{kept} of {len(source.blocks)} parts are kept in {part}; the same command "
                 "continues with the others", file=sys.stderr,
@@ -163,6 +163,12 @@ def main() -> int:
         f"{output}: {records.hours} hours, {to_people(records.first)} to {to_people(last)}, "
         f"{np.nansum(rain):.0f} mm of rain"
     )
+    for place in {*records.places.values()}:
+        away = ""
+        if site.latitude is not None and site.longitude is not None:
+            km = measure_distance(place, (site.latitude, site.longitude))
+            away = f", {km:.0f} km from the site"
+        print(f"  at {format_place(*place)}{away}")
     for name, series in records.values.items():
         spans = name_hours(records.first, np.flatnonzero(np.isnan(series)))
         if spans:

@@ -28,7 +28,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import replace_file, replace_text
 from greenroof_ros.common.http_client import ServiceError, check_url, read_reason, request
 from greenroof_ros.common.progress import ProgressBar
-from greenroof_ros.common.times import duration
+from greenroof_ros.common.times import FIRST_YEAR, duration
 from greenroof_ros.formats import eccc
 from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import Records
@@ -37,9 +37,6 @@ from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.formats.reading import read_records
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import read_measured
-
-FIRST_YEAR = 1940
-"""the first of Open-Meteo's archive"""
 
 _OPEN_METEO_URL = "https://archive-api.open-meteo.com/v1/archive"
 _ECCC_URL = "https://climate.weather.gc.ca/climate_data/bulk_data_e.html"
@@ -120,12 +117,13 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
     for name in ("latitude", "longitude"):
         if getattr(site, name) is None:
             raise ConfigurationError("must be in the site file: its weather is fetched", key=name)
-    end = min(date(years[-1] + 1, 1, 1), today - _DELAY)
-    if end.year < years[-1]:
+    newest = today - _DELAY
+    if newest.year < years[-1]:
         raise ConfigurationError(
-            f"must end with {end.year}: the archive ends {_DELAY.days} days ago", key="years",
-            value=years[-1],
+            f"must end with {newest.year}: the archive ends {_DELAY.days} days before today",
+            key="years", value=years[-1],
         )
+    end = min(date(years[-1] + 1, 1, 1), newest)
     starts = [max(date(years[0], 1, 1) - timedelta(days=1), date(FIRST_YEAR, 1, 1))]
     starts += [date(year, 1, 1) for year in years[1:]]
     ends = [*(start - timedelta(days=1) for start in starts[1:]), end]
@@ -198,9 +196,12 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
     lacking = [name for name in VARIABLES.values() if name not in hourly]
     if lacking:
         raise ServiceError(f"sent no {', '.join(lacking)}", is_passing=False)
-    hours = len(times) if isinstance(times := hourly.get("time"), list) else 0
-    if hours != block.hours:
+    times = hourly.get("time")
+    if not isinstance(times, list) or len(times) != block.hours:
+        hours = len(times) if isinstance(times, list) else 0
         raise ServiceError(f"sent {hours} hours of {block.hours}")
+    if str(times[0])[:10] != str(block.first):
+        raise ServiceError(f"sent hours from {times[0]} on, not from {block.first}")
 
 
 def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
@@ -211,6 +212,8 @@ def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
     is_cut = not body.endswith(b"\n") and lines[-1].count(b",") < lines[0].count(b",")
     if is_cut or (is_over and 0 < hours < block.hours):
         raise ServiceError(f"broke off after {hours} hours of {block.hours}")
+    if hours and str(block.first).encode() not in lines[1]:
+        raise ServiceError(f"sent another month: {read_reason(lines[1])}")
 
 
 def prepare_directory(directory: Path, source: Source) -> None:
@@ -222,7 +225,8 @@ def prepare_directory(directory: Path, source: Source) -> None:
     asked = "".join(f"{key}: {value}\n" for key, value in source.parameters.items())
     claim, asked = directory / _REQUEST, f"{source.url}\n{asked}"
     directory.mkdir(exist_ok=True)
-    if any(directory.glob("*_*")) and claim.read_text(encoding="utf-8") != asked:
+    kept = claim.read_text(encoding="utf-8", errors="replace") if claim.exists() else ""
+    if any(directory.glob("*_*")) and kept != asked:
         raise ConfigurationError(
             f"keeps parts of another request ({_REQUEST}); remove it, or name another output",
             file=directory,
@@ -234,7 +238,7 @@ def fetch(
     source: Source, site: Site, directory: Path, pause_s: float | None,
     progress: ProgressBar,
 ) -> list[Path]:
-    """Fetch the blocks that a directory does not keep yet, and return the files of all.
+    """Fetch the blocks that a directory does not keep whole, and return the files of all.
 
     Args:
         source: the service, and the blocks.
@@ -251,7 +255,10 @@ def fetch(
     """
     pause_s = source.pause_s if pause_s is None else pause_s
     files = [directory / block.file for block in source.blocks]
-    due = [number for number, file in enumerate(files) if not file.exists()]
+    due = [
+        number for number, block in enumerate(source.blocks)
+        if not _is_whole(files[number], source, block)
+    ]
     for number in due:
         block, share = source.blocks[number], number / len(files)
         if number != due[0]:
@@ -268,6 +275,15 @@ def fetch(
                 progress.print_line(f"{error}; next attempt in {duration(wait)}")
                 time.sleep(wait)
     return files
+
+
+def _is_whole(file: Path, source: Source, block: Block) -> bool:
+    """Return whether a block is kept, and not damaged, as by a power cut."""
+    try:
+        source.check(file.read_bytes(), block)
+    except (FileNotFoundError, ServiceError):
+        return False
+    return True
 
 
 def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:

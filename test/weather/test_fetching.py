@@ -84,7 +84,10 @@ def test_two_years_come_in_spite_of_all_that_services_send(service, tmp_path):
     # Each year until it came; years are of the site's clock, so there is a day more at both ends.
     asked = [(query["start_date"], query["end_date"]) for query in service.requests]
     assert asked == 7 * [("2022-12-31", "2023-12-31")] + 2 * [("2024-01-01", "2025-01-01")]
-    for text in ("17544 hours", "CC BY 4.0", "non-commercial", LOW_PEAKS):
+    for text in (
+        "17544 hours", "at 43.60 N, 79.40 W, 3 km from the site", "CC BY 4.0", "non-commercial",
+        LOW_PEAKS,
+    ):
         assert text in done.stdout
     head = [line for line in (tmp_path / "out.csv").read_text().splitlines() if line[0] == "#"]
     for text in (
@@ -159,6 +162,17 @@ def test_a_station_has_the_hours_of_its_bulk_files(service, tmp_path):
     )
 
 
+def test_another_month_is_not_taken_for_the_one_requested(service, tmp_path, monkeypatch):
+    original = service.answer
+    monkeypatch.setattr(
+        service, "answer",
+        lambda path, query, fault: original(path, {**query, "Month": "7"}, fault),
+    )
+    done = run(service, tmp_path, "--years", "2021", "--eccc", "48549")
+    assert (done.returncode, len(service.requests)) == (1, 8)
+    assert "sent another month: " in done.stderr
+
+
 def test_months_before_a_station_are_missing_and_a_station_without_hours_is_an_error(
     service, tmp_path
 ):
@@ -193,6 +207,34 @@ def test_what_came_before_the_end_is_not_requested_again(service, tmp_path, ende
     assert sorted(tmp_path.iterdir()) == [tmp_path / "out.csv"]
 
 
+@pytest.mark.parametrize("damage", ["empty", "half", "zeros"])
+def test_a_part_that_a_power_cut_has_damaged_is_requested_again(service, tmp_path, damage):
+    service.faults = ["", "refusal"]
+    assert run(service, tmp_path, "--years", "2022-2023").returncode == 1
+    (part,) = (tmp_path / "out.csv.part").glob("20*.json")
+    whole = part.read_bytes()
+    part.write_bytes(
+        {"empty": b"", "half": whole[: len(whole) // 2], "zeros": bytes(len(whole))}[damage]
+    )
+    done = run(service, tmp_path, "--years", "2022-2023")
+    assert done.returncode == 0, done.stderr
+    starts = [query["start_date"][:4] for query in service.requests]
+    assert starts == ["2021", "2023", "2021", "2023"]
+
+
+@pytest.mark.parametrize("claim", [None, b"\xff\xfe"])
+def test_parts_whose_request_is_unknown_are_not_used(service, tmp_path, claim):
+    service.faults = ["", "refusal"]
+    run(service, tmp_path, "--years", "2022-2023")
+    file = tmp_path / "out.csv.part" / "request.txt"
+    file.unlink()
+    if claim:
+        file.write_bytes(claim)
+    done = run(service, tmp_path, "--years", "2022-2023")
+    assert (done.returncode, len(service.requests)) == (2, 2)
+    assert "keeps parts of another request" in done.stderr
+
+
 def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
     with small_disk(tmp_path / "disk", "500k"):
         done = run(service, tmp_path / "disk", "--years", "2023-2024")
@@ -205,7 +247,9 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
 @pytest.mark.parametrize(("options", "reason"), [
     (["--years", "2024-2015"], "must begin with the earlier year: 2015-2024"),
     (["--years", "last"], "must be a year, or two such as 2015-2024, not last"),
-    (["--years", "1900-1950"], "must not begin before 1940"),
+    (["--years", "2020-"], "must be a year, or two such as 2015-2024, not 2020-"),
+    (["--years", "1940-1950"], "must not begin before 1971"),
+    (["--years", "99999"], "years = 99999: must end with"),
     (["--years", "2020-2199"], "years = 2199: must end with"),
     (["--years", "2199", "--eccc", "48549"], "years = 2199: is in the future"),
     (["--years", "2020", "--eccc", "6158359"], "6158359 is a climate identifier"),
@@ -263,6 +307,7 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
     ("half", 8, "broke off after"),
     ("short", 8, "sent 8808 hours of 8832"),
     ("odd", 8, "sent 0 hours of 8832"),
+    ("other", 8, "sent hours from 2009-12-31T00:00 on, not from 2019-12-31"),
     ("deep", 8, "sent no JSON, or a part of it"),
 ])
 def test_what_does_not_pass_is_tried_once_and_what_may_pass_eight_times(
@@ -346,7 +391,7 @@ def test_the_present_year_ends_where_the_archive_does_and_first_years_where_it_b
         service, range(2025, 2027)
     ).blocks]
     assert days == [("2024-12-31", "2025-12-31"), ("2026-01-01", "2026-06-09")]
-    assert archive(service, range(1940, 1941)).blocks[0].first == date(1940, 1, 1)
+    assert archive(service, range(1971, 1972)).blocks[0].first == date(1971, 1, 1)
     months = eccc_station(1, SITE, range(2026, 2027), TODAY).blocks
     assert [block.first.month for block in months] == [1, 2, 3, 4, 5, 6]
     assert (months[1].last, months[-1].last) == (date(2026, 2, 28), TODAY)
