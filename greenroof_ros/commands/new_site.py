@@ -35,6 +35,7 @@ from greenroof_ros.model.new_site import (
 )
 from greenroof_ros.model.place import format_place
 from greenroof_ros.model.plain_keys import SUBSTRATES
+from greenroof_ros.model.pump_size import note_pumps
 from greenroof_ros.model.site import read_site
 
 # Options, with the keys that they answer: those that are asked for, and those with an assumption.
@@ -53,8 +54,8 @@ _MAX_FROM_SOLAR, _USUAL_FROM_SOLAR = 3.5, 1.6
 
 _DESCRIPTION = """\
 Write a site file for your house. Without --roof, --catchment, --cistern or --place
-it asks, on a terminal; all else it assumes. The file states each assumption with
-its source: read it, and change what you know better.
+it asks, on a terminal. Everything else is assumed, and each assumption stands in
+the file with its source: read it, and change what you know better.
 """
 _EPILOG = f"""\
 examples:
@@ -127,7 +128,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("my_site.yaml"), metavar="FILE.yaml",
-        help="site file to write; not one that exists (default: %(default)s)",
+        help="site file to write; it must not exist yet (default: %(default)s)",
     )
     return parser
 
@@ -201,6 +202,7 @@ def main() -> None:
     arguments = make_parser().parse_args()
     output: Path = arguments.output
     refuse_unwritable(output, (".yaml", ".yml"), "--output")
+    _check_flow(arguments)
     _ask_what_is_missing(arguments)
     _check_clock(arguments.place, arguments.time_zone)
     file = TextInMemory(output)
@@ -208,11 +210,13 @@ def main() -> None:
         _collect(arguments), valve=arguments.valve, mains=not arguments.no_mains
     )
     try:
-        read_site(file)
+        site = read_site(file)
     except ConfigurationError as error:
         raise ConfigurationError(f"these answers make no site: {error.wrong}") from error
     for option, key in (*_ASKED.items(), *_ASSUMED.items()):
         _note_unusual(option, KEYS[key], getattr(arguments, key))
+    for note in note_pumps(site):
+        print(f"note: {note}", file=sys.stderr)
     with add_path_to_errors(output), output.open("x", encoding="utf-8") as stream:
         stream.write(file.text)
     print(f"written: {output}, at {format_place(*arguments.place)}")
@@ -264,6 +268,29 @@ def _collect(arguments: argparse.Namespace) -> dict[str, Any]:
     return {**given, **arguments.place._asdict()}
 
 
+def _check_flow(arguments: argparse.Namespace) -> None:
+    """Refuse a pump's flow that is given in more than one way, or by half.
+
+    Raises:
+        ConfigurationError: it is.
+    """
+    emitters = ("emitters", "emitter_flow")
+    values = {
+        key: value for key in ("pump_flow", "irrigation_rate", *emitters)
+        if (value := getattr(arguments, key)) is not None
+    }
+    options = [f"--{key.replace('_', '-')}" for key in values]
+    if len(values) > 1 and tuple(values) != emitters:
+        raise ConfigurationError(
+            "each give the pump's flow: leave all but one out", key=" and ".join(options)
+        )
+    for key, other in (emitters, emitters[::-1]):
+        if key in values and other not in values:
+            raise ConfigurationError(
+                f"needs --{other.replace('_', '-')} as well", key=options[0], value=values[key]
+            )
+
+
 def _check_clock(place: Place, zone: str | None) -> None:
     """Refuse a place that is far from its time zone: latitude and longitude may be swapped.
 
@@ -273,7 +300,10 @@ def _check_clock(place: Place, zone: str | None) -> None:
     if zone is None:
         return
     offset = standard_offset(zone)
-    away, swapped = (abs(offset - degrees / 15) for degrees in (place.longitude, place.latitude))
+    # The date line divides places of the same solar time.
+    away, swapped = (
+        abs((offset - degrees / 15 + 12) % 24 - 12) for degrees in (place.longitude, place.latitude)
+    )
     if away > _MAX_FROM_SOLAR or swapped < _USUAL_FROM_SOLAR < away:
         raise ConfigurationError(
             f"is not in {zone}, {offset:+g} h from UTC: it must be {_PLACE_FORM}", key="--place",

@@ -112,12 +112,12 @@ class PlainKeys:
         unit="l/h", default=None, usual=(100, 5000),
     )
     irrigation_rate: float | None = entry(
-        "likewise, as a depth on the roof in an hour", 0.1, 1000.0, unit="mm/h", default=None,
-        usual=(2, 10),
+        "flow of the pump at full command, as a depth on the roof in an hour", 0.1, 1000.0,
+        unit="mm/h", default=None, usual=(2, 10),
     )
     emitters: int | None = entry(
-        "likewise, as a number of drip emitters, each with emitter_flow", 1, 10_000_000,
-        default=None, usual=(100, 5000),
+        "number of drip emitters that the pump feeds at full command, each with emitter_flow",
+        1, 10_000_000, default=None, usual=(100, 5000),
     )
     emitter_flow: float | None = entry(
         "flow of one drip emitter", 0.1, 100.0, unit="l/h", default=None, usual=(1, 4),
@@ -252,6 +252,6 @@ def _find_pump(keys: PlainKeys) -> tuple[str, Callable[[Site], float]] | None:
     if number is not None and each is not None:
         return "emitters", lambda _: number * each * LITRES_PER_HOUR
     for name, other in (("emitters", "emitter_flow"), ("emitter_flow", "emitters")):
-        if getattr(keys, name) is not None:
-            raise ConfigurationError(f"needs {other} as well", key=name)
+        if (value := getattr(keys, name)) is not None:
+            raise ConfigurationError(f"needs {other} as well", key=name, value=value)
     return None

@@ -124,7 +124,8 @@ class Site:
     M: int = entry("look-ahead of the controller", 1, 1000, unit="ticks")
     N: int = entry("length of a run", 1, 2**40, unit="ticks")
     runoff_coefficient: float = entry(
-        "share of the rain on a_in that reaches the cistern", 0.01, 1.0, unit="1", default=1.0,
+        "share of the rain on the catchment, a_in, that reaches the cistern", 0.01, 1.0, unit="1",
+        default=1.0,
     )
     field_capacity: float | None = entry(
         "water that the substrate holds against gravity, per volume of it; makes the roof a "

@@ -198,8 +198,12 @@ def test_forms_of_places(tmp_path: Path) -> None:
         ((*GIVEN, "--cistern", "5m3"), "argument --cistern: must be a number from 0.01 to 1000"),
         ((*GIVEN, "--substrate", "moss"), "--substrate: 'moss' must be one of neubrandenburg, ber"),
         ((*GIVEN, "--substrate-depth", "10"), "--substrate-depth: must be a number from 0.02 to 2"),
-        ((*GIVEN, "--emitters", "10"), "these answers make no site: emitters: needs emitter_flow"),
-        ((*GIVEN, "--pump-flow", "9", "--irrigation-rate", "3"), "pump_flow = 9.0: contradicts"),
+        ((*GIVEN, "--emitters", "10"), "error: --emitters = 10: needs --emitter-flow as well"),
+        ((*GIVEN, "--emitter-flow", "2"), "error: --emitter-flow = 2.0: needs --emitters as well"),
+        (
+            (*GIVEN, "--pump-flow", "9", "--irrigation-rate", "3"),
+            "error: --pump-flow and --irrigation-rate: each give the pump's flow: leave all but",
+        ),
         ((*GIVEN, "--target", "108"), "z_veg = 0.108: must be below z_soil = 0.108 m"),
         ((*GIVEN, "--time-zone", "Mars"), "--time-zone: must be the IANA name of a time zone"),
         ((*GIVEN, "--output", "my_site.txt"), "must be the name of a file that ends in .yaml or ."),
@@ -212,6 +216,26 @@ def test_bad_answers(tmp_path: Path, options: tuple[str, ...], message: str) -> 
     ended = new_site(tmp_path, *options)
     assert ended.returncode == 2 and message in ended.stderr and "Traceback" not in ended.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("place", "zone", "offset"), [
+    ("-13.8,-171.8", "Pacific/Apia", 13.0), ("1.87,-157.4", "Pacific/Kiritimati", 14.0),
+    ("-17.8,179.9", "Pacific/Fiji", 12.0), ("39.5,76.0", "Asia/Shanghai", 8.0),
+])
+def test_places_far_from_their_solar_time_or_date(
+    tmp_path: Path, place: str, zone: str, offset: float
+) -> None:
+    """The date line bends around Samoa and Kiribati."""
+    ended = new_site(tmp_path, *GIVEN[:-1], place, "--time-zone", zone)
+    assert ended.returncode == 0, ended.stderr
+    assert read_site(tmp_path / "my_site.yaml").utc_offset == offset
+
+
+def test_a_pump_that_no_substrate_can_take_is_noted(tmp_path: Path) -> None:
+    """4 m3/h on 40 m2 is 100 mm/h."""
+    ended = new_site(tmp_path, *GIVEN, "--roof", "40", "--pump-flow", "4000")
+    assert ended.returncode == 0
+    assert "note: the pumps can lift 1.11 l/s, 100 mm/h on 40 m2 of roof" in ended.stderr
 
 
 def test_an_unusual_answer_is_noted(tmp_path: Path) -> None:
