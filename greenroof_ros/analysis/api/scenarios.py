@@ -52,7 +52,7 @@ class Scenario:
         about: what it is, in a sentence.
         inputs: of :func:`.simulate`, apart from the controller.
         unit: of the score.
-        score: what it is; the less, the better.
+        score: what it is; lower is better.
         weights: the metrics whose weighted sum it is.
         controllers: inputs of those that others are compared with, by name.
     """
@@ -122,7 +122,7 @@ class Score:
     Attributes:
         scenario: the scenario.
         name: of the controller.
-        value: the score, in the scenario's unit; the less, the better.
+        value: the score, in the scenario's unit; lower is better.
         bound: what no run has less than; see :meth:`Scenario.bound`.
         result: the run.
     """
@@ -161,7 +161,7 @@ class Score:
         known = self.scenario
         lines = [
             f"{known.name}: {self.value:.2f} {known.unit}, at best {self.bound:.2f}. The score is "
-            f"the {known.score}: the less, the better.",
+            f"the {known.score}: lower is better.",
             f"{'score':>8}{'at best':>9}{'stress':>9}  controller",
         ]
         lines += [
@@ -206,9 +206,9 @@ def score(
         >>> found.bound <= found.value < gr.score("onoff", "paper").value
         True
     """
-    if scenario not in scenarios:
+    if not isinstance(scenario, str) or scenario not in scenarios:
         raise ConfigurationError(
-            describe_choices([*scenarios], scenario), key="scenario", value=scenario
+            describe_choices([*scenarios], str(scenario)), key="scenario", value=scenario
         )
     for name, value in parameters.items():
         if name in INPUTS:

@@ -148,6 +148,8 @@ def test_a_printed_score_says_it_in_its_first_line_and_compares(tmp_path):
 @pytest.mark.parametrize(("given", "reason"), [
     (("onoff", "papers"), "paper"),
     (("onof", "paper"), "onoff"),
+    (("onoff", None), "scenario: must be one of paper, july-2021"),
+    (("onoff", gr.scenarios["paper"]), "must be one of paper, july-2021"),
     ((None, "paper"), "must be a name, a class"),
 ])
 def test_what_cannot_be_scored_is_refused(given, reason):
