@@ -491,6 +491,24 @@ def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
     return _site_of(new, path)
 
 
+def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
+    """Return the text of a site file and of those that it extends, as one file.
+
+    Plain keys stay, so that what they stand for still follows from further changes, as a pump's
+    flow from an irrigation rate and the roof's area.
+
+    Args:
+        path: of the file.
+        changes: as of :func:`read_site`.
+
+    Raises:
+        ConfigurationError: a file cannot be read.
+    """
+    own = {name: Entry(value) for name, value in changes.items()}
+    entries = override(_entries(path), own)
+    return "".join(f"{name}: {json.dumps(each.value)}\n" for name, each in entries.items())
+
+
 def check_site(site: Site) -> Site:
     """Return a site that a program gives, with its numbers as numbers of Python.
 

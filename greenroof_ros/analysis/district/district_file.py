@@ -173,6 +173,20 @@ class District:
     """of the file"""
 
     @property
+    def site_file(self) -> Path:
+        """The site file.
+
+        Raises:
+            ConfigurationError: there is none.
+        """
+        return self.find_files("site", self.site)[0]
+
+    @property
+    def ticks(self) -> dict[str, Any]:
+        """What a site's keys have in place of the site file's values."""
+        return {"tau": self.tau, "M": 1}
+
+    @property
     def shares(self) -> tuple[float, ...]:
         """Adoption in ascending order, each share once."""
         return tuple(sorted({*self.adoption}))
@@ -227,9 +241,7 @@ def read_district(path: Path) -> tuple[District, Site]:
         yield from _find_mistakes(district)
 
     district = replace(read_record(District, path, find_mistakes), path=path, content=content)
-    site = read_site(
-        district.find_files("site", district.site)[0], {"tau": district.tau, "M": 1}
-    )
+    site = read_site(district.site_file, district.ticks)
     valves = {DRAIN, PLAN}.intersection(district.outlets)
     if not site.low_outlet_valve and valves:
         raise district.refuse(

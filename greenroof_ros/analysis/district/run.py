@@ -38,7 +38,7 @@ from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.batch import BatchWeather
 from greenroof_ros.experiment.inputs import make_inputs
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.site import Site, format_site
+from greenroof_ros.model.site import Site, merge_site_file
 from greenroof_ros.model.storm_water import interval_seconds
 
 # Most buildings in a part: more take no less time each. Parts do not depend on the workers, and so
@@ -77,7 +77,7 @@ class DistrictRun:
     @property
     def adoption(self) -> Adoption:
         """The groups."""
-        shares = [share for share in sorted({*self.district.adoption}) if share]
+        shares = [share for share in self.district.shares if share]
         return Adoption(len(self.buildings), shares, self.district.valve_share)
 
     @property
@@ -96,7 +96,7 @@ class DistrictRun:
     def files(self) -> dict[str, bytes]:
         """The input files of the workers, by name."""
         return {
-            SITE_FILE: format_site(self.site).encode(),
+            SITE_FILE: merge_site_file(self.district.site_file, self.district.ticks).encode(),
             **{weather_file(n): pickle.dumps(cell) for n, cell in enumerate(self.weather)},
         }
 

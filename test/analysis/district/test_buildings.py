@@ -15,7 +15,10 @@ from scipy import stats
 
 from greenroof_ros.analysis.district.adoption import Adoption
 from greenroof_ros.analysis.district.district_file import read_district
+from greenroof_ros.analysis.district.parts import make_sites
 from greenroof_ros.analysis.district.run import read_run
+from greenroof_ros.analysis.workers.input_files import write_inputs
+from greenroof_ros.model.plant import maximum_pump_flow
 
 MANY = edit("buildings: 8", "buildings: 4000")
 
@@ -99,6 +102,26 @@ def test_listed_buildings(tmp_path: Path, form: str) -> None:
     assert run.notes[-1] == (
         "buildings.csv: not keys of a site, and not used: address"
     )
+
+
+def test_what_all_have_in_common_follows_each_building(tmp_path: Path) -> None:
+    """Drip irrigation of 5 mm/h is 300 l/h on 60 m2 and 1000 l/h on 200 m2; 6 m3 are 6 m3."""
+    (tmp_path / "house.yaml").write_text(
+        "extends: site_valve.yaml\nirrigation_rate: 5.0\ncistern_volume: 6.0\n"
+    )
+    (tmp_path / "buildings.csv").write_text(
+        "id,roof_area,cistern_height\nA,60,2.0\nB,200,2.5\n"
+    )
+    run = read_run(write_district(tmp_path, f"""
+site: house.yaml
+file: buildings.csv
+weather: {{file: {WEATHER}, start: 2021-07-07T00:00, hours: 72}}
+"""))
+    write_inputs(run.files, tmp_path)
+    sites = [*make_sites(tmp_path / "site.yaml", run.buildings)]
+    flows = [3.6e6 * maximum_pump_flow(site, site.a1) for site in sites]
+    assert flows == pytest.approx([300, 1000], rel=1e-5)
+    assert [site.a1 * site.z_o for site in sites] == pytest.approx([6, 6])
 
 
 WRONG_CSV = {
