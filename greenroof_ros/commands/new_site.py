@@ -8,7 +8,7 @@ import select
 import shlex
 import sys
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
@@ -36,7 +36,7 @@ from greenroof_ros.model.new_site import (
 from greenroof_ros.model.place import format_place
 from greenroof_ros.model.plain_keys import SUBSTRATES
 from greenroof_ros.model.pump_size import note_pumps
-from greenroof_ros.model.site import read_site
+from greenroof_ros.model.site import Site, read_site
 
 # Options, with the keys that they answer: those that are asked for, and those with an assumption.
 _ASKED = {"roof": "roof_area", "catchment": "catchment_area", "cistern": "cistern_volume"}
@@ -215,15 +215,16 @@ def main() -> None:
         raise ConfigurationError(f"these answers make no site: {error.wrong}") from error
     for option, key in (*_ASKED.items(), *_ASSUMED.items()):
         _note_unusual(option, KEYS[key], getattr(arguments, key))
-    for note in note_pumps(site):
+    for note in (*_note_target(site), *note_pumps(site)):
         print(f"note: {note}", file=sys.stderr)
     with add_path_to_errors(output), output.open("x", encoding="utf-8") as stream:
         stream.write(file.text)
     print(f"written: {output}, at {format_place(*arguments.place)}")
     name = shlex.quote(str(output))
+    start = "2025-06-01" if site.latitude is None or site.latitude >= 0 else "2025-01-01"
     print(
         f"weather: greenroof fetch-weather --site {name} --years 2021-2025 --output weather.csv\n"
-        f"run:     greenroof simulate --site {name} --weather weather.csv --start 2025-06-01 "
+        f"run:     greenroof simulate --site {name} --weather weather.csv --start {start} "
         "--hours 720 --controller onoff --pump-min-off 1800"
     )
 
@@ -311,13 +312,24 @@ def _check_clock(place: Place, zone: str | None) -> None:
         )
 
 
+def _note_target(site: Site) -> Iterator[str]:
+    """Yield a note if plants lack water at the target: its unit may be wrong."""
+    onset = site.wilting_volume + site.stress_onset * site.available_volume
+    if site.x2_star < onset:
+        yield (
+            f"plants lack water at the target, {1000 * site.z_veg:g} mm: they begin to at "
+            f"{1000 * site.roof_level(onset):.1f} mm"
+        )
+
+
 def _note_unusual(option: str, entry: Parameter, value: Any) -> None:
     """Note a number outside of its usual range, to find a wrong unit."""
     if isinstance(value, (int, float)) and entry.usual and not (
         entry.usual[0] / 2 <= value <= 2 * entry.usual[1]
     ):
+        unit = f" {entry.unit}" if entry.unit not in ("", "1") else ""
         print(
-            f"note: --{option} {value:g} {entry.unit} is unusual: is the unit right? Usually it is "
+            f"note: --{option} {value:g}{unit} is unusual: is the unit right? Usually it is "
             f"{entry.usual[0]:g} to {entry.usual[1]:g}", file=sys.stderr,
         )
 

@@ -125,7 +125,7 @@ class Site:
     N: int = entry("length of a run", 1, 2**40, unit="ticks")
     runoff_coefficient: float = entry(
         "share of the rain on the catchment, a_in, that reaches the cistern", 0.01, 1.0, unit="1",
-        default=1.0,
+        default=1.0, usual=(0.75, 0.95),
     )
     field_capacity: float | None = entry(
         "water that the substrate holds against gravity, per volume of it; makes the roof a "

@@ -238,6 +238,28 @@ def test_a_pump_that_no_substrate_can_take_is_noted(tmp_path: Path) -> None:
     assert "note: the pumps can lift 1.11 l/s, 100 mm/h on 40 m2 of roof" in ended.stderr
 
 
+def test_a_target_at_which_plants_lack_water_is_noted(tmp_path: Path) -> None:
+    """Water stress begins at 35.1 mm, and cm were meant."""
+    ended = new_site(tmp_path, *GIVEN, "--target", "5")
+    assert ended.stderr == (
+        "note: plants lack water at the target, 5 mm: they begin to at 35.1 mm\n"
+    )
+
+
+def test_the_first_run_is_in_summer(tmp_path: Path) -> None:
+    for place, start in (("43.63,-79.40", "2025-06-01"), ("-33.87,151.21", "2025-01-01")):
+        ended = new_site(tmp_path, *GIVEN[:-1], place, "--output", f"{start}.yaml")
+        assert f"--weather weather.csv --start {start} --hours 720" in ended.stdout
+
+
+def test_an_unusual_share_is_noted(tmp_path: Path) -> None:
+    ended = new_site(tmp_path, *GIVEN, "--runoff-coefficient", "0.09")
+    assert ended.stderr == (
+        "note: --runoff-coefficient 0.09 is unusual: is the unit right? Usually it is 0.75 to "
+        "0.95\n"
+    )
+
+
 def test_an_unusual_answer_is_noted(tmp_path: Path) -> None:
     """Litres instead of m3, but a large roof is nothing strange."""
     ended = new_site(tmp_path, *GIVEN, "--cistern", "5000", "--roof", "3000")
