@@ -123,7 +123,7 @@ class Score:
         scenario: the scenario.
         name: of the controller.
         value: the score, in the scenario's unit; lower is better.
-        bound: what no run has less than; see :meth:`Scenario.bound`.
+        bound: what no run with this irrigation has less than; see :meth:`Scenario.bound`.
         result: the run.
     """
 
