@@ -171,8 +171,8 @@ class Fixed:
 class Drain:
     """Opens the valve in dry weather, until the cistern is down to a reserve.
 
-    Weather is dry ``wet_after`` hours after the last rain of 0.1 mm/h or more, or of less within an
-    hour of such rain: what is let out then meets a sewer without storm water.
+    Weather is wet while it rains 0.1 mm/h or more, or less within an hour of such rain, and
+    ``wet_after`` hours after it: what is let out in dry weather meets a sewer without storm water.
     """
 
     def __init__(self, site: Site, reserve: float) -> None:
@@ -194,13 +194,18 @@ class Drain:
         before = max(0.0, self._without_rain_s - self._site.tau)
         return max(0.0, self._site.wet_after - before / _HOUR_S)
 
+    @property
+    def dry(self) -> bool:
+        """Whether the weather is dry in the present tick."""
+        return self._without_rain_s > 0 and not self.wet_hours
+
     def command(
         self, cistern_level: float, roof_level: float, precipitation: Any,
         evapotranspiration: Sequence[float],
     ) -> float:
         """Return the share that drains the cistern to the reserve; see :class:`OutletPolicy`."""
         self.observe(find_present(precipitation))
-        return self.drain_to(self.reserve, cistern_level) if not self.wet_hours else 0.0
+        return self.drain_to(self.reserve, cistern_level) if self.dry else 0.0
 
     def drain_to(self, volume: float, cistern_level: float) -> float:
         """Return the share with which a cistern is not below a volume (m3) after the tick."""
@@ -265,14 +270,14 @@ class Plan:
         site = self._site
         self._drain.observe(find_present(precipitation))
         level = self._levels.update(
-            not self._drain.wet_hours, lambda: (
+            self._drain.dry, lambda: (
                 np.array([site.cistern_volume(cistern_level)]),
                 np.array([site.roof_volume(roof_level)]),
                 np.atleast_2d(np.asarray(precipitation, dtype=float)),
                 np.asarray(evapotranspiration, dtype=float),
             ),
         )
-        if self._drain.wet_hours:
+        if not self._drain.dry:
             return 0.0
         return self._drain.drain_to(float(level[0]), cistern_level)
 

@@ -55,7 +55,7 @@ def find_dry_ticks(rain: Array, tau: float, wet_after: float) -> Flags:
     heavy = np.maximum.accumulate(np.where(rain >= MIN_RAIN, ticks, -1))
     rains = (rain > 0) & (heavy >= 0) & ((ticks - heavy) * tau < _HOUR_S)
     last = np.maximum.accumulate(np.where(rains, ticks, -1))
-    return np.asarray(np.maximum(ticks - last - 1, 0) * tau / _HOUR_S >= wet_after)
+    return np.asarray(~rains & ((ticks - last - 1) * tau / _HOUR_S >= wet_after))
 
 
 class Outlets:

@@ -76,6 +76,13 @@ def test_drain_opens_two_hours_after_rain() -> None:
     assert command(drain, 9.0, [0.0] * 8) == 1.0
 
 
+@pytest.mark.parametrize("name", ["drain", "plan"])
+def test_closed_in_rain_if_no_time_after_it_is_wet(name: str) -> None:
+    """With a wet_after of 0 the first tick without rain is dry, and no tick with rain is."""
+    valve = policy(replace(SITE, wet_after=0.0), outlet=name, outlet_reach=1.0)
+    assert [command(valve, 9.0, [rain] + [0.0] * 7) for rain in (0, 5, 5, 0)] == [1.0, 0, 0, 1.0]
+
+
 def test_drizzle_after_rain_is_rain_for_an_hour() -> None:
     """0.05 mm/h count for 59 minutes after rain; the 120 minutes begin then."""
     drain = policy(outlet="drain")
@@ -214,12 +221,12 @@ def test_the_hours_of_steps_that_are_none() -> None:
 def test_dry_ticks_of_a_whole_run(
     rates: list[tuple[float, int]], tau: float, wet_after: float
 ) -> None:
-    """Rain of some mm/h for some ticks: those in which drain counts no wet hours, tick by tick."""
+    """Rain of some mm/h for some ticks: those that are dry for drain, tick by tick."""
     rain = np.concatenate([np.full(ticks, rate / 3.6e6) for rate, ticks in rates])
     drain, expected = outlet.Drain(replace(SITE, tau=tau, wet_after=wet_after), 1.0), []
     for rate in rain.tolist():
         drain.observe(rate)
-        expected.append(not drain.wet_hours)
+        expected.append(drain.dry)
     assert find_dry_ticks(rain, tau, wet_after).tolist() == expected
 
 
