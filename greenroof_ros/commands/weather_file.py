@@ -23,6 +23,7 @@ from greenroof_ros.formats.reading import name_format
 from greenroof_ros.formats.rules import check_hours
 from greenroof_ros.model.place import format_place, measure_distance
 from greenroof_ros.model.site import Site, read_site
+from greenroof_ros.weather.evapotranspiration import FAO56, HARGREAVES
 from greenroof_ros.weather.reading import complete_records, find_files, read_measured
 from greenroof_ros.weather.series import Weather
 
@@ -130,6 +131,7 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
     if suspicious := check_hours(measured, site, range(measured.hours)):
         yield "SUSPICIOUS", "", _shorten(suspicious)
     yield _describe_evapotranspiration(weather, unknown)
+    yield from _average_months(weather, site)
     for note in weather.notes:
         yield "note", "", note
 
@@ -180,6 +182,18 @@ def _describe_evapotranspiration(weather: Weather, unknown: str) -> tuple[str, s
     return "evapotranspiration", weather.method, (
         mean + (f", unknown in {lost} hours" if lost else "")
     )
+
+
+def _average_months(weather: Weather, site: Site) -> Iterator[tuple[str, str, str]]:
+    """Yield the monthly means of reference grass, as a site file has them, if all are known."""
+    first = np.datetime64(weather.first.replace(tzinfo=None), "h")
+    months = (first + np.arange(weather.hours)).astype("datetime64[M]").astype(int) % 12
+    known = ~np.isnan(weather.evapotranspiration)
+    hours = np.bincount(months[known], minlength=12)
+    if weather.method in (FAO56, HARGREAVES) and hours.all():
+        sums = np.bincount(months[known], weather.evapotranspiration[known])
+        means = np.round(sums / hours / site.crop_coefficient, 2).tolist()
+        yield "evapotranspiration", "monthly", f"monthly_evapotranspiration: {means}"
 
 
 def _count_missing(separator: str, missing: int) -> str:

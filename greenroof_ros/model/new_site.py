@@ -130,8 +130,8 @@ def _place(given: Mapping[str, Any]) -> Iterator[str]:
         "offset from UTC", "[time_zone]" if zone else "", active=zone is not None,
     )
     yield (
-        "# monthly_evapotranspiration: twelve means (mm/day), for weather without temperature, and "
-        "for a live site"
+        "# monthly_evapotranspiration: twelve means (mm/day), as 'greenroof weather' prints them; "
+        "for rain gauges, live sites"
     )
 
 

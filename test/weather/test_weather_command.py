@@ -122,6 +122,28 @@ def test_what_a_file_of_elsewhere_is(tmp_path: Path) -> None:
     assert ("MISSING", "precipitation", "2021-07-08T15:00-05:00") in said
 
 
+def test_monthly_means_are_those_of_a_site_file(tmp_path: Path) -> None:
+    """Of reference grass, whatever grows on the roof; a shorter record has none."""
+    hours = np.arange("2024-01-01", "2025-01-01", dtype="datetime64[h]")
+    year = tmp_path / "year.csv"
+    year.write_text("\n".join(["time,rain [mm],temperature [degC]", *(
+        f"{hour}:00-05:00,0,{10 - 9 * np.cos(at / 1398) - 5 * np.cos(at / 3.82):.1f}"
+        for at, hour in enumerate(hours)
+    )]))
+    site = site_file(tmp_path, crop_coefficient=0.5)
+    (said,) = (row[2] for row in about(tmp_path, year, "--site", site) if row[1] == "monthly")
+    (tmp_path / "other.yaml").write_text(f"extends: {site.name}\n{said}\n")
+    means = read_site(tmp_path / "other.yaml").monthly_evapotranspiration
+    whole = read_weather([year], read_site(CONFIG / "site.yaml"))
+    in_july = [
+        rate for hour, rate in enumerate(whole.evapotranspiration.tolist())
+        if (whole.first + timedelta(hours=hour)).month == 7
+    ]
+    assert means is not None
+    assert means[6] == pytest.approx(sum(in_july) / len(in_july), abs=0.005)
+    assert not any(row[1] == "monthly" for row in about(tmp_path, JULY))
+
+
 def test_years_are_summed(tmp_path: Path) -> None:
     """A millimetre an hour for more than two years: 8760 or 8784 mm, and 744 in a month."""
     hours = np.arange("2019-01-01", "2021-02-01", dtype="datetime64[h]")
