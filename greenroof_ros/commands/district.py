@@ -125,7 +125,7 @@ def _show(rows: Sequence[Mapping[str, Any]], page: ModuleType) -> None:
     """Print the most important results."""
     columns = {header: name for header, name in _SHOWN.items() if name in rows[0]}
     table = Table(
-        Column("buildings", justify="right"), "outlet",
+        Column("buildings", justify="right"), Column("outlet", no_wrap=True),
         *(Column(header, justify="right") for header in columns),
         title="What reaches the sewer", title_justify="left",
     )

@@ -23,7 +23,7 @@ def district(
 
     Returns:
         The results: ``.sentence``, ``.table``, ``.buildings``, ``.hydrographs`` and
-        ``.save(directory)``, which writes the page to an empty directory.
+        ``.save(directory)``, which writes the page to a new or empty directory.
 
     Raises:
         ConfigurationError: a file is wrong; the message states which, and what would be right.

@@ -101,7 +101,7 @@ def make_buildings(
             factor = {**listed, **values}.get(draw.times, getattr(site, draw.times, None))
             if not np.issubdtype(np.asarray(factor).dtype, np.number):
                 raise district.refuse(f"draw.{name}.times", "has no number in every building")
-            values[name] = list(np.asarray(values[name]) * np.asarray(factor, dtype=float))
+            values[name] = (np.asarray(values[name]) * np.asarray(factor, dtype=float)).tolist()
         if bool(draw.names) != bool(known[name].among):
             raise district.refuse(
                 f"draw.{name}", "needs names" if known[name].among else "must be numbers, not names"
@@ -137,7 +137,7 @@ def _draw(district: District, name: str, draw: Draw, count: int) -> Sequence[Any
     if draw.mean is None or draw.sd is None:
         assert draw.low is not None
         assert draw.high is not None
-        return list(draw.low + (draw.high - draw.low) * shares)
+        return (draw.low + (draw.high - draw.low) * shares).tolist()
     low = 0.0 if draw.low is None else draw.low
     high = math.inf if draw.high is None else draw.high
     if draw.sd == 0:
@@ -155,7 +155,7 @@ def _draw(district: District, name: str, draw: Draw, count: int) -> Sequence[Any
             "and high; move them or the mean",
         )
     drawn = np.exp(middle + width * ndtri(below + (up_to - below) * shares))
-    return list(np.clip(drawn, low, high))  # it may be beyond them by rounding
+    return np.clip(drawn, low, high).tolist()  # it may be beyond them by rounding
 
 
 def _read(

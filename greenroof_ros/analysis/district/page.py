@@ -176,11 +176,15 @@ def draw_figures(
         "Of all buildings together, each in its connected area. " + _capacity_note(capacity),
         rows, names, amounts,
     )
+    valves = describe_valves(rows)
     yield _draw_over_adoption(
-        "together", "Do the valves open together?",
+        "together",
+        "Do the valves open together?" if valves else "The highest flow over five minutes",
         " ".join([
-            "They do, in dry weather.", *describe_valves(rows),
-            "The highest flow over five minutes.",
+            *(
+                ["They do, in dry weather.", *valves, "The highest flow over five minutes."]
+                if valves else ["No valve opens."]
+            ),
             _capacity_note(capacity),
         ]),
         rows, names, [

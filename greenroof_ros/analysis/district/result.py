@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,7 +19,7 @@ from greenroof_ros.analysis.district import page, swmm
 from greenroof_ros.analysis.district.run import DistrictRun
 from greenroof_ros.analysis.district.totals import Flow, Totals
 from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import add_path_to_errors, replace_text
+from greenroof_ros.common.files import replace_file, replace_text
 from greenroof_ros.experiment.run_directory import writable
 
 PAGE = "page.html"
@@ -97,22 +99,27 @@ class DistrictResult:
             },
         })
 
-    def save(self, directory: Path, *, with_swmm: bool = False) -> None:
+    def save(self, directory: str | os.PathLike[str], *, with_swmm: bool = False) -> None:
         """Write all results to a directory.
 
         Args:
-            directory: there, and empty.
+            directory: is made if there is none; it must be empty.
             with_swmm: whether time series for SWMM are written, too.
 
         Raises:
+            ConfigurationError: it holds something, or cannot be written.
             OSError: for instance on a full disk.
         """
+        directory = Path(directory)
+        make_directory(directory)
         shutil.copyfile(self.run.district.path, directory / "district.yaml")
         replace_text(directory / "results.csv", self.table.write_csv())
         replace_text(directory / "buildings.csv", self.buildings.write_csv())
-        file = directory / "hydrographs.parquet"
-        with add_path_to_errors(file):
-            self.hydrographs.write_parquet(file)
+        flows = io.BytesIO()  # to a file, polars would not raise an OSError
+        self.hydrographs.write_parquet(flows)
+        replace_file(
+            directory / "hydrographs.parquet", lambda stream: stream.write(flows.getbuffer())
+        )
         if with_swmm:
             self._save_for_swmm(directory / "swmm")
         figures = [*page.draw_figures(self.run, self.totals, self.rows)]

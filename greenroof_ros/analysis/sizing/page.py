@@ -55,11 +55,12 @@ def draw(sizes: Sizes, target: float) -> Figure:
         }
         for outlet in sizes.outlets for design in sizes.select(target, outlet)
     ]
-    return Figure(
-        name, f"Target {target:g} mm",
-        f"Lines: means of {len(sizes.seasons)} seasons. Bands: from the lowest season to the "
-        "highest", tuple(panels), 2, {name: rows},
+    many = len(sizes.seasons)
+    caption = (
+        f"Lines: means of {many} seasons. Bands: from the lowest season to the highest."
+        if many > 1 else f"The season {sizes.seasons[0]}."
     )
+    return Figure(name, f"Target {target:g} mm", caption, tuple(panels), 2, {name: rows})
 
 
 def _cells(sizes: Sizes, column: str, design: Design) -> dict[str, Any]:

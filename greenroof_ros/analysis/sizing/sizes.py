@@ -222,7 +222,20 @@ class Sizes:
                 f"the largest of all: there is no size from which on {amount} ({what}), so larger "
                 "ones are worth a try."
             )
+        if self.recommended.volume == self.volumes[0]:
+            return (
+                f"the smallest of all; from this size on {amount} ({what}), so smaller ones are "
+                "worth a try."
+            )
         return f"from this size on {amount} ({what})."
+
+    def format_knee(self, target: float, outlet: str) -> str:
+        """Return the knee as text; the smallest and the largest cistern are only limits of it."""
+        knee = self.find_knee(target, outlet)
+        if knee is None:
+            return f"above {self.volumes[-1]:g} m³"
+        is_limit = knee.volume == self.volumes[0] and len(self.volumes) > 1
+        return "at most " * is_limit + f"{knee.volume:g} m³"
 
     def describe_starts(self) -> str:
         """Return how much the initial state of a season matters, in a sentence."""
@@ -346,9 +359,15 @@ class Sizes:
         return text.getvalue()
 
     def list_remarks(self) -> list[str]:
-        """Return :attr:`notes`, and which seasons were left out, each with a capital letter."""
+        """Return :attr:`notes`, and which seasons were left out.
+
+        Each begins with a capital letter, unless it begins with the name of a file.
+        """
         left_out = (f"season {name} is left out: {why}" for name, why in self.incomplete.items())
-        return [f"{note[0].upper()}{note[1:]}" for note in (*self.notes, *left_out)]
+        return [
+            f"{note[0].upper()}{note[1:]}" if note.partition(" ")[0].isalpha() else note
+            for note in (*self.notes, *left_out)
+        ]
 
 
 def _name(design: Design) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from greenroof_ros.analysis.district.run import read_run, simulate_district
 from greenroof_ros.analysis.district.totals import Flow
 from greenroof_ros.analysis.workers.cluster import cluster
 from greenroof_ros.analysis.workers.processes import processes, this_process
+from greenroof_ros.common.errors import ConfigurationError
 
 SHORT = edit("hours: 72", "hours: 24").replace("T00:00", "T20:00")
 
@@ -121,6 +123,21 @@ def test_a_wrong_building_is_named(tmp_path: Path) -> None:
     assert result.stderr.splitlines()[-1].startswith(
         "error: houses.csv, line 3: low_outlet_level = 0.1: must be below z_o = 0.1 m"
     ), result.stderr
+
+
+def test_full_disk(tmp_path: Path) -> None:
+    """The error names the file, as for any other; here files can be of 16 kB at most."""
+    result = gr.district(write_district(tmp_path, SHORT))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (16_384, limits[1]))
+    try:
+        with pytest.raises(OSError, match="File too large") as raised:
+            result.save(f"{tmp_path}/out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert "hydrographs.parquet" in str(raised.value)
+    with pytest.raises(ConfigurationError, match="is not empty"):
+        result.save(tmp_path)
 
 
 def test_interrupted(tmp_path: Path) -> None:

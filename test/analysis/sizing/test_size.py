@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -185,6 +186,23 @@ def test_a_season_without_rain_or_irrigation() -> None:
     kept = dry.spread("storm_water_kept_share", dry.designs[0])
     assert format_spread(kept, COLUMNS["storm_water_kept_share"]) == "none"
     assert "nan" not in dry.describe_starts()
+
+
+def test_a_knee_at_the_ends_of_the_volumes(sizes: Sizes) -> None:
+    """No cistern saves a million m3 for each m3, and each saves at least none."""
+    never, always = (replace(sizes, knee_m3=amount) for amount in (1e6, 0.0))
+    assert never.recommended.volume == 2
+    assert never.describe_knee().startswith("the smallest of all; from this size on another")
+    assert never.format_knee(never.targets[0], "plan") == "at most 2 m³"
+    assert always.recommended.volume == 10
+    assert always.describe_knee().startswith("the largest of all")
+    assert always.format_knee(always.targets[0], "none") == "above 10 m³"
+
+
+def test_remarks(sizes: Sizes) -> None:
+    """They are sentences; the name of a file stays as it is."""
+    notes = ["rain.csv: rows are 5 min apart", "missing hours"]
+    assert replace(sizes, notes=notes).list_remarks() == [notes[0], "Missing hours"]
 
 
 def test_a_signal_ends_it(tmp_path: Path) -> None:
