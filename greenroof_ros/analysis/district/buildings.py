@@ -137,7 +137,7 @@ def _draw(district: District, name: str, draw: Draw, count: int) -> Sequence[Any
     if draw.mean is None or draw.sd is None:
         assert draw.low is not None
         assert draw.high is not None
-        return (draw.low + (draw.high - draw.low) * shares).tolist()
+        return [draw.low + (draw.high - draw.low) * share for share in shares.tolist()]
     low = 0.0 if draw.low is None else draw.low
     high = math.inf if draw.high is None else draw.high
     if draw.sd == 0:
@@ -155,7 +155,8 @@ def _draw(district: District, name: str, draw: Draw, count: int) -> Sequence[Any
             "and high; move them or the mean",
         )
     drawn = np.exp(middle + width * ndtri(below + (up_to - below) * shares))
-    return np.clip(drawn, low, high).tolist()  # it may be beyond them by rounding
+    values: list[float] = np.clip(drawn, low, high).tolist()  # it may be beyond them by rounding
+    return values
 
 
 def _read(
