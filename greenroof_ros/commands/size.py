@@ -8,6 +8,7 @@ from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.table import Column, Table
 
@@ -168,6 +169,7 @@ def show(sizes: Sizes, page: Path) -> None:
             Column("m³", justify="right"),
             *(Column(f"{one.label} ({one.unit})", justify="right") for one in columns.values()),
             title=f"Target {own.target:g} mm, outlet {outlet}", title_justify="left",
+            box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), collapse_padding=True,
         )
         for design in sizes.select(own.target, outlet):
             cells = []
@@ -176,6 +178,8 @@ def show(sizes: Sizes, page: Path) -> None:
                 per_roof = f"\n{format_per_roof(spread, sizes.site.a2)}" if column.per_roof else ""
                 cells.append(format_spread(spread, column).replace(" to ", "-") + per_roof)
             table.add_row(f"{design.volume:g}", *cells, style="bold" if design is own else None)
+            for shown, cell in zip(table.columns[1:], cells, strict=True):
+                shown.min_width = max(shown.min_width or 0, *map(len, cell.split()))
         console.print(table)
     console.print(sizes.describe_starts(), highlight=False)
     for note in sizes.list_remarks():

@@ -72,7 +72,10 @@ def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
 
 
 def find_place(kind: Any, method: str) -> tuple[str | None, int | None]:
-    """Return the file and line of a method or property; None for what is no function in a file."""
-    member = getattr(kind, method, None)
+    """Return the file and line of a method or property; None for what is no function in a file.
+
+    A class that wraps a function has it as ``__wrapped__``, which is the place then.
+    """
+    member = getattr(kind, "__wrapped__", getattr(kind, method, None))
     code = getattr(getattr(member, "fget", member), "__code__", None)
     return (None, None) if code is None else (code.co_filename, code.co_firstlineno)

@@ -259,7 +259,8 @@ def _pump(given: Mapping[str, Any]) -> Iterator[str]:
 
 def _run(given: Mapping[str, Any]) -> Iterator[str]:
     target = given.get("z_veg", find_target(given)[0])
-    yield "# Runs begin with half a cistern, and the roof at its target"
+    yield "# Runs begin with half a cistern, and the roof at its target; change these two volumes"
+    yield "# with cistern_volume, roof_area and z_veg"
     yield from _line(given, "initial_cistern", given["cistern_volume"] / 2, "", )
     yield from _line(
         given, "initial_roof", float(f"{target * given['roof_area']:.6g}"), "roof_area z_veg"

@@ -131,7 +131,10 @@ def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | N
             key="controller", value=controller,
         )
     name = getattr(controller, "__name__", type(controller).__name__).strip("<>")
-    members = {"function": staticmethod(controller), "__module__": controller.__module__}
+    members = {
+        "function": staticmethod(controller), "__module__": controller.__module__,
+        "__wrapped__": controller,  # errors name its place
+    }
     return choose_class(type(name, (FunctionController,), members)), None
 
 

@@ -216,7 +216,9 @@ def test_a_command_that_is_none(command: Any) -> None:
     def decide(state: SiteState, forecast: ForecastSteps) -> Any:
         return command
 
-    refusal(lambda: gr.simulate(decide, hours=0.01), match="the command of decide = .*: must be")
+    refusal(lambda: gr.simulate(decide, hours=0.01), match=(
+        f"{Path(__file__).name}, line .*: the command of decide = .*: must be"
+    ))
     refusal(gr.Environment(hours=0.01).step, command, match="command.*: must be a finite number")
 
 
