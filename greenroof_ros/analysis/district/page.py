@@ -64,7 +64,7 @@ COLUMNS = {
     "sewer_overflow_reduction": "less",
     "sewer_overflow_hours": "hours of overflow",
     "wet_low_outlet_m3": "through low outlets in wet weather (m³)",
-    "low_outlet_peak_5min_mm_h": "at most, 5 min (mm/h)",
+    "low_outlet_peak_5min_mm_h": "their peak, 5 min (mm/h)",
     "mains_m3": "mains water (m³)",
     "demand_met_share": "irrigation without mains water",
 }
