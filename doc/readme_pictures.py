@@ -1,4 +1,4 @@
-"""The README's pictures, also for the width of a phone, and the how-to's storm with a valve.
+"""The README's pictures, also for the width of a phone, and the how-to's storms with a valve.
 
 A phone shows a picture in 368 px, in which the text of the wide ones is too small.
 """
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import altair as alt
+from storm_animation import draw as draw_storm
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 HOW_TO = README.parent / "doc" / "howto" / "keep-storm-water-out.md"
@@ -72,6 +73,9 @@ def draw_frontier() -> alt.Chart:
 
 def draw() -> None:
     """Draw the pictures; the storms are simulated again, which takes some twenty seconds."""
+    for suffix, narrow in (("", False), ("-narrow", True)):
+        picture = draw_storm(narrow)
+        (STATIC / f"storm-animation{suffix}.svg").write_text(picture, encoding="utf-8")
     draw_frontier().save(STATIC / "storm-frontier.png", scale_factor=2)
     wide = (STATIC / "roof-and-graph.svg").read_text(encoding="utf-8")
     (STATIC / "roof-and-graph-narrow.svg").write_text(stacked(wide), encoding="utf-8")
