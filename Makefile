@@ -24,14 +24,14 @@ RUN_EXTRAS := [pump,mqtt,watch,foxglove]
 STUDY_EXTRAS := [study]
 TEST_EXTRAS := [pump,mqtt,watch,foxglove,study,dask,test]
 BENCH_EXTRAS := [study,bench]
-DOCS_EXTRAS := [pump,mqtt,watch,foxglove,study,docs]
+DOCS_EXTRAS := [pump,mqtt,watch,foxglove,study,dask,docs]
 else
 VENV_OPTIONS :=
 RUN_EXTRAS := [ros,pump,mqtt,watch,foxglove]
 STUDY_EXTRAS := [study]
 TEST_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,dask,test]
 BENCH_EXTRAS := [ros,study,bench]
-DOCS_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,docs]
+DOCS_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,dask,docs]
 endif
 
 # Stamp files: the environment was made; what a target needs was installed into it.
