@@ -65,7 +65,7 @@ run: $(FOR_RUN)
 
 study: $(FOR_STUDY)
 	@$(BIN)/python -m greenroof_ros study; code=$$?; \
-	    $(BIN)/python -m greenroof_ros report studies/paper --force && exit $$code
+	    $(BIN)/python -m greenroof_ros report studies/paper && exit $$code
 
 # Without ARGS every test, four processes more than there are cores, since graphs mostly wait.
 # Which tests may run side by side is in test/conftest.py. What failed runs once more, one at a

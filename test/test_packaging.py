@@ -1,6 +1,7 @@
 """What pip and colcon make of the checkout: the real tools, in separate directories."""
 
 import filecmp
+import importlib
 import importlib.util
 import json
 import os
@@ -399,3 +400,13 @@ def test_the_service_is_one_that_systemd_takes() -> None:
         pytest.skip("there is no systemd here")
     lines = [line for line in done.stderr.splitlines() if "greenroof.service" in line]
     assert not [line for line in lines if "is not executable" not in line], done.stderr
+
+
+def test_the_makefile_uses_options_that_exist():
+    """Its targets run commands of the package; each of their options must still be one."""
+    makefile = (CHECKOUT / "Makefile").read_text()
+    lines = re.findall(r"-m greenroof_ros (study|report)((?: [\w/.-]+)*)", makefile)
+    assert {name for name, _ in lines} == {"study", "report"}
+    for name, words in lines:
+        module = importlib.import_module(f"greenroof_ros.commands.{name}")
+        module.make_parser().parse_args(words.split())

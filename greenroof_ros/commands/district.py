@@ -15,17 +15,16 @@ from rich.table import Column, Table
 from greenroof_ros.analysis.workers.choice import (
     add_worker_arguments,
     check_workers,
+    describe_end,
     open_workers,
 )
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
     Parser,
     command,
 )
-from greenroof_ros.common.errors import ConfigurationError, require_extra
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.errors import require_extra
+from greenroof_ros.common.files import find_shipped
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.progress import ProgressBar
 
@@ -76,18 +75,11 @@ def main() -> int:
     """Simulate the district named on the command line."""
     arguments = make_parser().parse_args()
     check_workers(arguments)
-    if arguments.weather is not None and not arguments.weather.is_dir():
-        raise ConfigurationError(
-            "must be a directory with weather files", key="--weather", value=str(arguments.weather)
-        )
     with require_extra("study"):
         from greenroof_ros.analysis.district import page, run
         from greenroof_ros.analysis.district.result import PAGE, DistrictResult, make_directory
-    file: Path = arguments.district
-    shipped = shared_directory() / file  # outside a checkout, where the package's own are
-    if shipped.is_file() and not file.exists():
-        file = shipped
-    district = run.read_run(file, [] if arguments.weather is None else [arguments.weather])
+    places = [] if arguments.weather is None else [arguments.weather]
+    district = run.read_run(find_shipped(arguments.district), places)
     for note in district.notes:
         print(f"note: {note}", file=sys.stderr)
     make_directory(arguments.output)
@@ -98,12 +90,9 @@ def main() -> int:
             with ProgressBar() as progress:
                 totals = run.simulate_district(district, workers, progress.show, signals.check)
     except (BrokenExecutor, InterruptedRun) as error:
-        received = None if signals is None else signals.received
-        print(
-            f"error: {error}" if received is None else f"interrupted by {received.name}",
-            file=sys.stderr,
-        )
-        return EXIT_FAILED if received is None else EXIT_INTERRUPTED
+        why, code = describe_end(error, signals)
+        print(why, file=sys.stderr)
+        return code
     result = DistrictResult(district, totals)
     result.save(arguments.output, with_swmm=arguments.swmm)
     _show(result.rows, page)

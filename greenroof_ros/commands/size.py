@@ -17,10 +17,9 @@ from greenroof_ros.analysis.sizing.columns import format_per_roof, format_spread
 from greenroof_ros.analysis.sizing.designs import OUTLETS, TARGETS, VOLUMES
 from greenroof_ros.analysis.sizing.run import JOBS, KNEE_RANGE, OPTIONS, PRICES, Progress, size_site
 from greenroof_ros.analysis.sizing.sizes import PAGE, TABLE, Sizes
+from greenroof_ros.analysis.workers.choice import describe_end
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
-    EXIT_FAILED,
-    EXIT_INTERRUPTED,
     Parser,
     add_site,
     command,
@@ -127,12 +126,9 @@ def main() -> int:
             progress.show("drawing", 1.0)
             page = sizes.save(arguments.output)
     except (BrokenExecutor, InterruptedRun) as error:
-        received = signals.received
-        print(
-            f"error: {error}" if received is None else f"interrupted by {received.name}",
-            file=sys.stderr,
-        )
-        return EXIT_FAILED if received is None else EXIT_INTERRUPTED
+        why, code = describe_end(error, signals)
+        print(why, file=sys.stderr)
+        return code
     show(sizes, page)
     return EXIT_DONE
 

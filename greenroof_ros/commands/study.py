@@ -20,6 +20,7 @@ from greenroof_ros.analysis.study.store import StudyStore
 from greenroof_ros.analysis.workers.choice import (
     add_worker_arguments,
     check_workers,
+    describe_end,
     open_workers,
 )
 from greenroof_ros.analysis.workers.processes import Workers
@@ -31,8 +32,7 @@ from greenroof_ros.common.command_line import (
     command,
     make_number_type,
 )
-from greenroof_ros.common.errors import ConfigurationError
-from greenroof_ros.common.files import shared_directory
+from greenroof_ros.common.files import find_shipped, shared_directory
 from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.progress import ProgressBar
 
@@ -107,14 +107,9 @@ def main() -> int:
     """Run a study, or the cases of it that are not finished."""
     arguments = make_parser().parse_args()
     check_workers(arguments)
-    if arguments.weather is not None and not arguments.weather.is_dir():
-        raise ConfigurationError(
-            "must be a directory with weather files", key="--weather", value=str(arguments.weather)
-        )
-    grid: Path = arguments.grid or Path("config/studies/paper.yaml")
-    shipped = shared_directory() / grid  # outside a checkout, where the package's own grids are
-    if arguments.grid is None or (shipped.is_file() and not grid.exists()):
-        grid = shipped
+    grid = shared_directory() / "config/studies/paper.yaml"
+    if arguments.grid is not None:
+        grid = find_shipped(arguments.grid)
     cases = read_grid(grid, arguments.weather)
     every = None if arguments.no_trajectories else arguments.trajectory_every
     store = StudyStore(
@@ -146,14 +141,12 @@ def main() -> int:
                 ]
                 _run(store, open_cases, bounds, workers, signals)
     except (BrokenExecutor, InterruptedRun) as error:
-        # A signal to all processes, as of a batch system, also ends the workers.
-        received = None if signals is None else signals.received
-        why = f"error: {error}" if received is None else f"interrupted by {received.name}"
+        why, code = describe_end(error, signals)
         print(
             f"{why}: {len(store.outcomes)} of {len(cases)} cases are stored; run the same command "
             "again to continue", file=sys.stderr,
         )
-        return EXIT_FAILED if received is None else EXIT_INTERRUPTED
+        return code
     finally:
         rows = store.write_table()
     show(rows, store.directory)

@@ -57,6 +57,12 @@ def default_site_file() -> Path:
     return shared_directory() / "config" / "site.yaml"
 
 
+def find_shipped(file: Path) -> Path:
+    """Return a file, or the package's own of that name if there is none, as outside a checkout."""
+    shipped = shared_directory() / file
+    return shipped if shipped.is_file() and not file.exists() else file
+
+
 def state_directory() -> Path:
     """Return the default directory for state files: the user's, by the XDG rules."""
     directory = os.environ.get("XDG_STATE_HOME")

@@ -6,9 +6,16 @@ import argparse
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
+from pathlib import Path
 
 from greenroof_ros.analysis.workers.processes import Workers, processes
-from greenroof_ros.common.command_line import make_number_type, refuse
+from greenroof_ros.common.command_line import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    make_number_type,
+    refuse,
+)
+from greenroof_ros.common.processes import Signals
 
 
 def add_worker_arguments(parser: argparse.ArgumentParser, what: str) -> None:
@@ -25,15 +32,34 @@ def add_worker_arguments(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 def check_workers(arguments: argparse.Namespace) -> None:
-    """Refuse options that contradict each other.
+    """Check the options of a command that hands work to workers.
 
     Raises:
-        ConfigurationError: both a cluster and a number of processes are asked for.
+        ConfigurationError: both a cluster and a number of processes are asked for, or the weather
+            is not a directory.
     """
     refuse((
         arguments.scheduler is not None and arguments.jobs is not None, "--jobs", arguments.jobs,
         "cannot be used with --scheduler: the cluster sets how many",
     ))
+    weather: Path | None = arguments.weather
+    refuse((
+        weather is not None and not weather.is_dir(), "--weather", str(weather),
+        "must be a directory with weather files",
+    ))
+
+
+def describe_end(error: Exception, signals: Signals | None) -> tuple[str, int]:
+    """Return why work ended early, and the exit code.
+
+    Args:
+        error: that ended it. A signal to all processes, as of a batch system, ends workers, too.
+        signals: those of the command; None before it takes any.
+    """
+    received = None if signals is None else signals.received
+    if received is None:
+        return f"error: {error}", EXIT_FAILED
+    return f"interrupted by {received.name}", EXIT_INTERRUPTED
 
 
 def open_workers(
