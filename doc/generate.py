@@ -146,8 +146,8 @@ def topics() -> str:
             f"`{topic.name}`", ", ".join(filter(None, (topic.unit, kind))),
             topic.meaning,
             sentences(
-                f"From {describe_roles(topic.publishers, topic.live_publishers)}",
-                f"To {readers}" if readers else "",
+                f"Published by {describe_roles(topic.publishers, topic.live_publishers)}",
+                f"Read by {readers}" if readers else "",
             ),
         )
         for topic in read_topics().values()
@@ -174,12 +174,12 @@ def quality() -> str:
 
     def messages(topic: Topic) -> str:
         if not topic.publishers:
-            return "as they come, in a live graph only"
+            return "published whenever measured, in a live graph only"
         if not topic.per_tick:
-            return "as needed, not recorded"
+            return "published when needed, not recorded"
         if topic.of_valve:
             return "only at a site with a valve on the low outlet"
-        return "from controllers that have it" if topic.optional else ""
+        return "only from controllers that publish it" if topic.optional else ""
 
     def service(topic: Topic) -> str:
         qos = topic.qos
