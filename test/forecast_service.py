@@ -11,15 +11,15 @@ from __future__ import annotations
 import gzip
 import json
 import math
-import threading
 import time
 from datetime import datetime, timedelta, timezone
 from email.utils import format_datetime
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
+from http_service import HttpService
 from numpy.typing import NDArray
 from places import CONFIG
 
@@ -38,8 +38,8 @@ _MEMBERS = 11
 _SUN_W_PER_M2 = 0.6 * 1367
 
 
-class ForecastService:
-    """Answers as the real service does, on a port of this machine, in a thread.
+class ForecastService(HttpService):
+    """Answers as the real service does.
 
     Attributes:
         fault: what is wrong now, and can be changed at any time: connections are "refused";
@@ -60,20 +60,57 @@ class ForecastService:
         self.fault = NONE
         self._site, self._records = site, records
         self._offset = start - datetime.now(timezone.utc)
-        outer = self
+        super().__init__()
 
-        class Handler(_Handler):
-            service = outer
+    def respond(self, request: BaseHTTPRequestHandler) -> None:
+        """Answer a request for a forecast."""
+        place = urlsplit(request.path)
+        fault = self.fault
+        if fault == "refused":
+            request.close_connection = True
+            return
+        if fault == "limit":
+            reason = b'{"error":true,"reason":"Minutely API request limit exceeded."}'
+            self._send(request, 429, reason, {"Retry-After": "120"})
+            return
+        if fault == "error":
+            self._send(request, 503, b"upstream is down")
+            return
+        members = _MEMBERS if place.path.endswith("ensemble") else 1
+        answer = self.answer(parse_qs(place.query), members)
+        if fault == "broken":
+            answer = b"<html>please log in to the hotel's network</html>"
+        self._send(request, 200, answer)
 
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self._server.daemon_threads = True
-        self.address = f"http://127.0.0.1:{self._server.server_port}"
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
-
-    def close(self) -> None:
-        """Close the port."""
-        self._server.shutdown()
-        self._server.server_close()
+    def _send(
+        self, request: BaseHTTPRequestHandler, code: int, body: bytes,
+        headers: dict[str, str] | None = None,
+    ) -> None:
+        """Send an answer, compressed if requested, and spoiled by the present fault."""
+        fault = self.fault if code == 200 else NONE
+        if fault == "slow head":
+            for byte in b"HTTP/1.1 200 OK\r\nX: ":
+                request.wfile.write(bytes([byte]))
+                time.sleep(0.4)
+        request.send_response_only(code)
+        late = timedelta(days=1 if fault == "clock" else 0)
+        request.send_header("Date", format_datetime(datetime.now(timezone.utc) - late, usegmt=True))
+        if body and "gzip" in request.headers.get("Accept-Encoding", ""):
+            body = gzip.compress(body)
+            request.send_header("Content-Encoding", "gzip")
+        request.send_header("Content-Type", "application/json; charset=utf-8")
+        request.send_header("Content-Length", str(len(body)))
+        for name, value in (headers or {}).items():
+            request.send_header(name, value)
+        request.end_headers()
+        if fault == "truncated":
+            body = body[: len(body) // 2]
+            request.close_connection = True
+        step = 8 if fault == "slow" else len(body) or 1
+        for at in range(0, len(body), step):
+            request.wfile.write(body[at : at + step])
+            if fault == "slow":
+                time.sleep(1)
 
     def answer(self, query: dict[str, list[str]], members: int) -> bytes:
         """Return the answer to a query, as JSON."""
@@ -129,61 +166,3 @@ def started_service(fault: str = NONE) -> ForecastService:
     service = ForecastService(site, records, records.first)
     service.fault = fault
     return service
-
-
-class _Handler(BaseHTTPRequestHandler):
-    """One connection."""
-
-    service: ForecastService
-    protocol_version = "HTTP/1.1"
-
-    def do_GET(self) -> None:
-        """Answer a request for a forecast."""
-        place = urlsplit(self.path)
-        service = self.service
-        fault = service.fault
-        if fault == "refused":
-            self.close_connection = True
-            return
-        if fault == "limit":
-            reason = b'{"error":true,"reason":"Minutely API request limit exceeded."}'
-            self._send(429, reason, {"Retry-After": "120"})
-            return
-        if fault == "error":
-            self._send(503, b"upstream is down")
-            return
-        members = _MEMBERS if place.path.endswith("ensemble") else 1
-        answer = service.answer(parse_qs(place.query), members)
-        if fault == "broken":
-            answer = b"<html>please log in to the hotel's network</html>"
-        self._send(200, answer)
-
-    def _send(self, code: int, body: bytes, headers: dict[str, str] | None = None) -> None:
-        """Send an answer, compressed if requested, and spoiled by the present fault."""
-        fault = self.service.fault if code == 200 else NONE
-        if fault == "slow head":
-            for byte in b"HTTP/1.1 200 OK\r\nX: ":
-                self.wfile.write(bytes([byte]))
-                time.sleep(0.4)
-        self.send_response_only(code)
-        late = timedelta(days=1 if fault == "clock" else 0)
-        self.send_header("Date", format_datetime(datetime.now(timezone.utc) - late, usegmt=True))
-        if body and "gzip" in self.headers.get("Accept-Encoding", ""):
-            body = gzip.compress(body)
-            self.send_header("Content-Encoding", "gzip")
-        self.send_header("Content-Type", "application/json; charset=utf-8")
-        self.send_header("Content-Length", str(len(body)))
-        for name, value in (headers or {}).items():
-            self.send_header(name, value)
-        self.end_headers()
-        if fault == "truncated":
-            body = body[: len(body) // 2]
-            self.close_connection = True
-        step = 8 if fault == "slow" else len(body) or 1
-        for at in range(0, len(body), step):
-            self.wfile.write(body[at : at + step])
-            if fault == "slow":
-                time.sleep(1)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Do not log requests."""

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import calendar
 import json
-import threading
 import time
 from datetime import date, datetime, timedelta, timezone
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
-from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
+from http_service import HttpService
 
 HTML = b"<!DOCTYPE html><html><body>The site is under maintenance</body></html>"
 _NONSENSE = {"html": HTML, "deep": b"[" * 100_000}
@@ -45,8 +44,8 @@ def open_meteo_values(variable: str, first: datetime, hours: int) -> list[float 
     return [round(float(value), 1) for value in values[variable]]
 
 
-class WeatherService:
-    """Answers as the real services do, on a port of this machine, in a thread.
+class WeatherService(HttpService):
+    """Answers as the real services do.
 
     Attributes:
         faults: of the next requests, one each: "" for none; "html"; "half" of the answer, then the
@@ -54,59 +53,45 @@ class WeatherService:
             "refusal": 400 with a reason; "slow": a pause of 20 s; "fewer" variables; "short": a
             day less; "other" hours, of ten years before; "gap": five hours without values; "JSON
             error": an answer with status 200 that is an error; "odd": no list of times; "deep":
-            nested JSON.
+            nested JSON; "control": a refusal with control characters, which repeats the query.
         requests: the queries, in order.
     """
 
     def __init__(self) -> None:
         self.faults: list[str] = []
         self.requests: list[dict[str, str]] = []
-        outer = self
+        super().__init__()
 
-        class Handler(BaseHTTPRequestHandler):
-            protocol_version = "HTTP/1.1"
-
-            def do_GET(self) -> None:
-                path = urlsplit(self.path)
-                query = {key: values[0] for key, values in parse_qs(path.query).items()}
-                outer.requests.append(query)
-                fault = outer.faults.pop(0) if outer.faults else ""
-                if fault == "slow":
-                    time.sleep(20)
-                refusal = {
-                    "limit": (429, {}, "Too many concurrent requests"),
-                    "limit 1": (429, {"Retry-After": "1"}, "Too many concurrent requests"),
-                    "tomorrow": (429, {}, "Daily API request limit exceeded. Please try again "
-                                          "tomorrow."),
-                    "error": (503, {}, "upstream is down"),
-                    "refusal": (400, {}, "Parameter 'end_date' is out of allowed range"),
-                    "JSON error": (200, {}, "Something went wrong."),
-                }.get(fault)
-                if refusal is not None:
-                    status, headers, reason = refusal
-                    body = json.dumps({"error": True, "reason": reason}).encode()
-                else:
-                    status, headers = 200, {}
-                    body = _NONSENSE.get(fault) or outer.answer(path.path, query, fault)
-                self.send_response(status)
-                for name, value in {**headers, "Content-Length": str(len(body))}.items():
-                    self.send_header(name, value)
-                self.end_headers()
-                self.wfile.write(body[: len(body) // 2] if fault == "half" else body)
-                self.close_connection = True
-
-            def log_message(self, *_: Any) -> None:
-                pass
-
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self._server.daemon_threads = True
-        self.address = f"http://127.0.0.1:{self._server.server_port}"
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
-
-    def close(self) -> None:
-        """Close the port."""
-        self._server.shutdown()
-        self._server.server_close()
+    def respond(self, request: BaseHTTPRequestHandler) -> None:
+        """Answer a request, spoiled by the next fault."""
+        path = urlsplit(request.path)
+        query = {key: values[0] for key, values in parse_qs(path.query).items()}
+        self.requests.append(query)
+        fault = self.faults.pop(0) if self.faults else ""
+        if fault == "slow":
+            time.sleep(20)
+        refusal = {
+            "limit": (429, {}, "Too many concurrent requests"),
+            "limit 1": (429, {"Retry-After": "1"}, "Too many concurrent requests"),
+            "tomorrow": (429, {}, "Daily API request limit exceeded. Please try again tomorrow."),
+            "error": (503, {}, "upstream is down"),
+            "refusal": (400, {}, "Parameter 'end_date' is out of allowed range"),
+            "JSON error": (200, {}, "Something went wrong."),
+        }.get(fault)
+        if fault == "control":
+            status, headers, body = 400, {}, f"\33[2J\7\u202eno: {path.query}".encode()
+        elif refusal is not None:
+            status, headers, reason = refusal
+            body = json.dumps({"error": True, "reason": reason}).encode()
+        else:
+            status, headers = 200, {}
+            body = _NONSENSE.get(fault) or self.answer(path.path, query, fault)
+        request.send_response(status)
+        for name, value in {**headers, "Content-Length": str(len(body))}.items():
+            request.send_header(name, value)
+        request.end_headers()
+        request.wfile.write(body[: len(body) // 2] if fault == "half" else body)
+        request.close_connection = True
 
     def answer(self, path: str, query: dict[str, str], fault: str = "") -> bytes:
         """Return the answer to a query."""

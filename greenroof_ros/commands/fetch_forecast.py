@@ -55,7 +55,10 @@ def make_parser() -> Parser:
         help="days that it covers, from today (default: %(default)s)",
     )
     parser.add_argument(
-        "--url", default="", help="another server with the same interface (default: Open-Meteo)"
+        "--url", default="",
+        help="another server with the same interface, if need be with a key, such as "
+        "https://customer-api.open-meteo.com/v1/forecast?apikey=KEY, which is neither printed nor "
+        "kept (default: Open-Meteo's)",
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("forecast.csv"), metavar="FILE",

@@ -54,7 +54,7 @@ _EPILOG = """\
 examples:
   greenroof fetch-weather --site my_site.yaml --years 2015-2024 --output weather.csv
   greenroof fetch-weather --site my_site.yaml --years 2015-2024 --eccc 48549 --output toronto.csv
-  greenroof weather weather.csv --site my_site.yaml       # describe what came
+  greenroof weather weather.csv --site my_site.yaml       # summarize the new file
 
 exit codes: 0 done, 1 the service did not send everything, 2 wrong usage or configuration,
 130 ended by Ctrl-C
@@ -87,7 +87,10 @@ def make_parser() -> Parser:
         "with each further one (default: 3 for Open-Meteo, 1 for ECCC)",
     )
     parser.add_argument(
-        "--url", default="", help="another server with the same interface (default: the service's)"
+        "--url", default="",
+        help="another server with the same interface, if need be with a key, such as "
+        "https://customer-archive-api.open-meteo.com/v1/archive?apikey=KEY, which is neither "
+        "printed nor kept (default: the service's)",
     )
     return parser
 

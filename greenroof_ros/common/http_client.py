@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from datetime import datetime, timezone
 from email.utils import parsedate_to_datetime
 from functools import partial
@@ -12,21 +12,25 @@ from http.client import HTTPException
 from queue import Empty, SimpleQueue
 from typing import NamedTuple
 from urllib.error import HTTPError
-from urllib.parse import urlencode
+from urllib.parse import parse_qsl, quote_plus, urlencode, urlsplit
 from urllib.request import urlopen
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, clean_text
 
 ANSWER_S = 60.0
 """longest answer (s)"""
 # Longest silence (s), and the largest answer (bytes): 64 members of 36 days are 3 MB.
 _SILENCE_S, _MAX_BYTES = 30.0, 50_000_000
+# Longest message of an error, and longest reason of a service in it (characters).
+_MAX_MESSAGE, _MAX_REASON = 800, 200
+# A value of a URL's own query that is as long as this is a key, perhaps, and no one is shown it.
+_KEY_LENGTH = 6
 # Refusals that end by themselves: a slow request, and too many of them; and errors of the server.
 _PASSING = (408, 429, *range(500, 600))
 
 
 class ServiceError(Exception):
-    """A service gave no usable answer; the message states why.
+    """A service gave no usable answer; the message states why, and can be printed anywhere.
 
     Attributes:
         wait: how long the service asks to be left alone (s); None if it does not state this.
@@ -34,7 +38,7 @@ class ServiceError(Exception):
     """
 
     def __init__(self, why: str, wait: float | None = None, *, is_passing: bool = True) -> None:
-        super().__init__(why)
+        super().__init__(clean_text(why, _MAX_MESSAGE))
         self.wait = wait
         self.is_passing = is_passing
 
@@ -47,15 +51,40 @@ class Answer(NamedTuple):
     """its clock, as in the header; empty if there is none"""
 
 
-def check_url(url: str) -> str:
-    """Return a URL, which must be of the web.
+def check_url(url: str, parameters: Collection[str]) -> str:
+    """Return a URL, which must be of the web; it may have a query, as with a key.
+
+    Args:
+        url: of an interface.
+        parameters: that requests add to its query.
 
     Raises:
-        ConfigurationError: it is not.
+        ConfigurationError: it is not of the web, or its query has one of the parameters.
     """
     if not url.startswith(("http://", "https://")):
-        raise ConfigurationError("must begin with http:// or https://", key="url", value=url)
+        raise ConfigurationError("must begin with http:// or https://", key="url")
+    try:
+        parts = urlsplit(url)
+        is_address = bool(parts.hostname) and parts.username is None and parts.port != 0
+    except ValueError:  # no such host or port
+        is_address = False
+    if not is_address or " " in url or not (url.isascii() and url.isprintable()):
+        raise ConfigurationError(
+            "must be the address of a server, such as https://example.org/v1/archive?apikey=KEY, "
+            "in ASCII, with neither spaces nor the name of a user", key="url",
+        )
+    for name, _ in parse_qsl(parts.query, keep_blank_values=True):
+        if name in parameters:
+            raise ConfigurationError(
+                f"must not have {clean_text(name)} in its query, since each request sets it",
+                key="url", value=name_url(url),
+            )
     return url
+
+
+def name_url(url: str) -> str:
+    """Return a URL for people: without its query, in which there can be a key."""
+    return urlsplit(url)._replace(query="", fragment="").geturl()
 
 
 def request(url: str, parameters: Mapping[str, str | float]) -> Answer:
@@ -63,17 +92,35 @@ def request(url: str, parameters: Mapping[str, str | float]) -> Answer:
 
     Args:
         url: of the interface, as :func:`check_url` passes it.
-        parameters: of the query.
+        parameters: added to the URL's own query.
 
     Raises:
         ServiceError: the service cannot be reached, refuses, breaks off, or sends too much or too
             slowly.
     """
+    name, parts = name_url(url), urlsplit(url)
+    own = parse_qsl(parts.query, keep_blank_values=True)
+    query = urlencode([*own, *parameters.items()])
+    keys = [value for _, value in own if len(value) >= _KEY_LENGTH]
     try:
-        return _within(ANSWER_S, partial(_request, url, f"{url}?{urlencode(parameters)}"))
+        return _within(
+            ANSWER_S,
+            partial(_request, name, parts._replace(query=query, fragment="").geturl()),
+        )
+    except ServiceError as error:
+        raise ServiceError(
+            _hide(str(error), keys), error.wait, is_passing=error.is_passing
+        ) from None
     except (HTTPException, OSError) as error:
         why = " ".join(str(error).split()) or type(error).__name__
-        raise ServiceError(f"{url}: {why}") from error
+        raise ServiceError(_hide(f"{name}: {why}", keys)) from None
+
+
+def _hide(text: str, keys: Collection[str]) -> str:
+    """Return a text without keys that a service may repeat."""
+    for key in keys:
+        text = text.replace(key, "***").replace(quote_plus(key), "***")
+    return text
 
 
 def _request(name: str, url: str) -> Answer:
@@ -135,7 +182,7 @@ def _within(seconds: float, get: Callable[[], Answer]) -> Answer:
 
 def read_reason(body: bytes) -> str:
     """Return the text of a refusal, cut to a line."""
-    return " ".join(body.decode("utf-8", "replace").split())[:200]
+    return " ".join(body.decode("utf-8", "replace").split())[:_MAX_REASON]
 
 
 def _read_wait(text: str, now: datetime) -> float | None:

@@ -27,7 +27,13 @@ import numpy as np
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import replace_text
-from greenroof_ros.common.http_client import ServiceError, check_url, read_reason, request
+from greenroof_ros.common.http_client import (
+    ServiceError,
+    check_url,
+    name_url,
+    read_reason,
+    request,
+)
 from greenroof_ros.common.processes import IN_MEMORY, scratch_directory
 from greenroof_ros.common.times import to_people
 from greenroof_ros.formats.cells import HOUR
@@ -92,12 +98,14 @@ class Service:
                     "evapotranspiration need it", key=name,
                 )
         self._site = site
-        self._url = check_url(url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL))
         self._parameters: dict[str, str | float] = {
             "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
             "hourly": ",".join(VARIABLES.values()), "forecast_days": days, "timezone": "GMT",
             **({"models": model} if model else {}),
         }
+        self._url = check_url(
+            url or (_ENSEMBLE_URL if ensemble else _FORECAST_URL), self._parameters
+        )
 
     def fetch(self, now: datetime) -> IssuedForecast:
         """Return the newest forecast, issued in the present hour, with evapotranspiration.
@@ -116,9 +124,9 @@ class Service:
         try:
             return replace(_read_issue(answer.body, self._site, hour), available=arrived)
         except OSError as error:
-            raise ServiceError(f"{self._url}: {error}") from error
+            raise ServiceError(f"{name_url(self._url)}: {error}") from error
         except ConfigurationError as error:
-            raise ServiceError(f"{self._url}: its answer {error.wrong}") from error
+            raise ServiceError(f"{name_url(self._url)}: its answer {error.wrong}") from error
 
 
 def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:

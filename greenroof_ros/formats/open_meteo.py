@@ -50,7 +50,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.errors import ConfigurationError, clean_text
 from greenroof_ros.common.files import read_lines, read_text
 from greenroof_ros.common.ranges import Range, read_number
 from greenroof_ros.common.times import (
@@ -310,7 +310,7 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
         raise refuse(_OTHER_JSON)
     why = next((content[key] for key in _MESSAGES if isinstance(content.get(key), str)), "")
     if content.get("error") or (why and "hourly" not in content):
-        raise refuse(f"is not a forecast but the service's refusal: {why}")
+        raise refuse(f"is not a forecast but the service's refusal: {clean_text(why)}")
     units, hourly = (content.get(key, {}) for key in ("hourly_units", "hourly"))
     for key, value in (("hourly_units", units), ("hourly", hourly)):
         if not isinstance(value, dict):

@@ -37,7 +37,7 @@ _FOLLOW_FROM = {"x2_star": ("a2", "z_veg"), "z_cap": ("a2", "z_soil", "field_cap
 # Volumes, and what they are proportional to.
 _FOLLOW = {
     **_FOLLOW_FROM,
-    "initial_cistern": ("a1",),
+    "initial_cistern": ("a1", "z_o"),
     "initial_roof": ("a2",),
     "initial_layer": ("a2",),
 }
@@ -469,8 +469,8 @@ def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
     Args:
         path: of the file.
         changes: parameters, or plain keys, with other values than in the file. Volumes that depend
-            on them follow: the products x2_star and z_cap, and the initial volumes (their levels
-            stay the same).
+            on them follow: the products x2_star and z_cap, and the initial volumes (the share of
+            the cistern and the level on the roof stay the same).
 
     Raises:
         ConfigurationError: a parameter is missing, unknown, not a number, beyond its range, or

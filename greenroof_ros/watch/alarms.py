@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from greenroof_ros.common.alarms import Alarm
+from greenroof_ros.common.errors import clean_text
 from greenroof_ros.common.states import PUMP
 from greenroof_ros.watch.store import GraphStore
-from greenroof_ros.watch.words import clean_text
 
 _MAX_ROWS = 100
 _SEVERITY = {"error": 0, "stale": 1, "warn": 2}

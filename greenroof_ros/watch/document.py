@@ -15,6 +15,7 @@ from functools import partial
 from itertools import accumulate
 from typing import Any
 
+from greenroof_ros.common.errors import clean_text
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.watch import alarms, tiles, words
 from greenroof_ros.watch.history import choose_stretch
@@ -133,7 +134,7 @@ def _list_notes(store: GraphStore, hidden: int) -> list[str]:
     notes = [*store.notes]
     if missing := store.judge.missing:
         listed = [f"{name}: {diagnosis.sentence}." for name, diagnosis in missing.items()]
-        notes[:0] = ["The site is starting. Not there yet:", *map(words.clean_text, listed)]
+        notes[:0] = ["The site is starting. Not there yet:", *map(clean_text, listed)]
     if hidden:
         notes.append(f"{hidden} more alarms are not shown.")
     weather = store.graph.node("weather")

@@ -29,10 +29,11 @@ from greenroof_ros.common.alarms import (
     is_starting,
     make_diagnosis,
 )
+from greenroof_ros.common.errors import clean_text
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.states import ENDED, FINISHED, PLANT, PUMP, STATES
 from greenroof_ros.watch.wire import WireStatus
-from greenroof_ros.watch.words import clean_sentence, clean_text, list_names
+from greenroof_ros.watch.words import clean_sentence, list_names
 
 # Other devices may be slower than this package's nodes: after this silence (s) they are lost.
 _FOREIGN_SILENT_S = 5.0

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from greenroof_ros.common.alarms import Alarm, Judge
+from greenroof_ros.common.errors import clean_text
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.states import PUMP, PUMP_STATES, PumpState
@@ -171,7 +172,7 @@ class GraphStore:
         """
         with self.lock:
             self.site = site
-            self.notes[0] = words.clean_text(note)
+            self.notes[0] = clean_text(note)
 
     def set_present(self, *, mode: str, factor: float | None, note: str) -> None:
         """Set how the graph is watched now.
@@ -184,7 +185,7 @@ class GraphStore:
         with self.lock:
             self.mode = mode
             self.factor = factor if factor is not None and math.isfinite(factor) else None
-            self.notes[1] = words.clean_text(note)
+            self.notes[1] = clean_text(note)
 
     def update(self, wall: float, system: float | None = None) -> None:
         """Update what is overdue; called often, even if no document is shown.
@@ -377,7 +378,7 @@ class GraphStore:
     def add_event(self, text: str) -> None:
         """Add an event that happens now."""
         with self.lock:
-            self.events.append((self._event_time, words.clean_text(text)))
+            self.events.append((self._event_time, clean_text(text)))
 
     def acknowledge(self, alarm_id: str) -> bool:
         """Acknowledge an alarm, until it changes; return False if there is no such alarm."""

@@ -9,6 +9,7 @@ from datetime import datetime, timedelta, tzinfo
 from functools import cache, lru_cache
 from zoneinfo import ZoneInfo
 
+from greenroof_ros.common.errors import clean_text
 from greenroof_ros.common.interface import Display, read_topics
 from greenroof_ros.common.times import duration
 
@@ -147,17 +148,6 @@ def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
 def clean_sentence(text: str) -> str:
     """Return a node's sentence for a page that laymen read: no names of parameters, and m³."""
     return _CUBIC.sub("m³", _PARAMETERS.sub("", clean_text(text)))
-
-
-def clean_text(text: str, max_length: int = 500) -> str:
-    """Return a text that can be shown anywhere: printable, and at most this many characters."""
-    short = text[:max_length] + ("…" if len(text) > max_length else "")
-    if short.isprintable():
-        return short
-    return "".join(
-        sign if sign.isprintable() else " " if sign.isspace() else "\N{REPLACEMENT CHARACTER}"
-        for sign in short
-    )
 
 
 def list_names(names: Iterable[str]) -> str:

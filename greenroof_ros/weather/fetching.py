@@ -16,6 +16,7 @@ A block is kept as soon as it is complete, as the service sent it, and is not re
 from __future__ import annotations
 
 import calendar
+import hashlib
 import itertools
 import json
 import time
@@ -23,10 +24,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import replace_file, replace_text
-from greenroof_ros.common.http_client import ServiceError, check_url, read_reason, request
+from greenroof_ros.common.http_client import (
+    ServiceError,
+    check_url,
+    name_url,
+    read_reason,
+    request,
+)
 from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.common.times import FIRST_YEAR, duration
 from greenroof_ros.formats import eccc
@@ -84,7 +92,7 @@ class Source:
 
     Attributes:
         about: what it is and its licence, in lines for the head of a file.
-        url: of the interface.
+        url: of the interface; its own query can have a key.
         parameters: of each request.
         blocks: in order of time.
         pause_s: time from an answer to the next request (s).
@@ -127,14 +135,15 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
     starts = [max(date(years[0], 1, 1) - timedelta(days=1), date(FIRST_YEAR, 1, 1))]
     starts += [date(year, 1, 1) for year in years[1:]]
     ends = [*(start - timedelta(days=1) for start in starts[1:]), end]
+    parameters: dict[str, str | float] = {
+        "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
+        "hourly": ",".join(VARIABLES.values()), "timezone": "GMT",
+    }
     return Source(
         "Weather of a reanalysis from Open-Meteo.com, Historical Weather API (ERA5, ECMWF IFS): "
         "https://open-meteo.com\n"
         "Licence: CC BY 4.0, name the source. The service is free for non-commercial use.",
-        check_url(url or _OPEN_METEO_URL), {
-            "latitude": float(site.latitude or 0), "longitude": float(site.longitude or 0),
-            "hourly": ",".join(VARIABLES.values()), "timezone": "GMT",
-        }, [
+        check_url(url or _OPEN_METEO_URL, [*parameters, "start_date", "end_date"]), parameters, [
             Block(first, last, ".json", {"start_date": f"{first}", "end_date": f"{last}"})
             for first, last in zip(starts, ends, strict=True)
         ],
@@ -168,12 +177,14 @@ def eccc_station(
     months = [
         (year, month) for year in years for month in range(1, 13) if date(year, month, 1) <= today
     ]
+    parameters: dict[str, str | float] = {
+        "format": "csv", "stationID": station, "Day": 14, "timeframe": 1,
+    }
     return Source(
         "Observations of Environment and Climate Change Canada, Historical Data, hourly bulk "
         f"files of stationID {station}: https://climate.weather.gc.ca\n"
         "Licence: Open Government Licence - Canada, name the source.",
-        check_url(url or _ECCC_URL),
-        {"format": "csv", "stationID": station, "Day": 14, "timeframe": 1}, [
+        check_url(url or _ECCC_URL, [*parameters, "Year", "Month"]), parameters, [
             Block(
                 date(year, month, 1),
                 min(date(year, month, calendar.monthrange(year, month)[1]), today), ".csv",
@@ -223,7 +234,9 @@ def prepare_directory(directory: Path, source: Source) -> None:
         ConfigurationError: it keeps blocks of another request, as of another site.
     """
     asked = "".join(f"{key}: {value}\n" for key, value in source.parameters.items())
-    claim, asked = directory / _REQUEST, f"{source.url}\n{asked}"
+    if query := urlsplit(source.url).query:  # it can have a key
+        asked += f"query: SHA-256 {hashlib.sha256(query.encode()).hexdigest()}\n"
+    claim, asked = directory / _REQUEST, f"{name_url(source.url)}\n{asked}"
     directory.mkdir(exist_ok=True)
     kept = claim.read_text(encoding="utf-8", errors="replace") if claim.exists() else ""
     if any(directory.glob("*_*")) and kept != asked:
@@ -292,7 +305,8 @@ def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
     try:
         source.check(body, block)
     except ServiceError as error:
-        raise ServiceError(f"{source.url}: {error}", is_passing=error.is_passing) from error
+        name = name_url(source.url)
+        raise ServiceError(f"{name}: {error}", is_passing=error.is_passing) from error
     answer = file.with_name(f"answer{block.suffix}")
     replace_file(answer, lambda stream: stream.write(body))
     if not _is_empty(answer):

@@ -3,12 +3,10 @@
 import json
 import os
 import tempfile
-import threading
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import datetime, timezone
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,7 @@ from commands import run_command
 from disks import fill, small_disk
 from forecast_service import ForecastService
 from graphs import environment
+from http_service import HttpService
 from places import CONFIG
 from refusals import refusal
 
@@ -118,25 +117,17 @@ def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypa
 @contextmanager
 def _answering(answer):
     """Serve what a function returns for a request's headers: status, headers and body."""
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self):
-            status, headers, body = answer(self.headers)
-            self.send_response(status)
+    class Answering(HttpService):
+        def respond(self, request):
+            status, headers, body = answer(request.headers)
+            request.send_response(status)
             for name, value in {**headers, "Content-Length": str(len(body))}.items():
-                self.send_header(name, value)
-            self.end_headers()
-            self.wfile.write(body)
+                request.send_header(name, value)
+            request.end_headers()
+            request.wfile.write(body)
 
-        def log_message(self, *_):
-            pass
-
-    served = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    threading.Thread(target=served.serve_forever, daemon=True).start()
-    try:
-        yield Service(SITE, url=f"http://127.0.0.1:{served.server_port}/")
-    finally:
-        served.shutdown()
-        served.server_close()
+    with closing(Answering()) as served:
+        yield Service(SITE, url=f"{served.address}/")
 
 
 @pytest.mark.parametrize("asks", ["99999999999", "Fri, 31 Dec 9999 23:59:59 GMT"])

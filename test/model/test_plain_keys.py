@@ -180,6 +180,11 @@ def test_in_python_and_in_the_grid_of_a_study(tmp_path: Path) -> None:
     file = house(tmp_path / "house.yaml", initial_cistern=2.5, initial_roof=3.6)
     site = gr.read_site(file, cistern_volume=10.0, roof_area=60.0, substrate="intensive")
     assert (site.a1, site.initial_cistern, site.initial_roof) == (5.0, 5.0, 1.8)
+    flat = gr.read_site(file, cistern_height=1.0)  # as much water, on twice the area
+    assert (flat.a1, flat.initial_cistern) == (5.0, 2.5)
+    both = gr.read_site(file, cistern_volume=10.0, cistern_height=4.0)
+    assert (both.a1, both.initial_cistern) == (2.5, 5.0)
+    assert gr.read_site(file, z_o=4.0, a1=2.5).initial_cistern == 5.0
     assert gr.read_site(cistern_volume=6.0).a1 == 2.0  # the paper's overflow is at 3 m
     text = GRID.replace(
         str(shared_directory() / "config" / "site.yaml"),

@@ -288,6 +288,48 @@ def test_what_cannot_be_is_refused_before_or_at_the_first_request(
     assert (tmp_path / "old.csv").read_text() == "mine"
 
 
+def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path):
+    """Neither messages nor files have it, even if the service repeats it; other keys are others."""
+    key = "s3cr%C3%A9t-0815"
+    service.faults = ["", "control"]
+    paid = f"{service.address}/v1/archive?apikey={key}&models=#top"
+    done = run(service, tmp_path, "--years", "2022-2023", "--url", paid)
+    assert done.returncode == 1
+    assert all(query["apikey"] == "s3crét-0815" for query in service.requests)
+    part = tmp_path / "out.csv.part"
+    texts = [file.read_text() for file in part.iterdir()] + [done.stdout, done.stderr]
+    assert len(texts) == 4 and not any("0815" in text for text in texts)
+    # What came with the key was escaped, too: it would clear the screen.
+    assert f"error: 2023-01-01 to 2024-01-01: {service.address}/v1/archive: 400 Bad Request: " in (
+        done.stderr
+    )
+    assert "[2J\N{REPLACEMENT CHARACTER}\N{REPLACEMENT CHARACTER}no: apikey=***&models=&lat" in (
+        done.stderr
+    )
+    assert not {"\33", "\7", "\u202e"} & {*done.stderr}
+    other = run(service, tmp_path, "--years", "2022-2023", "--url", paid.replace("models=", "m="))
+    assert "keeps parts of another request" in other.stderr
+    done = run(service, tmp_path, "--years", "2022-2023", "--url", paid)
+    assert done.returncode == 0 and len(service.requests) == 3
+    assert "0815" not in (tmp_path / "out.csv").read_text() + done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(("url", "reason"), [
+    ("archive-api.open-meteo.com/?apikey=s3cr3t", "url: must begin with http:// or https://"),
+    ("http://", "must be the address of a server, such as https://"),
+    ("http://[::1/?apikey=s3cr3t", "must be the address of a server"),
+    ("http://host:99999/?apikey=s3cr3t", "must be the address of a server"),
+    ("http://me:s3cr3t@host/", "must be the address of a server"),
+    ("http://host/a b?apikey=s3cr3t", "must be the address of a server"),
+    ("http://h\u00f6st/?apikey=s3cr3t", "must be the address of a server"),
+    ("http://host/?apikey=s3cr3t&hourly=rain", "url = 'http://host/': must not have hourly in its"),
+    ("http://host/?start_date=2020-01-01", "must not have start_date in its query"),
+])
+def test_a_url_that_cannot_be_is_refused_without_its_key(url, reason):
+    told = refusal(open_meteo_archive, SITE, range(2020, 2021), TODAY, url)
+    assert reason in told and "s3cr3t" not in told
+
+
 def archive(service: WeatherService, years: range = range(2020, 2021)) -> Source:
     return open_meteo_archive(SITE, years, TODAY, f"{service.address}/v1/archive")
 
