@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +34,10 @@ class Buildings:
         cells: of the weather, by index.
         ranks: their places in the order of adoption.
         values: what differs between them, by key.
-        file: where they are listed; the district's file if they are drawn.
-        lines: in that file; None if they are drawn.
+        file: where they are listed; the district's file if they are not.
+        lines: in that file; None if they are not listed.
+        drawn: the lines of the distributions in the district's file, by key.
+        district_file: the district's file.
     """
 
     ids: Sequence[str]
@@ -44,6 +46,8 @@ class Buildings:
     values: Mapping[str, Sequence[Any]]
     file: Path
     lines: Sequence[int] | None
+    drawn: Mapping[str, int | None]
+    district_file: Path
 
     def __len__(self) -> int:
         """Return their number."""
@@ -51,18 +55,34 @@ class Buildings:
 
     def part(self, places: slice) -> Buildings:
         """Return some of them."""
-        return Buildings(
-            self.ids[places], self.cells[places], self.ranks[places],
-            {key: values[places] for key, values in self.values.items()}, self.file,
-            None if self.lines is None else self.lines[places],
+        return replace(
+            self, ids=self.ids[places], cells=self.cells[places], ranks=self.ranks[places],
+            values={key: values[places] for key, values in self.values.items()},
+            lines=None if self.lines is None else self.lines[places],
         )
 
     def refuse(self, place: int, error: ConfigurationError) -> ConfigurationError:
-        """Return the error about a building's site, with the building's name and place."""
+        """Return the error about a building's site, with the building and where its value is from.
+
+        A value that was drawn is from the district's file. A key that all buildings share is wrong
+        because of others, so the drawn ones are named.
+        """
+        building, key = f"building {self.ids[place]}", error.key
+        name = (key or "").partition(" ")[0]  # a plain key has the paper's behind it
+        if name in self.drawn:
+            return ConfigurationError(
+                f"{error.expected} ({building})", file=self.district_file, line=self.drawn[name],
+                key=f"draw.{key}", value=error.value,
+            )
+        if name not in self.values:
+            drawn = {each: self.values[each][place] for each in self.drawn}
+            building += "; drawn: " * bool(drawn) + ", ".join(
+                f"{each} = {value if isinstance(value, str) else f'{value:.6g}'}"
+                for each, value in drawn.items()
+            )
         return ConfigurationError(
-            f"{error.expected} (building {self.ids[place]})", file=self.file,
-            line=None if self.lines is None else self.lines[place], key=error.key,
-            value=error.value,
+            f"{error.expected} ({building})", file=self.file,
+            line=None if self.lines is None else self.lines[place], key=key, value=error.value,
         )
 
 
@@ -116,8 +136,8 @@ def make_buildings(
             for extreme in (np.min(values[name]), np.max(values[name])):
                 if extreme not in allowed:
                     raise district.refuse(
-                        f"draw.{name}", f"{allowed.expected()}, but {extreme:.6g} was drawn; set "
-                        "low and high",
+                        f"draw.{name}", f"{allowed.expected()}, but {extreme:.6g} was drawn; "
+                        + ("change its values" if draw.values else "set low and high"),
                     )
     ranks = np.random.default_rng(district.seed).permutation(len(ids))
     order = np.argsort(of_cell, kind="stable")
@@ -125,6 +145,7 @@ def make_buildings(
     return Buildings(
         [ids[n] for n in order], of_cell[order], ranks[order], everything, file,
         None if lines is None else [lines[n] for n in order],
+        {name: district.line(f"draw.{name}") for name in district.draw}, district.path,
     )
 
 

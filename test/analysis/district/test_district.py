@@ -16,7 +16,7 @@ import pytest
 from browsers import drawn_page
 from commands import Forked, run_command
 from dask_cluster import Dask
-from districts import DISTRICT, edit, write_district
+from districts import DISTRICT, WEATHER, edit, write_district
 from graphs import wait_for
 
 import greenroof_ros as gr
@@ -123,6 +123,34 @@ def test_a_wrong_building_is_named(tmp_path: Path) -> None:
     assert result.stderr.splitlines()[-1].startswith(
         "error: houses.csv, line 3: low_outlet_level = 0.1: must be below z_o = 0.1 m"
     ), result.stderr
+
+
+@pytest.mark.parametrize(("keys", "row", "message"), [
+    # The soil holds 63 % of 0.108 m.
+    ("{z_veg: {values: [0.07]}}", "", "district.yaml, line 4: draw.z_veg = 0.07: must be"),
+    ("{z_veg: {values: [0.07]}}", ",0.1", "district.yaml, line 4: draw.z_veg = 0.07: must be"),
+    ("{cistern_height: {values: [0.1]}}", "", "low_outlet_level = 0.1: must be below z_o"),
+    ("{cistern_height: {values: [0.05]}}", "", ", but 0.05 was drawn; change its values"),
+    ("{substrate: {names: [loam]}}", ",0.108", "houses.csv, line 2: z_veg = 0.039: "),
+])
+def test_a_value_that_was_drawn_is_of_the_districts_file(
+    tmp_path: Path, keys: str, row: str, message: str
+) -> None:
+    """Even if other values of the building are listed."""
+    column = ",substrate_depth" * bool(row)
+    (tmp_path / "houses.csv").write_text(f"id{column}\nA{row}\n")
+    write_district(tmp_path, f"""
+site: site_valve.yaml
+file: houses.csv
+draw: {keys}
+weather: {{file: {WEATHER}, start: 2021-07-07T00:00, hours: 3}}
+""")
+    result = district(tmp_path, "--output", "out")
+    assert result.returncode == 2
+    assert message in result.stderr.splitlines()[-1], result.stderr
+    for name, drawn in (("low_outlet_level", "cistern_height = 0.1"), ("csv", "substrate = loam")):
+        if name in message:
+            assert result.stderr.rstrip().endswith(f"(building A; drawn: {drawn})")
 
 
 def test_full_disk(tmp_path: Path) -> None:
