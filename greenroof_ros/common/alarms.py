@@ -13,7 +13,7 @@ reports themselves: nothing needs to publish alarms, and a dead supervisor hides
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any, NamedTuple
@@ -558,7 +558,7 @@ def _find_candidates(
             if name != node and ": " not in name and waited_for:
                 yield name
     elif condition.no_data:
-        yield from _find_publishers(diagnosis, diagnoses)
+        yield from find_publishers(diagnosis.about, diagnosis.role, diagnoses)
     more: Sequence[str] = condition.explained_by
     if condition.interlock is not None:
         more = condition.interlock.parts if part == PUMP else ()
@@ -572,14 +572,22 @@ def _find_candidates(
         )
 
 
-def _find_publishers(
-    diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
+def find_publishers(
+    topics: Iterable[str], reader: str, diagnoses: Mapping[str, StatusDiagnosis]
 ) -> Iterator[str]:
-    """Yield what is wrong with the nodes that publish the topics: first as a whole, then parts."""
+    """Yield the names of the diagnoses of the nodes that publish some topics.
+
+    Nodes that are wrong as a whole come before parts of nodes.
+
+    Args:
+        topics: names in the interface.
+        reader: role of a node that reads them, which is left out; empty if there is none.
+        diagnoses: of the graph's own nodes, by the names of their statuses.
+    """
     interface, roles = read_topics(), set[str]()
-    for topic in interface.keys() & {*diagnosis.about}:
+    for topic in interface.keys() & {*topics}:
         roles.update(interface[topic].publishers, interface[topic].live_publishers)
-    roles.discard(diagnosis.role)
+    roles.discard(reader)
     names = [
         name for name, other in diagnoses.items()
         if other.role in roles and not name.endswith(_OF_INPUTS)

@@ -177,7 +177,7 @@ def _write_sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> st
     roof = shown["roof"]
     if roof["state"] in ("unknown", "alarm"):
         level_clause = f"The roof's level is {roof['value']}"
-        if roof["stale"]:
+        if roof["stale"] or roof["why"]:
             level_clause = f"The roof's level is unknown now ({roof['sentence']})"
     else:
         judged = {"low": "too dry, ", "high": "wetter than it should be, "}.get(roof["state"], "")

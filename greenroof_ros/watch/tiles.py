@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from greenroof_ros.common.alarms import WARN, find_publishers
 from greenroof_ros.common.states import PUMP, PumpState
 from greenroof_ros.model.metrics import NEAR_TARGET
 from greenroof_ros.model.plant import pumps_run
@@ -30,6 +31,9 @@ _GAUGE, _FILL_TO, _VALVE = "/gauge/precipitation", "/controller/fill_to", "/outl
 write_level = partial(words.write_value, _ROOF)
 write_flow = partial(words.write_value, _FLOW)
 
+# In place of a value that was never received: it may come, or its absence is reported as a fault.
+_NOT_YET, _NONE_NOW = "nothing received from it yet", "no values arrive"
+
 Tile = dict[str, Any]
 
 
@@ -40,24 +44,46 @@ def _make_tile(
     """Return the tile of a topic; ``judged`` gives state and sentence for its value.
 
     A missing or stale value is unknown; for a stale value the sentence states what was last
-    received, and when. A value that is not plausible is an alarm.
+    received, and when. ``why`` is the reason if one is reported. A value that is not plausible is
+    an alarm.
     """
     newest = store.newest.get(topic)
     number = None if newest is None else newest.value
     if number is not None:
         text, (state, sentence) = words.write_value(topic, number), judged(number)
     elif newest is None:
-        text, state, sentence = words.UNKNOWN, "unknown", "nothing received from it yet"
+        text, state, sentence = words.UNKNOWN, "unknown", _NOT_YET
     else:
         text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "its sensor's value is impossible"
     stale = newest is not None and newest.stale
     if newest is not None and newest.stale:
         sentence = f"{text} at last contact, {store.time_of_day(newest.time_ns / 1e9)}"
         text, number, state = words.UNKNOWN, None, "unknown"
+    why = _find_reason(store, topic) if newest is None or stale else ""
     return {
-        "label": label, "value": text, "number": number, "state": state, "sentence": sentence,
+        "label": label, "value": text, "number": number, "state": state,
+        "sentence": _NONE_NOW if why and newest is None else sentence, "why": why,
         "stale": stale, **more,
     }
+
+
+def _find_reason(store: GraphStore, topic: str) -> str:
+    """Return why no values of a topic arrive, as its publisher reports it, or else its readers.
+
+    It is empty if no one reports a fault: then the first value may still come.
+    """
+    diagnoses = store.judge.diagnoses
+    own = {name: found for name, found in diagnoses.items() if found.role and found.level != WARN}
+    readers = (
+        name for name, found in own.items()
+        if topic in found.about and found.code not in ("input_waiting", "values_refused")
+    )
+    for name in (*find_publishers([topic], "", own), *readers):
+        condition, sentence = own[name].condition, words.clean_sentence(own[name].sentence)
+        return sentence if condition is None or topic in own[name].about else (
+            f"{condition.meaning}: {sentence}"
+        )
+    return ""
 
 
 def make_unknown_tile(label: str) -> Tile:
@@ -184,7 +210,7 @@ def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Til
         place = -1 if pumped is None or command is None else -2
         parts[place] = f"last known {parts[place]}"
     if not parts and state == "unknown":
-        parts.append("nothing received from it yet")
+        parts.append(_NOT_YET)
     if stale and state != words.UNKNOWN:
         parts.insert(0, f"{state} at last contact")
     name = "" if node is None else node.name

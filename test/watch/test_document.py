@@ -30,6 +30,7 @@ from page_inputs import (
 )
 from paper import PAPER_SITE
 
+from greenroof_ros.common.conditions import read_conditions
 from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.site import Site
 from greenroof_ros.watch import words
@@ -314,6 +315,46 @@ def test_a_value_that_does_not_come_any_more_is_stale() -> None:
     assert document["tiles"]["summary"]["level"] == "warn"
     add_values(graph, 90, 91, {"/roof/level": 0.0453})
     assert tile_of(graph, "roof", 118.0)["state"] == "good"
+
+
+DEAD = ("sensor", ERROR, "no answer", "sensor_lost")
+SENDS_NOTHING = f"{read_conditions()['sensor_lost'].meaning}: no answer"
+
+
+@pytest.mark.parametrize(("reports", "sentence", "why"), [
+    ([], "nothing received from it yet", ""),
+    ([node("/pump", "pump", ("levels", ERROR, "/roof/level has not come yet", "input_waiting",
+                             {"topics": "/roof/level"}))], "nothing received from it yet", ""),
+    ([node("/roof_sensor", "roof_sensor", DEAD)], "no values arrive", SENDS_NOTHING),
+    ([node("/cistern_sensor", "cistern_sensor", DEAD)], "nothing received from it yet", ""),
+    # Another program publishes the level, and has died: only its readers report that.
+    ([node("/pump", "pump", ("levels", ERROR, "/roof/level is older than 5 s (level_limit)",
+                             "input_silent", {"topics": "/roof/level"}))],
+     "no values arrive", "/roof/level is older than 5 s"),
+], ids=["no report", "waited for", "dead", "another is dead", "dead by its reader"])
+def test_a_dead_sensor_is_not_one_from_which_nothing_came_yet(
+    reports: list[list[WireStatus]], sentence: str, why: str
+) -> None:
+    graph = store("live", SITE)
+    for report in reports:
+        graph.add_statuses(1.0, report)
+    document = shown(graph, 2.0)
+    roof = document["tiles"]["roof"]
+    assert (roof["value"], roof["sentence"], roof["why"]) == ("unknown", sentence, why)
+    # The bridge publishes the summary.
+    assert ("no values arrive" in document["tiles"]["summary"]["sentence"]) is bool(why)
+
+
+def test_a_sensor_that_died_is_shown_with_its_last_value_and_the_reason() -> None:
+    graph = watched("live", roof_level=0.0453)
+    graph.update(100.0, START / SECOND + 61)
+    graph.add_statuses(119.0, node("/roof_sensor", "roof_sensor", DEAD))
+    roof = tile_of(graph, "roof", 120.0)
+    assert (roof["sentence"], roof["why"]) == ("45.3 mm at last contact, 00:01:00", SENDS_NOTHING)
+    graph.add_statuses(121.0, node("/roof_sensor", "roof_sensor", ("sensor", OK, "it is read")))
+    assert tile_of(graph, "roof", 122.0)["why"] == ""
+    silent = tile_of(graph, "roof", 130.0)["why"]
+    assert silent.startswith(read_conditions()["not_heard"].meaning)
 
 
 def test_what_comes_seldom_may_be_silent_for_longer() -> None:

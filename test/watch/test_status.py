@@ -12,8 +12,11 @@ from pathlib import Path
 import pytest
 from commands import run_command
 from graphs import Process, environment, wait_for
+from page_inputs import ERROR, node, pump_report, store
 from peers import Peer, in_domain, repeating
 from test_watch_command import WITHOUT
+
+from greenroof_ros.watch.document import join_summary, make_document
 
 TILES = ["Roof level", "Cistern level", "Pump", "Rain", "Controller"]
 
@@ -103,3 +106,43 @@ def test_a_run_that_is_well_and_then_has_warnings(domain: int, tmp_path: Path) -
     assert run.wait(300) == 130
 
 
+
+
+def test_it_gives_the_pages_reasons(domain: int, tmp_path: Path) -> None:
+    """Why the pump is off, and why a level is unknown: the words of the same document."""
+    pytest.importorskip("rclpy", reason="nodes need ROS 2")
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    why = "the level of the roof is unknown"
+    reports = [
+        *node("/roof_sensor", "roof_sensor", ("sensor", ERROR, "no answer", "sensor_lost"),
+              lockstep=False),
+        *node("/pump", "pump", ("pump", ERROR, f"held: {why}", "roof_level_unknown"),
+              lockstep=False, stands=True, **pump_report(f"held: {why}")),
+    ]
+    graph = store("live")
+    graph.add_statuses(10.0, reports)
+    graph.add_statuses(14.0, reports)  # it has lasted
+    page = make_document(graph, 14.0)
+    tiles = page["tiles"]
+    assert tiles["pump"]["why"] == why
+    assert tiles["roof"]["why"].endswith("no answer")
+    with in_domain(domain), closing(Peer(domain, "nodes")) as peer:
+        publisher = peer.node.create_publisher(DiagnosticArray, "/diagnostics", 8)
+        message = DiagnosticArray(status=[
+            DiagnosticStatus(
+                name=each.name, level=bytes([each.level]), message=each.message,
+                values=[KeyValue(key=key, value=text) for key, text in each.values.items()],
+            ) for each in reports
+        ])
+        with repeating(lambda: publisher.publish(message), 0.5):
+            code, lines = wait_for(
+                lambda: (seen := status(domain, tmp_path))[1][0] == join_summary(page) and seen,
+                60, "the page's summary",
+            )
+    assert code == 2
+    assert lines[1] == f"What to do: {page['advice']}"
+    for line, name in ((lines[3], "roof"), (lines[5], "pump")):
+        tile = tiles[name]
+        assert line.startswith(f"{tile['label']:14} {tile['value']:14} {tile['sentence']}")
+        assert tile["why"] in line
