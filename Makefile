@@ -124,7 +124,7 @@ faults: $(FOR_TEST)
 	@$(BIN)/python -m pytest tools/faults/campaign.py -q -rN -p no:cacheprovider -n 4 --dist loadgroup \
 	    -o timeout=1200 $(ARGS)
 ifeq ($(ARGS),)
-	@$(BIN)/python tools/faults/table.py runs/faults doc/development/fault-campaign.md
+	@$(BIN)/python tools/faults/table.py runs/faults doc/explanation/fault-campaign.md
 endif
 
 $(MADE):

@@ -42,7 +42,13 @@ from greenroof_ros.analysis.district.district_file import (
     Orifice,
 )
 from greenroof_ros.common.alarms import Alarm
-from greenroof_ros.common.conditions import LATCHED, Interlock, read_conditions, read_interlocks
+from greenroof_ros.common.conditions import (
+    LATCHED,
+    Condition,
+    Interlock,
+    read_conditions,
+    read_interlocks,
+)
 from greenroof_ros.common.files import read_yaml, shared_directory
 from greenroof_ros.common.interface import Topic, read_topics
 from greenroof_ros.common.parameter import Key, Parameter, Word, keys
@@ -475,13 +481,39 @@ def interlocks() -> str | None:
     )
 
 
+# What a code is about: how it begins; all interlocks are about the pump.
+_SUBJECTS = {
+    "Pump": "limited dose_ delivery_ record_ suspended drive_ stands_ stop_ two_pump_",
+    "Inputs and sensors": "input_ sensor_ readings_ broker_ values_",
+    "Forecast and weather": "forecast_ no_forecast temperature_ thermometer_ gauge_",
+    "Controller, recorder and nodes": "controller_ not_ peers_ node_ two_processes",
+}
+
+
+def _subject(code: str, condition: Condition) -> str:
+    """Return what a condition is about, as a heading."""
+    if condition.interlock is not None:
+        return "Pump"
+    return next(
+        subject for subject, beginnings in _SUBJECTS.items()
+        if code.startswith(tuple(beginnings.split()))
+    )
+
+
 def conditions() -> str:
-    """Return each code that a status may have; interlocks with the same advice share a row."""
-    codes: dict[tuple[str, str], list[str]] = {}
+    """Return each code that a status may have, by subject; those with the same advice share a row.
+
+    The meaning of an interlock is in the table of interlocks.
+    """
+    codes: dict[str, dict[tuple[str, str], list[str]]] = {subject: {} for subject in _SUBJECTS}
     for code, condition in read_conditions().items():
         meaning = "" if condition.interlock is not None else condition.meaning
-        codes.setdefault((meaning, condition.advise("/pump")), []).append(f"`{code}`")
-    return entries((", ".join(alike), *texts) for texts, alike in codes.items())
+        rows = codes[_subject(code, condition)]
+        rows.setdefault((meaning, condition.advise("/pump")), []).append(f"`{code}`")
+    return "\n".join(
+        f"### {subject}\n\n" + entries((", ".join(alike), *texts) for texts, alike in rows.items())
+        for subject, rows in codes.items()
+    )
 
 
 def plausible_values() -> str:

@@ -11,12 +11,14 @@ import subprocess
 import sys
 import tarfile
 from pathlib import Path
+from unittest import mock
 
 import pytest
 import yaml
 from places import CHECKOUT
 
 import greenroof_ros
+from greenroof_ros.__main__ import COMMANDS
 
 NODES = (
     "plant", "weather", "controller",
@@ -388,9 +390,12 @@ def test_executables_can_be_called():
         assert callable(getattr(importlib.import_module(module), function)), target
 
 
-def test_the_service_is_one_that_systemd_takes() -> None:
-    """systemd's own check accepts the unit, apart from paths that depend on the site."""
-    unit = CHECKOUT / "examples" / "greenroof.service"
+UNITS = sorted((CHECKOUT / "examples").glob("*.service"))
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_the_services_are_ones_that_systemd_takes(unit: Path) -> None:
+    """systemd's own check accepts the units, apart from paths that depend on the site."""
     try:
         done = subprocess.run(
             ["systemd-analyze", "verify", "--man=no", str(unit)],
@@ -398,8 +403,21 @@ def test_the_service_is_one_that_systemd_takes() -> None:
         )
     except FileNotFoundError:
         pytest.skip("there is no systemd here")
-    lines = [line for line in done.stderr.splitlines() if "greenroof.service" in line]
+    lines = [line for line in done.stderr.splitlines() if unit.name in line]
     assert not [line for line in lines if "is not executable" not in line], done.stderr
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_the_services_use_options_that_exist(unit: Path) -> None:
+    """All units run in one domain, as one user; releasing the pump takes a person's decision."""
+    lines = unit.read_text().replace("\\\n", " ").splitlines()
+    assert {"User=greenroof", "Environment=ROS_DOMAIN_ID=42"} <= {*lines}
+    (command,) = [line for line in lines if line.startswith("ExecStart=")]
+    program, name, *options = command.removeprefix("ExecStart=").split()
+    assert program == "/opt/greenroof/bin/greenroof"
+    with mock.patch.object(sys, "argv", ["greenroof", *options]):
+        COMMANDS[name].load().make_parser().parse_args(options)
+    assert "--allow-release" not in options
 
 
 def test_the_makefile_uses_options_that_exist():
