@@ -50,7 +50,7 @@ exit codes: 0 done, 1 a process was lost, 2 bad usage or configuration, 130 inte
 examples:
   greenroof size --site my_site.yaml --weather 'record/*.csv' --gaps fill --output sizes
   greenroof size --site my_site.yaml --weather record.csv --volumes 3 5 8 12 --targets 39
-  greenroof size --site my_site.yaml --weather record.csv --mains-price 2 --waste-water-price 3
+  greenroof size --site my_site.yaml --weather record.csv --mains-price 4 --storm-water-price 1
                  --cistern-price 600 --cistern-years 30
 """
 
@@ -153,10 +153,12 @@ def show(sizes: Sizes, page: Path) -> None:
     """Print the sentence, and the designs with the recommended target."""
     console, own = Console(), sizes.recommended
     console.print(sizes.sentence, style="bold", highlight=False)
-    many = f"means of {len(sizes.seasons)} seasons, in brackets the lowest and the highest"
+    seasons = sizes.seasons[0]
+    if len(sizes.seasons) > 1:
+        seasons = f"means of {len(sizes.seasons)} seasons, in brackets the lowest and the highest"
     console.print(
         f"Target {own.target:g} mm, outlet {own.outlet}, on/off control; {sizes.window}; "
-        f"{many if len(sizes.seasons) > 1 else sizes.seasons[0]}. The cistern: "
+        f"{seasons}. The cistern: "
         f"{sizes.describe_knee()}", highlight=False,
     )
     columns = sizes.columns
@@ -182,5 +184,9 @@ def show(sizes: Sizes, page: Path) -> None:
         console.print(f"NOTE: {note}", highlight=False)
     others = [f"{target:g} mm" for target in sizes.targets if target != own.target]
     if others:
-        console.print(f"The page has the tables of {', '.join(others)}, too.", highlight=False)
+        many = "s" * (len(others) > 1)
+        console.print(
+            f"The page also has the tables of the target{many} {', '.join(others)}.",
+            highlight=False,
+        )
     console.print(f"written to {page} and {TABLE}", soft_wrap=True, highlight=False)

@@ -37,17 +37,6 @@ def describe_value(value: object) -> str:
         return "a number of thousands of digits"
 
 
-def clean_text(text: str, max_length: int = 500) -> str:
-    """Return a text that can be shown anywhere: printable, and at most this many characters."""
-    short = text[:max_length] + ("…" if len(text) > max_length else "")
-    if short.isprintable():
-        return short
-    return "".join(
-        sign if sign.isprintable() else " " if sign.isspace() else "\N{REPLACEMENT CHARACTER}"
-        for sign in short
-    )
-
-
 def _shorten(text: str, max_length: int) -> str:
     """Return a text, without its middle if it is too long."""
     half = max_length // 2

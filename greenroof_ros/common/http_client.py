@@ -15,7 +15,8 @@ from urllib.error import HTTPError
 from urllib.parse import parse_qsl, quote_plus, urlencode, urlsplit
 from urllib.request import urlopen
 
-from greenroof_ros.common.errors import ConfigurationError, clean_text
+from greenroof_ros.common.errors import ConfigurationError
+from greenroof_ros.common.text import clean_text
 
 ANSWER_S = 60.0
 """longest answer (s)"""

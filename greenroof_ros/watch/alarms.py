@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from greenroof_ros.common.alarms import Alarm
-from greenroof_ros.common.errors import clean_text
 from greenroof_ros.common.states import PUMP
+from greenroof_ros.common.text import clean_text
 from greenroof_ros.watch.store import GraphStore
 
 _MAX_ROWS = 100

@@ -29,9 +29,9 @@ from greenroof_ros.common.alarms import (
     is_starting,
     make_diagnosis,
 )
-from greenroof_ros.common.errors import clean_text
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.states import ENDED, FINISHED, PLANT, PUMP, STATES
+from greenroof_ros.common.text import clean_text
 from greenroof_ros.watch.wire import WireStatus
 from greenroof_ros.watch.words import clean_sentence, list_names
 

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from greenroof_ros.common.alarms import Alarm, Judge
-from greenroof_ros.common.errors import clean_text
 from greenroof_ros.common.files import default_site_file
 from greenroof_ros.common.interface import read_topics
 from greenroof_ros.common.states import PUMP, PUMP_STATES, PumpState
+from greenroof_ros.common.text import clean_text
 from greenroof_ros.common.times import duration
 from greenroof_ros.model.look_ahead import MAX_MEMBERS
 from greenroof_ros.model.site import Site, read_site

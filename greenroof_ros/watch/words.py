@@ -9,8 +9,8 @@ from datetime import datetime, timedelta, tzinfo
 from functools import cache, lru_cache
 from zoneinfo import ZoneInfo
 
-from greenroof_ros.common.errors import clean_text
 from greenroof_ros.common.interface import Display, read_topics
+from greenroof_ros.common.text import clean_text
 from greenroof_ros.common.times import duration
 
 NOT_PLAUSIBLE = "not a plausible value"

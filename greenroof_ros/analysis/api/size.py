@@ -27,7 +27,7 @@ def size(**options: Any) -> Sizes:
             - ``season``: its first and last day, as ``"05-01/10-31"``; by default May to October,
               south of the equator November to April.
             - ``knee``: water that another m3 of cistern must save in a season (m3), by default 1.
-            - ``mains_price``, ``waste_water_price``, ``cistern_price`` (each for a m3), and
+            - ``mains_price``, ``storm_water_price``, ``cistern_price`` (each for a m3), and
               ``cistern_years`` over which the last is spread: all of them, or none.
             - ``jobs``: number of processes, by default 1. With more, a script must start under
               ``if __name__ == "__main__":``.

@@ -20,6 +20,7 @@ from greenroof_ros.analysis.report.drawing import (
     series_panel,
 )
 from greenroof_ros.analysis.report.page import make_page
+from greenroof_ros.common.text import number_of
 from greenroof_ros.common.times import to_people
 
 LABELS = {
@@ -47,7 +48,7 @@ def render(
         __package__, figures, headline=summarise(run, rows), rows=rows,
         labels=LABELS, run=run, area=area, start=to_people(run.runs[0].start),
         capacity=run.district.sewer_capacity, columns=COLUMNS, warnings=warn(run, rows),
-        notes=run.notes, cells=len(run.runs), shown=_shown, percent=percent,
+        number_of=number_of, notes=run.notes, cells=len(run.runs), shown=_shown, percent=percent,
     )
 
 
@@ -73,7 +74,7 @@ COLUMNS = {
 
 def summarise(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> str:
     """Return the most important result in a sentence or two: the best outlet, at two adoptions."""
-    reference, *others = rows
+    reference, *others = (row for row in rows if row["buildings"] or not row["adoption"])
     if not others:
         return "No building has a green roof: there is nothing to compare."
     best = min(others, key=lambda row: (row["wet_discharge_m3"], row["adoption"]))
@@ -81,35 +82,67 @@ def summarise(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> str:
         row for row in others
         if row["outlet"] == best["outlet"] and row["adoption"] <= best["adoption"] / 2
     ]
+    what = "a green roof and a cistern" if len(run.buildings) == 1 else "green roofs and cisterns"
     sentences = [
-        "With green roofs and cisterns on "
-        + ("all" if best["adoption"] == 1 else f"{percent(best['adoption'])} of the")
-        + f" {len(run.buildings):,} buildings ({LABELS[best['outlet']]}), "
-        f"{_compare(reference, best)}."
+        f"With {what} on {name_share(best['adoption'], len(run.buildings))} "
+        f"({LABELS[best['outlet']]}), {_compare(reference, best)}."
     ]
     sentences += [
-        f"On {percent(row['adoption'])}, {_compare(reference, row)}." for row in lower[-1:]
+        f"On {percent(row['adoption'])} of them, {_compare(reference, row)}." for row in lower[-1:]
     ]
     return " ".join(sentences)
 
 
+def name_share(adoption: float, count: int) -> str:
+    """Return a share of the buildings, as ``all 1,000 buildings``.
+
+    Args:
+        adoption: the share (1).
+        count: of all buildings.
+    """
+    if adoption < 1:
+        return f"{percent(adoption)} of the {number_of(count, 'building')}"
+    return f"all {count:,} buildings" if count > 1 else "the only building"
+
+
+# A result that is compared: its name, if it is none, if it is the same, and if it has changed.
+_COMPARED = (
+    ("wet_discharge_m3", "no storm water reaches the sewer in wet weather",
+     "as much storm water reaches the sewer in wet weather",
+     "{percent} {less} storm water reaches the sewer in wet weather", ("less", "more")),
+    ("sewer_overflow_m3", "the sewer no longer overflows", "the sewer overflows as much",
+     "the sewer overflows {percent} {less}", ("less", "more")),
+    ("peak_60min_l_s", "nothing reaches it in the highest hour",
+     "the peak over an hour is the same", "the peak over an hour is {percent} {less}",
+     ("lower", "higher")),
+)
+
+
 def _compare(reference: dict[str, Any], row: dict[str, Any]) -> str:
     parts = []
-    for key, what, less, more in (
-        ("wet_discharge_m3", "storm water reaches the sewer in wet weather", "less", "more"),
-        ("sewer_overflow_m3", "the sewer overflows", "less", "more"),
-        ("peak_60min_l_s", "the peak over an hour is", "lower", "higher"),
-    ):
+    for key, none, same, changed, (less, more) in _COMPARED:
         if not reference.get(key):
             continue
         change = 1 - row[key] / reference[key]
-        amount = f"{percent(abs(change))} {less if change >= 0 else more}"
-        parts.append(f"{what} {amount}" if what.startswith("the") else f"{amount} {what}")
+        amount = percent(abs(change))
+        if not row[key]:
+            parts.append(none)
+        elif amount == percent(0.0):
+            parts.append(same)
+        else:
+            parts.append(changed.format(percent=amount, less=less if change > 0 else more))
+    if not reference.get("sewer_overflow_m3") and row.get("sewer_overflow_m3"):
+        parts.append("the sewer, which has room for the buildings as they are, overflows")
     return " and ".join([*filter(None, [", ".join(parts[:-1])]), *parts[-1:]]) or "nothing changes"
 
 
-def describe_valves(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a sentence for each kind of valve: when its buildings let water out, and how fast."""
+def describe_valves(rows: Sequence[dict[str, Any]], count: int) -> list[str]:
+    """Return a sentence for each kind of valve: when its buildings let water out, and how fast.
+
+    Args:
+        rows: the results.
+        count: number of buildings.
+    """
     storm, sentences = rows[0]["peak_5min_mm_h"], []
     for outlet in (DRAIN, PLAN):
         row = max(
@@ -118,10 +151,11 @@ def describe_valves(rows: Sequence[dict[str, Any]]) -> list[str]:
         )
         if row is not None:
             peak = row["low_outlet_peak_5min_mm_h"]
+            wet = row["wet_low_outlet_m3"] / row["low_outlet_m3"]
             sentences.append(
-                f"{LABELS[outlet].capitalize()}, {percent(row['adoption'])} of the buildings: "
-                f"{percent(row['wet_low_outlet_m3'] / row['low_outlet_m3'])} of what the valves "
-                f"let out falls in wet weather. All together they let out at most {peak:.3g} mm/h"
+                f"{LABELS[outlet].capitalize()}, {name_share(row['adoption'], count)}: "
+                f"{percent(wet) if wet else 'none'} of what the valves let out leaves them in "
+                f"wet weather. All together they let out at most {peak:.3g} mm/h"
                 + (f", {percent(peak / storm)} of the storm's peak." if storm else ".")
             )
     return sentences
@@ -138,21 +172,24 @@ def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
     worst = max(over, key=lambda row: float(row["dry_peak_5min_mm_h"]))
     return [
         f"the cisterns empty together: in dry weather up to {worst['dry_peak_5min_mm_h']:.3g} mm/h "
-        f"({LABELS[worst['outlet']]}, {percent(worst['adoption'])} of the buildings), more than "
-        f"the sewer's {capacity:g} mm/h; give them a smaller low_outlet_radius"
+        f"({LABELS[worst['outlet']]}, {name_share(worst['adoption'], len(run.buildings))}), more "
+        f"than the sewer's {capacity:g} mm/h; give them a smaller low_outlet_radius"
     ]
 
 
 def percent(share: float) -> str:
-    """Write a share in per cent, which no line breaks."""
-    return f"{100 * share:.0f}\N{NO-BREAK SPACE}%"
+    """Write a share in per cent, which no line breaks; nearly none or all has a decimal."""
+    text = f"{round(100 * share)}"
+    if text in ("0", "100") and f"{100 * share:.1f}" not in ("0.0", "-0.0", "100.0"):
+        text = f"{100 * share:.1f}"
+    return f"{text}\N{NO-BREAK SPACE}%"
 
 
 def _shown(key: str, value: float | None) -> str:
     if value is None:
         return "-"
     if key.endswith(("_reduction", "_share")):
-        return percent(value + 0.0)
+        return percent(value)
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
@@ -172,11 +209,11 @@ def draw_figures(
         ("mains_m3", "Mains water for irrigation", "m³", None),
     ]
     yield _draw_over_adoption(
-        "adoption", "What the sewer gets, by adoption",
+        "adoption", "What reaches the sewer, by adoption",
         "Of all buildings together, each in its connected area. " + _capacity_note(capacity),
         rows, names, amounts,
     )
-    valves = describe_valves(rows)
+    valves = describe_valves(rows, len(run.buildings))
     yield _draw_over_adoption(
         "together",
         "Do the valves open together?" if valves else "The highest flow over five minutes",
@@ -273,6 +310,6 @@ def _draw_storm(run: DistrictRun, totals: Totals, names: list[str]) -> Figure:
     panel = series_panel(lines, "outlet", names, f"Means of {_POINT_MIN} minutes", below)
     return Figure(
         "storm", "The highest hour, and the days after it",
-        f"With green roofs and cisterns on {percent(highest)} of the buildings. "
+        f"With green roofs and cisterns on {name_share(highest, len(run.buildings))}. "
         + _capacity_note(capacity), (panel._replace(height=320),), 1, {"storm": rows},
     )

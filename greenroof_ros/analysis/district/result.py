@@ -20,6 +20,7 @@ from greenroof_ros.analysis.district.run import DistrictRun
 from greenroof_ros.analysis.district.totals import Flow, Totals
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import replace_file, replace_text
+from greenroof_ros.common.text import number_of
 from greenroof_ros.experiment.run_directory import writable
 
 PAGE = "page.html"
@@ -160,7 +161,7 @@ class DistrictResult:
             share = page.percent(flow.adoption)
             text = swmm.format_series(
                 start, totals.seconds, totals.discharge(flow),
-                f"{len(run.buildings)} buildings, {share} of them with a cistern: {outlet}",
+                f"{number_of(len(run.buildings), 'building')}, {share} with a cistern: {outlet}",
             )
             replace_text(directory / f"{name_flow(flow)}.dat", text)
         hours = totals.rain.shape[1] * totals.seconds / 3600

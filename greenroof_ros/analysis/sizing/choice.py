@@ -29,18 +29,35 @@ MAX_STRESS = 0.01
 
 @dataclass(frozen=True)
 class Prices:
-    """What water and cistern cost, in any currency; without prices there are no costs."""
+    """What water and cistern cost, in any currency; without prices there are no costs.
 
-    mains_price: float = entry("price of a m3 of mains water", 0.0, 1e9)
-    waste_water_price: float = entry("fee for a m3 of water that reaches the sewer", 0.0, 1e9)
+    Waste-water fees are by the metered mains water, and storm-water fees by the connected area: no
+    meter counts what a cistern lets out, in dry weather or in wet. So the price of storm water is
+    mostly one that a city sets for what it must treat or store.
+    """
+
+    mains_price: float = entry(
+        "price of a m3 of mains water, with the waste-water fee if that is by the metered water",
+        0.0, 1e9,
+    )
+    storm_water_price: float = entry(
+        "worth of a m3 of storm water that does not reach the sewer in wet weather; 0 if the "
+        "storm-water fee is by the connected area, which neither cistern nor valve changes",
+        0.0, 1e9,
+    )
     cistern_price: float = entry("price of a cistern for each m3 of its volume", 0.0, 1e9)
     cistern_years: float = entry(
         "time over which the cistern's price is spread, without interest", 1.0, 200.0, unit="years"
     )
 
-    def cost_water(self, mains: Values, discharge: Values) -> Values:
-        """Return the cost of mains and waste water of a season, of volumes (m3)."""
-        return np.asarray(self.mains_price * mains + self.waste_water_price * discharge)
+    def cost_water(self, mains: Values, wet: Values) -> Values:
+        """Return the cost of a season's water.
+
+        Args:
+            mains: mains water (m3).
+            wet: discharge in wet weather (m3).
+        """
+        return np.asarray(self.mains_price * mains + self.storm_water_price * wet)
 
     @property
     def yearly_cistern_price(self) -> float:

@@ -37,7 +37,7 @@ class Column(NamedTuple):
 
 def format_share(share: float) -> str:
     """Return a share in whole percents."""
-    return f"{100 * share:.0f}"
+    return f"{round(100 * share)}"
 
 
 def _format_volume(value: float) -> str:

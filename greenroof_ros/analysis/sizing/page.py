@@ -24,6 +24,7 @@ from greenroof_ros.analysis.sizing.columns import (
     format_spread,
 )
 from greenroof_ros.analysis.sizing.designs import Design
+from greenroof_ros.common.text import number_of
 
 if TYPE_CHECKING:
     from greenroof_ros.analysis.sizing.sizes import Sizes
@@ -33,7 +34,7 @@ def render(sizes: Sizes, figures: Sequence[Figure]) -> str:
     """Return the page."""
     return make_page(
         __package__, figures, sizes=sizes, columns=sizes.columns,
-        spread=format_spread, per_roof=format_per_roof, warnings=(),
+        number_of=number_of, spread=format_spread, per_roof=format_per_roof, warnings=(),
         percent=format_share,
     )
 

@@ -18,6 +18,7 @@ from greenroof_ros.analysis.sizing.sizes import Sizes
 from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.parameter import make_record, parameters_of
 from greenroof_ros.common.ranges import Range
+from greenroof_ros.common.text import number_of
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.batch import BatchWeather
 from greenroof_ros.experiment.inputs import make_inputs
@@ -83,7 +84,7 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     seasons = [BatchWeather.of_run(run) for run in runs.values()]
 
     shape = len(designs), len(seasons)
-    text = f"{shape[0]} designs in {shape[1]} season{'s' * (shape[1] > 1)}"
+    text = f"{number_of(len(designs), 'design')} in {number_of(len(seasons), 'season')}"
     # Every second cistern of one target and outlet also from other initial states.
     outlet = plans.choose_outlet(site, outlets)
     tried = [one for one in designs if (one.target, one.outlet) == (middle, outlet)][::-2]
@@ -108,7 +109,8 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     )
     if prices is not None:
         cistern = np.array([[prices.yearly_cistern_price * design.volume] for design in designs])
-        metrics[COST] = cistern + prices.cost_water(metrics["mains_m3"], metrics["discharge_m3"])
+        mains, wet = metrics["mains_m3"], metrics["wet_discharge_m3"]
+        metrics[COST] = cistern + prices.cost_water(mains, wet)
     return Sizes(
         site, designs, list(runs), f"{window}", 24.0 * window.days, metrics, incomplete,
         [*notes, *list_notes(runs, site)], prices, knee, tried, starts,

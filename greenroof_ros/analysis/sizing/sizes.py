@@ -29,6 +29,7 @@ from greenroof_ros.analysis.sizing.designs import NONE, Design, choose_outlet
 from greenroof_ros.common.errors import require_extra
 from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.processes import refuse_forked_polars
+from greenroof_ros.common.text import number_of
 from greenroof_ros.controllers.outlet import PLAN
 from greenroof_ros.experiment.run_directory import writable
 from greenroof_ros.model.metrics import METRICS
@@ -81,8 +82,8 @@ class Sizes:
 
     def __repr__(self) -> str:
         """Return how many designs and seasons there are."""
-        many = "s" * (len(self.seasons) != 1)
-        return f"<Sizes: {len(self.designs)} designs, {len(self.seasons)} season{many}>"
+        designs, seasons = len(self.designs), len(self.seasons)
+        return f"<Sizes: {number_of(designs, 'design')}, {number_of(seasons, 'season')}>"
 
     @property
     def volumes(self) -> list[float]:
@@ -132,12 +133,12 @@ class Sizes:
         designs = self.select(target, outlet)
         means = [
             [self.spread(name, design).mean for design in designs]
-            for name in ("mains_m3", "wet_discharge_m3", "discharge_m3")
+            for name in ("mains_m3", "wet_discharge_m3")
         ]
-        mains, wet, discharge = np.array(means)
+        mains, wet = np.array(means)
         saved, amount = -(mains + wet), self.knee_m3
         if self.prices is not None:
-            saved = -self.prices.cost_water(mains, discharge)
+            saved = -self.prices.cost_water(mains, wet)
             amount = self.prices.yearly_cistern_price
         place = find_knee([design.volume for design in designs], saved, amount)
         return None if place is None else designs[place]
@@ -177,9 +178,9 @@ class Sizes:
         met, kept = (self.spread(name, design) for name in ("demand_met_share", KEPT))
         return f"A cistern of {design.volume:g} m³ " + " and ".join((
             "has nothing to irrigate" if np.isnan(met.mean)
-            else f"meets {_percent(met)} of the demand",
+            else f"meets {_share(met)} of the demand",
             "gets no rain" if np.isnan(kept.mean)
-            else f"keeps {_percent(kept)} of the storm water out of the sewer",
+            else f"keeps {_share(kept)} of the storm water out of the sewer",
         ))
 
     def _stress(self, target: float) -> float:
@@ -192,7 +193,8 @@ class Sizes:
         """Return why the recommended target is recommended, in a sentence."""
         stress, most = self._stress(self.recommended.target), f"{MAX_STRESS:.0%}".replace("%", " %")
         if stress > MAX_STRESS:
-            return f"at each target plants lack water in more than {most} of the hours; least here."
+            least = "" if len(self.targets) == 1 else ", and least at this target"
+            return f"plants lack water in more than {most} of the hours of a season{least}."
         if len(self.targets) == 1:
             return f"plants lack water in at most {most} of the hours of a season."
         return (
@@ -214,7 +216,10 @@ class Sizes:
         what = "mains water and storm water in the sewer together"
         if self.prices is not None:
             amount = "another m³ of cistern saves less than it costs"
-            what = f"mains and waste water against {self.prices.yearly_cistern_price:.4g} a year"
+            what = (
+                "mains water and storm water in the sewer, against "
+                f"{self.prices.yearly_cistern_price:.4g} a year"
+            )
         if len(self.volumes) == 1:
             return "the only one that was compared."
         if self.find_knee(self.recommended.target, self.outlet) is None:
@@ -252,8 +257,9 @@ class Sizes:
         )
         return (
             f"Each season begins with half of the cistern full. With {design.volume:g} m³ and a "
-            f"target of {design.target:g} mm this gives {half_text} on average; from an empty "
-            f"cistern {empty_text}, and from a full one {full_text}."
+            f"target of {design.target:g} mm this gives {half_text}"
+            f"{' on average' * (len(self.seasons) > 1)}; from an empty cistern {empty_text}, and "
+            f"from a full one {full_text}."
         )
 
     # --- tables and files -------------------------------------------------------------------------
@@ -374,7 +380,9 @@ def _name(design: Design) -> dict[str, Any]:
     return dict(zip(_DESIGN, (design.volume, design.target, design.outlet), strict=True))
 
 
-def _percent(spread: Spread) -> str:
+def _share(spread: Spread) -> str:
+    if spread.low == spread.high and spread.low in (0, 1):
+        return "all" if spread.low else "none"
     mean, low, high = map(format_share, spread)
     return f"{mean} %" if low == high else f"{mean} % ({low} to {high})"
 

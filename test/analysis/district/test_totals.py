@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from districts import WEATHER, edit, empty_totals, simulate_here, write_district
 
-from greenroof_ros.analysis.district.page import describe_valves, warn
+from greenroof_ros.analysis.district.page import describe_valves, percent, summarise, warn
 from greenroof_ros.analysis.district.parts import simulate_part
 from greenroof_ros.analysis.district.run import DistrictRun, read_run
 from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
@@ -112,11 +112,53 @@ def test_a_warning_of_valves_that_are_too_large(simulated: Simulated) -> None:
     (warning,) = warn(run, rows)
     assert warning.startswith(
         f"the cisterns empty together: in dry weather up to {drain['dry_peak_5min_mm_h']:.3g} mm/h "
-        "(valve, drain, 100\N{NO-BREAK SPACE}% of the buildings), more than the sewer's 2 mm/h"
+        "(valve, drain, all 8 buildings), more than the sewer's 2 mm/h"
     )
-    (of_drain, of_plan) = describe_valves(rows)
-    assert ": 0\N{NO-BREAK SPACE}% of what the valves let out falls in wet weather." in of_drain
+    (of_drain, of_plan) = describe_valves(rows, 8)
+    assert of_drain.startswith(
+        "Valve, drain, all 8 buildings: none of what the valves let out leaves them in wet weather."
+    )
     assert of_plan.startswith("Valve, plan")
+
+
+def test_sentences_of_one_building_and_of_none_all_and_the_same(simulated: Simulated) -> None:
+    """The numbers are those of the rows; what is none, the same or new is said in words."""
+    _, run, totals = simulated
+    before, *_ = totals.rows()
+    of_one = replace(run, buildings=run.buildings.part(slice(1)))
+
+    def row(
+        adoption: float, buildings: int, wet: float, over: float, peak: float
+    ) -> dict[str, Any]:
+        return {
+            **before, "outlet": "drain", "adoption": adoption, "buildings": buildings,
+            "wet_discharge_m3": wet * before["wet_discharge_m3"],
+            "sewer_overflow_m3": over * before["sewer_overflow_m3"],
+            "peak_60min_l_s": peak * before["peak_60min_l_s"],
+        }
+
+    space = "\N{NO-BREAK SPACE}"
+    rows = [before, row(0.4, 3, 1, 1, 1.001), row(1.0, 8, 0.004, 0, 0.5)]
+    assert summarise(run, rows) == (
+        f"With green roofs and cisterns on all 8 buildings (valve, drain), 99.6{space}% less storm "
+        "water reaches the sewer in wet weather, the sewer no longer overflows and the peak over "
+        f"an hour is 50{space}% lower. On 40{space}% of them, as much storm water reaches the "
+        "sewer in wet weather, the sewer overflows as much and the peak over an hour is "
+        f"0.1{space}% higher."
+    )
+    assert summarise(of_one, [before, row(0.4, 0, 1, 1, 1), row(1.0, 1, 0, 0, 0)]) == (
+        "With a green roof and a cistern on the only building (valve, drain), no storm water "
+        "reaches the sewer in wet weather, the sewer no longer overflows and nothing reaches it in "
+        "the highest hour."
+    )
+    assert summarise(of_one, [before, row(0.4, 0, 1, 1, 1)]).startswith("No building has a green")
+    dry = {**before, "sewer_overflow_m3": 0.0}
+    assert summarise(run, [dry, {**row(0.5, 4, 1, 1, 1)}]).endswith(
+        "is the same and the sewer, which has room for the buildings as they are, overflows."
+    )
+    assert [percent(share).replace(space, "") for share in (0, 1e-9, 0.004, -0.003, 0.9996, 1)] == [
+        "0%", "0%", "0.4%", "-0.3%", "100%", "100%"
+    ]
 
 
 def test_no_green_roof(simulated: Simulated) -> None:

@@ -48,7 +48,7 @@ def sized(once: Once) -> Path:
     def fill(directory: Path) -> None:
         result = size(
             directory, *WEEK, "--volumes", "2", "5", "10", "--output", "out", "--mains-price", "2",
-            "--waste-water-price", "1", "--cistern-price", "600", "--cistern-years", "30",
+            "--storm-water-price", "1", "--cistern-price", "600", "--cistern-years", "30",
         )
         assert result.returncode == 0, result.stderr
         (directory / "printed").write_text(result.stdout)
@@ -104,7 +104,7 @@ def test_the_table_has_each_design_and_season(sized: Path) -> None:
             1 - value["wet_discharge_m3"] / value["rain_m3"]
         )
         assert value["cost"] == pytest.approx(
-            2 * value["mains_m3"] + value["discharge_m3"] + 20 * value["volume_m3"]
+            2 * value["mains_m3"] + value["wet_discharge_m3"] + 20 * value["volume_m3"]
         )
     comments = (sized / "out" / "sizes.csv").read_text().partition("volume_m3")[0]
     assert "half of the cistern full" in comments and "filled in" in comments
@@ -181,7 +181,7 @@ def test_a_season_without_rain_or_irrigation() -> None:
     """Shares of nothing are left out, of sentences, tables and pages."""
     dry = gr.size(**{**OPTIONS, "season": "07-03/07-03", "outlets": ["none"], "volumes": [2, 5]})
     assert dry.sentence == (
-        "A cistern of 2 m³ meets 100 % of the demand and gets no rain; 5 m³: 100 %."
+        "A cistern of 2 m³ meets all of the demand and gets no rain; 5 m³: 100 %."
     )
     kept = dry.spread("storm_water_kept_share", dry.designs[0])
     assert format_spread(kept, COLUMNS["storm_water_kept_share"]) == "none"
@@ -247,10 +247,10 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"season": "summer"}, "season = 'summer': must be the first and the last day"),
     ({"knee": -1}, "knee = -1: must be"),
     ({"jobs": 0}, "jobs = 0: must be"),
-    ({"mains_price": 2.0}, "waste_water_price: is missing: costs need all prices"),
-    ({"mains_price": -2.0, "waste_water_price": 1, "cistern_price": 1, "cistern_years": 30},
+    ({"mains_price": 2.0}, "storm_water_price: is missing: costs need all prices"),
+    ({"mains_price": -2.0, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 30},
      "mains_price = -2.0: must be"),
-    ({"mains_price": 2, "waste_water_price": 1, "cistern_price": 1, "cistern_years": 0},
+    ({"mains_price": 2, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 0},
      "cistern_years = 0: must be"),
     ({"weather": None}, "weather: is missing"),
     ({"hours": 5}, "hours = 5: is no option"),
