@@ -94,10 +94,11 @@ def processes(
                 "a worker process was killed, perhaps because memory ran out; then use fewer --jobs"
             ) from error
         finally:
-            executor.shutdown(wait=False, cancel_futures=True)
             for process in multiprocessing.active_children():
                 process.kill()
-            executor.shutdown()
+            # It waits for the executor's thread, which nobody can wait for after a shutdown that
+            # does not. At the end of Python that thread closes a pipe to which Python still writes.
+            executor.shutdown(cancel_futures=True)
 
 
 def _to_file(directory: Path, function: Callable[..., Any], *arguments: Any) -> Path:
