@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from greenroof_ros.analysis.api.arguments import read_site
@@ -35,9 +36,28 @@ _MAINS = "mains_m3"
 _BLOCKS = 5000
 
 
+_MAPPINGS = ("inputs", "weights", "controllers")
+
+
+def _freeze(value: Any) -> Any:
+    """Return a value whose mappings are read-only copies."""
+    if isinstance(value, Mapping):
+        return MappingProxyType({key: _freeze(each) for key, each in value.items()})
+    return value
+
+
+def _thaw(value: Any) -> Any:
+    """Return a value whose mappings are dicts."""
+    if isinstance(value, Mapping):
+        return {key: _thaw(each) for key, each in value.items()}
+    return value
+
+
 @dataclass(frozen=True)
 class Scenario:
     """A site, weather, window and forecast that stay as they are, and a score.
+
+    Nothing in it can be changed, so that a score means the same to everyone.
 
     Example:
         >>> import greenroof_ros as gr
@@ -64,6 +84,16 @@ class Scenario:
     score: str
     weights: Mapping[str, float] = field(repr=False)
     controllers: Mapping[str, Mapping[str, Any]] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        """Make its mappings, and those in them, read-only."""
+        for name in _MAPPINGS:
+            object.__setattr__(self, name, _freeze(getattr(self, name)))
+
+    def __reduce__(self) -> tuple[type[Scenario], tuple[Any, ...]]:
+        """Copy and send it as plain values: a read-only mapping cannot be pickled."""
+        values = (getattr(self, each.name) for each in fields(self))
+        return Scenario, tuple(_thaw(value) for value in values)
 
     def evaluate(self, result: Result) -> float:
         """Return the score of a run in this scenario."""
@@ -111,7 +141,7 @@ def _read_scenarios() -> dict[str, Scenario]:
     return scenarios
 
 
-scenarios = _read_scenarios()
+scenarios: Mapping[str, Scenario] = MappingProxyType(_read_scenarios())
 """by name"""
 
 

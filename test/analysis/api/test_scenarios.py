@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import csv
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +71,23 @@ def test_the_table_has_each_controller_of_each_scenario_and_none_is_below_its_bo
         scores = {row["controller"]: row["score"] for row in rows if row["scenario"] == known.name}
         placebos = [score for name, score in scores.items() if name.startswith("placebo")]
         assert len(placebos) == 1 and placebos[0] >= min(scores.values())
+
+
+def test_nothing_in_a_scenario_can_be_changed():
+    """Neither by hand nor in a copy that other processes get; a simulation takes the inputs."""
+    paper = gr.scenarios["paper"]
+    for mapping, key in (
+        (gr.scenarios, "paper"), (paper.inputs, "hours"), (paper.weights, "mean_deviation_mm"),
+        (paper.controllers, "mpc"), (paper.controllers["mpc"], "controller"),
+    ):
+        with pytest.raises(TypeError):
+            mapping[key] = 1
+    with pytest.raises(AttributeError):
+        paper.inputs["site"].a2 = 1.0
+    for copied in (copy.deepcopy(paper), pickle.loads(pickle.dumps(paper))):
+        assert copied == paper and type(copied.inputs) is type(paper.inputs)
+    assert gr.simulate("onoff", **{**paper.inputs, "hours": 1}).run.steps == 3600
+    assert paper.inputs["hours"] == 12
 
 
 @pytest.mark.parametrize(("scenario", "controller"), [
