@@ -48,7 +48,7 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
         output: the new bag, which must not exist; by default it is next to the old one.
 
     Raises:
-        ConfigurationError: no bag, nothing whole in it, or the output exists or is unwritable.
+        ConfigurationError: if no bag, nothing whole in it, or the output exists or is unwritable.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
     files = find_files(bag) or sorted(bag.glob("*.mcap"))  # other recorders may not number them

@@ -101,7 +101,7 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
     """Refuse wrong options.
 
     Raises:
-        ConfigurationError: an option is wrong.
+        ConfigurationError: if an option is wrong.
     """
     for option in ("allow_release", "host", "port", "token_file"):
         if arguments.foxglove is not None and getattr(arguments, option):

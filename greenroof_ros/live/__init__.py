@@ -1,1 +1,1 @@
-"""A real site: its nodes, drives and sensors, and the supervisor that keeps it running."""
+"""A real site with its nodes, drives and sensors, and the supervisor that keeps it running."""

@@ -1,9 +1,8 @@
-"""The controller node of a live site, for any controller: levels and forecasts in, commands out.
+"""The controller node of a live site, which runs any controller on levels and forecasts.
 
-On/off replaces a controller that fails, or that needs a forecast, while it has none.
-
-``python -m greenroof_ros.live.controller --controller NAME`` runs a controller of this package,
-or any class as ``package.module:Class``; the node is named after it.
+The on/off controller replaces one that fails, or that needs a forecast while there is none.
+``python -m greenroof_ros.live.controller --controller NAME`` runs a controller of this package, or
+any class specified as ``package.module:Class``; the node is named after it.
 """
 
 from __future__ import annotations
@@ -43,38 +42,40 @@ from greenroof_ros.live.supervisor_socket import supervisor_socket
 from greenroof_ros.model.plant import pump_flow
 from greenroof_ros.model.site import Site
 
-# The inputs; without the forecasts, the flow or the gauge it still commands.
+# The inputs; without the forecasts, the flow or the gauge, the node still commands.
 _INPUTS = (
     "/cistern/level", "/roof/level", "/forecast/precipitation", "/forecast/evapotranspiration",
     "/weather/frost",
 )
 _FLOW, _GAUGE = "/pump/flow", "/gauge/precipitation"
-# On/off takes over once the controller has failed, or a forecast was missing, for this multiple of
-# recovery_time. A short gap, as after a pause of the node itself, then starts no pump.
+# On/off takes over once the controller has failed, or a forecast has been missing, for this
+# multiple of recovery_time. A short gap, such as after a pause of the node itself, then starts no
+# pump.
 _GIVEN_UP = 3
-# How long after a failure the controller is asked again while on/off commands, likewise.
+# How long after a failure the controller is tried again while on/off commands, as such a multiple.
 _ASKED_AGAIN = 60
-# How long it may take to decide, if the tick is not longer (s): the supervisor kills a node that is
-# silent for 5 s.
+# How long it may take to decide (s), or the tick if that is longer: the supervisor kills a node
+# that is silent for 5 s.
 _DECIDING_S = 3.0
-# How long its class may take to be imported, and then to be made for the first time, which imports
-# a solver (s): both, and ROS before them, end within the 30 s that a starting node may be silent.
+# How long the import of its class, and then its first instantiation, which imports a solver, may
+# each take (s). Both, and the start of ROS before them, fit into the 30 s for which a starting node
+# may be silent.
 _STARTING_S = 12.0
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
     "state_file", "", meaning="file that keeps what waiting for rain has cost so far "
-    "across restarts; empty: none",
+    "across restarts; empty for none",
 )
 GIVEN_UP = Parameter(
-    "given_up", "", meaning="why the controller cannot be run, and on/off commands in its place; "
-    "bringup sets it; empty: it is run",
+    "given_up", "", meaning="why the controller cannot be run, so that on/off commands instead; "
+    "set by bringup; empty if the controller is run",
 )
 # How often learned values are saved (s).
 _SAVE_S = 600.0
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
-    """Return the parameters of a controller's node; without a controller, the common ones."""
+    """Return the parameters of a controller's node; without a controller, those that all share."""
     of_class = [] if choice is None else choice.kind.parameters
     return [site_file(), STATE_FILE, GIVEN_UP, *of_class, *LIVE_PARAMETERS]
 
@@ -82,24 +83,24 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
 class LiveControllerNode(LiveNode):
     """Runs one controller; commands 0 in frost, in quiet hours and on bad inputs.
 
-    On/off, with its defaults, takes over from a controller that needs a forecast and has no good
-    one, or whose code fails: it raises an error, does not return, or its command is invalid. One
-    that failed is asked again every 60 times recovery_time. After on/off has pumped, the controller
-    restarts, since its knowledge of the roof and its plan are outdated. What waiting for rain has
-    cost is kept, also across restarts of the node, in ``state_file``.
+    On/off with its default parameters takes over from a controller that needs a forecast but has no
+    good one, or whose code fails: it raises an error, does not return, or returns an invalid
+    command. A failed controller is tried again every 60 times recovery_time. After on/off has
+    pumped, the controller restarts, since its knowledge of the roof and its plan are outdated. What
+    waiting for rain has cost is kept in ``state_file``, even across restarts of the node.
 
-    A controller with which the node cannot run ends the node; then bringup starts it again with
-    ``given_up``, and on/off commands until the site is started again.
+    A controller with which the node cannot run ends the node. Bringup then starts the node again
+    with ``given_up``, and on/off commands until the site is started again.
     """
 
     def __init__(self, controller: str) -> None:
         """Declare the controller's parameters and open the topics.
 
         Args:
-            controller: a name, or ``package.module:Class``.
+            controller: name of the controller, or ``package.module:Class``.
 
         Raises:
-            ConfigurationError: there is no such controller.
+            ConfigurationError: if there is no such controller.
         """
         choice = find_controller(controller)
         super().__init__(choice.name, "controller")
@@ -126,11 +127,11 @@ class LiveControllerNode(LiveNode):
         self._flow = self.subscribe(_FLOW, optional=True)
         self._gauge = self.subscribe(_GAUGE, optional=True)
         self._time_ns, self._quiet = 0, False
-        self._failure, self._failed_at = "", -math.inf  # the controller's last; steady clock (s)
+        self._failure, self._failed_at = "", -math.inf  # the controller's last (steady clock, s)
         self._stand_in = OnOff(site, FRACTION.default)
         self._stand_in_after = _GIVEN_UP * live[RECOVERY.name]
         self._asked_again_after = _ASKED_AGAIN * live[RECOVERY.name]
-        self._lacking_since = math.inf  # a forecast, or a controller that works (steady clock, s)
+        self._lacking_since = math.inf  # lacking a forecast or a working controller (s)
         self._stand_in_since = ""  # when on/off took over, in words; empty if not
         self._outdated = False
         file = values[STATE_FILE.name]
@@ -182,19 +183,19 @@ class LiveControllerNode(LiveNode):
 
     @contextmanager
     def _controllers_code(self, limit: float) -> Iterator[None]:
-        """Keep an error of the controller's code, also that it takes longer (s), as its failure."""
+        """Keep an error of the controller's code, or its exceeding a limit (s), as its failure."""
         try:
             with time_limit(limit):
                 yield
             return
-        except BaseException as error:  # signals are no exceptions in this process
+        except BaseException as error:  # signals do not raise exceptions in this process
             self._failure = str(locate_error(self._choice.kind, error))
         self._failed_at, self._settings.controller = time.monotonic(), None
 
     def _ask(self, allowed: bool) -> tuple[float, bool]:
-        """Return the controller's command, and whether it decided; otherwise the command is 0.
+        """Return the controller's command, and whether it decided; if not, the command is 0.
 
-        A forecast that it cannot use is refused.
+        A forecast that it cannot use is rejected.
         """
         if self._settings.controller is None:
             self._make()
@@ -207,14 +208,14 @@ class LiveControllerNode(LiveNode):
         except ControllerError:
             raise
         except ConfigurationError as error:
-            self._rain.refuse(str(error))  # then an error is the controller's
+            self._rain.refuse(str(error))  # any other error is the controller's
             decides = allowed and not self._forecast_problem()
             command = self._decide(decides)
         self._learned = self._read_learned()
         return command, decides
 
     def _read_learned(self) -> dict[str, float] | None:
-        """Return what the controller has learned, which must be numbers to be saved."""
+        """Return what the controller has learned, which must consist of numbers to be saved."""
         controller = self._settings.controller
         learned = getattr(controller, "learned", None)
         if learned is None:
@@ -281,7 +282,7 @@ class LiveControllerNode(LiveNode):
             return None
 
     def _save_learned(self, every: float) -> None:
-        """Save what the controller has learned, if the last time was at least ``every`` s ago."""
+        """Save what the controller has learned if this was last done at least ``every`` s ago."""
         now = time.monotonic()
         if self._learned_file is None or not self._learned or now - self._saved_at < every:
             return
@@ -300,9 +301,10 @@ class LiveControllerNode(LiveNode):
     def _expect(self, command: float) -> None:
         """Set the expected change of the levels in a tick, from the gauge's rain and the flow.
 
-        The flow is the pump's, or follows from the command if none was ever received. If it is not
-        good now, it is treated as 0: the pump may be stopped, and a still level is then not frozen.
-        Snow reaches no tank before it melts, so what falls in frost does not count.
+        The flow is the pump's, or follows from the command if no flow was ever received. If it is
+        not good now, it is treated as 0, since the pump may be stopped, and a constant level is
+        then not frozen. Snow reaches no tank before it melts, so precipitation in frost does not
+        count.
         """
         site, flow = self._site, self._flow.value if self._flow.good else 0.0
         if not self._flow.received:
@@ -330,7 +332,7 @@ class LiveControllerNode(LiveNode):
         """Report what is wrong with the forecasts.
 
         A controller that can do without a forecast continues to command; if the site never had a
-        forecast, nothing is reported then.
+        forecast, nothing is reported.
         """
         needs = self._choice.needs_forecast
         if not needs and not (self._choice.uses_forecast and self._rain.received):
@@ -356,7 +358,7 @@ class LiveControllerNode(LiveNode):
 
 
 def _given_up(why: str) -> ControllerClass:
-    """Return the class of a controller that cannot be made, for this reason."""
+    """Return the class of a controller that cannot be instantiated, for this reason."""
 
     class GivenUp(OnOff):
         parameters = ()
@@ -368,10 +370,10 @@ def _given_up(why: str) -> ControllerClass:
 
 
 def make_node(controller: str) -> LiveControllerNode:
-    """Return the node; bringup is told why there is none.
+    """Return the node; if there is none, bringup is told why.
 
     Raises:
-        ConfigurationError: the node cannot run with this controller.
+        ConfigurationError: if the node cannot run with this controller.
     """
     try:
         return LiveControllerNode(controller)

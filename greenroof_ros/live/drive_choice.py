@@ -1,4 +1,4 @@
-"""The drive of a live site, as the command line chooses it."""
+"""The drive of a live site, as chosen on the command line."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _MAY_RUN = (
 
 @dataclass(frozen=True)
 class DriveChoice:
-    """A drive and its address; each attribute is a parameter of the pump node.
+    """A drive and its address; every attribute is a parameter of the pump node.
 
     Attributes:
         drive: the drive file, which describes the drive.
-        address: of the drive, as the user wrote it.
+        address: address of the drive, as the user specified it.
         broker_login: login file for a relay's broker; empty for none.
         broker_authority: file of certificates to trust for that broker; empty for the system's.
     """
@@ -35,10 +35,10 @@ class DriveChoice:
     broker_authority: str = ""
 
     def read(self) -> Endpoint:
-        """Return the drive's description and its address, both parsed.
+        """Return the parsed description and address of the drive.
 
         Raises:
-            ConfigurationError: the file or the address is wrong.
+            ConfigurationError: if the file or the address is wrong.
         """
         return read_endpoint(
             Path(self.drive), self.address, "--drive-at", self.broker_login, self.broker_authority
@@ -47,18 +47,18 @@ class DriveChoice:
     def stopper(self) -> StopDrive:
         """Return a function that stops the drive without the pump node.
 
-        It takes the pump node's process id, and returns whether the drive reports the pump as
-        stopped, and the outcome in words. A drive that another program runs is left alone, with
-        False.
+        The function takes the pump node's process id, and returns whether the drive reports the
+        pump as stopped, and the outcome in words. If another program runs the drive, it is left
+        alone, and the function returns False.
 
         Raises:
-            ConfigurationError: the file or the address is wrong.
+            ConfigurationError: if the file or the address is wrong.
         """
         from greenroof_ros.live.devices.exchange import stop_drive
         from greenroof_ros.live.devices.lock import DriveInUseError
 
         endpoint = self.read()
-        endpoint.connection()  # loads its library now: the disk may hang when it is needed
+        endpoint.connection()  # load its library now, since the disk may hang when it is needed
 
         def stop(pump_node: int) -> tuple[bool, str]:
             try:
@@ -68,7 +68,7 @@ class DriveChoice:
                     f"another program (process {error.holder}) runs the drive, and may run the "
                     "pump: the drive is left to it"
                 )
-            except Exception as error:  # for any error, someone must check the pump
+            except Exception as error:  # whatever the error, someone must check the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
             message = f"bringup ordered the drive to stop; it then reported: {status}"
             return (True, message) if status.at_rest else (False, f"{message}; {_MAY_RUN}")
@@ -91,10 +91,10 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
-    """Return the drive that the command line names; None if it names none.
+    """Return the drive that the command line specifies; None if it specifies none.
 
     Raises:
-        ConfigurationError: there is no such drive file, or the options are inconsistent.
+        ConfigurationError: if there is no such drive file, or the options are inconsistent.
     """
     drive, at = arguments.drive, arguments.drive_at
     refuse(
@@ -104,7 +104,7 @@ def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
          "needs --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
          "mqtt://..."),
         (drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
-         "leaves the pump to someone else's node, --drive to the pump node; give only one"),
+         "leaves the pump to someone else's node, --drive to the pump node; use only one"),
     )
     files = [
         str(Path(file).resolve()) if file else ""

@@ -1,8 +1,8 @@
-"""Sample and hold: a node acts every tick of the steady clock, on the newest value of each input.
+"""Sample and hold: a node acts at every tick of the steady clock, on its inputs' newest values.
 
 There is no plant and no clock topic. A node does not wait for an input that is missing, late or
-wrong: it learns which inputs are not good, by the rules of
-:mod:`greenroof_ros.live.pumping.input_rules`, and acts accordingly.
+wrong. It learns from the rules of :mod:`greenroof_ros.live.pumping.input_rules` which inputs are
+not good, and acts accordingly.
 """
 
 from __future__ import annotations
@@ -26,28 +26,29 @@ from greenroof_ros.live.pumping.input_rules import (
 )
 from greenroof_ros.model.site import Site
 
-# A gap longer than this means that this process was paused (s): its inputs are outdated. Messages
-# that come within this time after the pause are ignored, since they may have waited.
+# A gap longer than this means that this process was paused (s), so its inputs are outdated.
+# Messages that arrive within this time after the pause are ignored, since they may have been
+# waiting.
 PAUSE_S = 1.0
-# The latest time at which a node first acts, after its start (s).
+# Longest time after its start at which a node first acts (s).
 _FIRST_S = 1.0
 
 RECOVERY = Parameter(
-    "recovery_time", 10.0, "s", 0.0, 86400.0, "how long an input that was not good must be "
-    "good before it counts again",
+    "recovery_time", 10.0, "s", 0.0, 86400.0, "how long an input that was not good must have "
+    "been good before it counts again",
 )
 _FROZEN_MOVEMENT = Parameter(
-    "frozen_movement", 0.01, "", 1e-6, 10.0, "a level is frozen if it shows no change while "
+    "frozen_movement", 0.01, "", 1e-6, 10.0, "a level is frozen if it does not change while "
     "pump and rain must have moved it by this much (m); above the sensor's resolution",
 )
 _JUMP_TOLERANCE = Parameter(
-    "jump_tolerance", 0.02, "", 1e-6, 10.0, "how far apart two values of a level may be, "
-    "beyond what water can do between them (m); at least 10 times the sensor's noise (standard "
+    "jump_tolerance", 0.02, "", 1e-6, 10.0, "by how much two values of a level may differ "
+    "beyond what water can do in between (m); at least 10 times the sensor's noise (standard "
     "deviation)",
 )
 
 
-# The maximum age of each topic that nodes act on in a live graph.
+# The maximum age of every topic on which nodes act in a live graph.
 LIMITS = {
     topic.name: Parameter(
         age.parameter, age.default, "s", 0.1, age.max, f"maximum age of {age.quantity}"
@@ -65,7 +66,7 @@ def live_parameters(topics: Iterable[str]) -> list[Parameter]:
 
 
 class Levels:
-    """The levels of both tanks as inputs, checked for what water can do.
+    """The levels of both tanks as inputs, checked against what water can do.
 
     Attributes:
         cistern: the cistern's level.
@@ -78,9 +79,10 @@ class Levels:
         """Open both inputs.
 
         Args:
-            site: the site with the tanks.
+            site: site to which the tanks belong.
             values: values of the node's :func:`live_parameters`.
-            subscribe: opens an input: :meth:`greenroof_ros.live.node.LiveNode.subscribe`.
+            subscribe: function that opens an input:
+                :meth:`greenroof_ros.live.node.LiveNode.subscribe`.
         """
         self._site, self._frozen_movement = site, values[_FROZEN_MOVEMENT.name]
         self._rules = [
@@ -98,7 +100,7 @@ class Levels:
         return cistern.displacement, roof.displacement
 
     def expect(self, flow: float, rain: float = 0.0) -> None:
-        """Expect the levels to move as pump flow (m3/s) and rain (m/s) move them in a tick."""
+        """Expect the levels to move as pump flow (m3/s) and rain (m/s) do in a tick."""
         tau = self._site.tau
         movements = expected_movement(
             self._site, flow, rain, self._wetting.excess(rain, tau), self.cistern.value,
@@ -109,21 +111,23 @@ class Levels:
 
 
 class SampleAndHold:
-    """Makes a node act every period of the steady clock; it goes on if a peer ends.
+    """Makes a node act in every period of the steady clock, even after one of its peers has ended.
 
-    This clock (CLOCK_BOOTTIME) also runs during a suspend: earlier inputs are then too old.
+    This clock (CLOCK_BOOTTIME) keeps running while the machine is suspended, so earlier inputs are
+    then too old.
 
     Attributes:
         inputs: the node's inputs.
-        has_acted: whether a node with a period has acted, or acts; always true without a period.
+        has_acted: whether a node with a period has acted or is acting; always true without a
+            period.
     """
 
     def __init__(self, act: Callable[[], None], reports: LiveDiagnostics) -> None:
         """Begin without a period.
 
         Args:
-            act: makes the node act.
-            reports: reports which inputs are not good.
+            act: function that makes the node act.
+            reports: reporter of the inputs that are not good.
         """
         self._act, self._reports = act, reports
         self.inputs: list[LiveInput] = []
@@ -134,12 +138,12 @@ class SampleAndHold:
         self._ignoring_until = self._checked_at
 
     def set_period(self, period: float) -> None:
-        """Set the period (s) in which the node acts; the first time after at most 1 s."""
+        """Set the period (s) in which the node acts, for the first time after at most 1 s."""
         self._period, self.has_acted = period, False
         self._due = boot_time() + min(period, _FIRST_S)
 
     def receiver(self, entry: LiveInput) -> Callable[[bytes], None]:
-        """Check an input from now on; return the receiver of its messages."""
+        """Check an input from now on, and return the receiver of its messages."""
         self.inputs.append(entry)
 
         def on_message(message: bytes) -> None:
@@ -151,7 +155,7 @@ class SampleAndHold:
         return on_message
 
     def check_inputs(self) -> None:
-        """Check all inputs at the present time; after a pause of this process they are too old."""
+        """Check all inputs at the present time; after a pause of this process, they are too old."""
         self._handle_pause(boot_time())
         for entry in self.inputs:
             entry.check()
@@ -163,11 +167,11 @@ class SampleAndHold:
 
     @property
     def due_in(self) -> float:
-        """The time until the node acts next (s)."""
+        """Time until the node acts next (s)."""
         return max(0.0, self._due - boot_time())
 
     def check(self) -> None:
-        """Act if the period has passed; periods that were missed in a pause are skipped."""
+        """Act if the period has passed; periods that were missed during a pause are skipped."""
         now = boot_time()
         self._handle_pause(now)
         if now < self._due:
@@ -178,8 +182,8 @@ class SampleAndHold:
         self._diagnose_inputs()
         self.has_acted = True
         self._act()
-        # The time that a node takes to decide is no pause: that must not make its inputs too old.
-        # A suspend while it decides is a pause.
+        # The time that a node takes to decide is not a pause, so it must not make its inputs too
+        # old. A suspension of the machine while it decides is a pause.
         slept = suspended_time() - before
         self._checked_at = boot_time() - slept
 

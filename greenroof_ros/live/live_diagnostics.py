@@ -1,4 +1,4 @@
-"""Report the state of a node and its parts, on /diagnostics and to the supervisor."""
+"""Reports the state of a node and its parts on /diagnostics and to the supervisor."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 ERROR, STALE = DiagnosticStatus.ERROR, DiagnosticStatus.STALE
 # How often the state is published while it does not change (s).
 _PUBLISH_S = 1.0
-# How long the end of a node waits for the supervisor at most (s).
+# Longest time for which a node that ends waits for the supervisor (s).
 _FLUSH_S = 1.0
 
 
@@ -30,12 +30,12 @@ class PartStatus:
 
     Attributes:
         level: ``OK``, ``WARN``, ``ERROR`` or ``STALE``.
-        message: a sentence.
-        code: for programs; empty if all is well.
-        cause: the code of the cause; empty if unknown.
-        since: when the present code began, by the system clock (s since 1970).
-        began: likewise, by the steady clock (s).
-        values: what the sentence is made of.
+        message: the state, as a sentence.
+        code: condition code, for programs; empty if all is well.
+        cause: code of the cause; empty if unknown.
+        since: when the present code began, according to the system clock (s since 1970).
+        began: when the present code began, according to the steady clock (s).
+        values: values that occur in the sentence.
     """
 
     level: bytes
@@ -49,7 +49,7 @@ class PartStatus:
     def for_programs(self) -> dict[str, str]:
         """Return its values for programs, without those that are unknown.
 
-        They are what its sentence is made of, its code, the start of that code (ISO 8601), how long
+        They are the values in its sentence, its code, the start of that code (ISO 8601), how long
         it has lasted (s), and its cause.
         """
         values = {
@@ -65,18 +65,18 @@ class PartStatus:
 
 
 class LiveDiagnostics(NodeDiagnostics):
-    """Reports the state of a node and its parts, also to the supervisor that started the process.
+    """Reports the state of a node and its parts, including to the supervisor of the process.
 
-    The status of a part adds the part's name to the node's: ``/mpc: inputs``.
+    The status of a part is named after the node and the part: ``/mpc: inputs``.
 
     Attributes:
-        diagnoses: diagnoses of the node's parts, by name.
-        hardware: the device that the parts belong to; empty for the machine.
+        diagnoses: diagnoses of the node's parts, by their names.
+        hardware: device to which the parts belong; empty for the machine.
         urgent: whether a diagnosis has changed since the last report.
     """
 
     def __init__(self, node: Node, role: str) -> None:
-        """Open the topic; see the base."""
+        """Open the topic; for the arguments see the base class."""
         super().__init__(node, role)
         self.diagnoses: dict[str, PartStatus] = {}
         self.hardware = ""
@@ -88,15 +88,15 @@ class LiveDiagnostics(NodeDiagnostics):
         self, part: str, diagnosis: Diagnosis | None, well: str = "", level: bytes = ERROR,
         cause: str = "", *, log: bool = True,
     ) -> None:
-        """Set the diagnosis of a part; a change is logged, and reported soon.
+        """Set the diagnosis of a part; a change is logged and soon reported.
 
         Args:
-            part: the part's name.
+            part: name of the part.
             diagnosis: what is wrong; None if nothing is.
-            well: the sentence to report if nothing is.
-            level: ``WARN``, ``ERROR`` or ``STALE``; or ``OK`` if it is as intended.
-            cause: the code of its cause; empty if unknown.
-            log: false for a message that changes too often to be logged.
+            well: sentence to report if nothing is wrong.
+            level: ``WARN``, ``ERROR`` or ``STALE``; or ``OK`` if the condition is intended.
+            cause: code of its cause; empty if unknown.
+            log: whether to log a change; false for a message that changes too often.
         """
         before = self.diagnoses.get(part)
         if diagnosis is None:
@@ -121,10 +121,11 @@ class LiveDiagnostics(NodeDiagnostics):
             logger.info(status.message)
 
     def publish(self, values: dict[str, Any]) -> None:
-        """Report the state of the node with these values, and of its parts.
+        """Report the state of the node with these values, and the states of its parts.
 
-        The supervisor gets each report: it must find out soon that a node hangs. /diagnostics gets
-        a state or level, or another diagnosis, and otherwise one report a second.
+        The supervisor receives every report, since it must soon notice that a node hangs. On
+        /diagnostics, a report is published if a state, level or diagnosis changes, and otherwise
+        once a second.
         """
         self.urgent = False
         status, values = self.status(values)
@@ -161,6 +162,6 @@ class LiveDiagnostics(NodeDiagnostics):
         })
 
     def flush(self, seconds: float) -> None:
-        """Wait for at most this long (s) until all readers, and then the supervisor, have all."""
+        """Wait at most this long (s) until all readers, then the supervisor, have received all."""
         super().flush(seconds)
         supervisor_socket().flush(_FLUSH_S)

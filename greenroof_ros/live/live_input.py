@@ -1,4 +1,4 @@
-"""The inputs of a live node: their newest values, which rules they break, and their publishers."""
+"""The inputs of a live node: their newest values, the rules they break, and their publishers."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from greenroof_ros.graph.messages import qos_profile
 from greenroof_ros.graph.publishers import DISCOVERY_S, Publishers
 from greenroof_ros.live.pumping.input_rules import AWAITED, InputRules
 
-# How many messages of a topic can wait for the recorder if it or the machine is busy.
+# How many messages on a topic can wait for the recorder while it or the machine is busy.
 _RECORDED_DEPTH = 1000
 
 
 class LivePublishers(Publishers):
     """The publishers of a topic in a live graph, where a killed node is restarted.
 
-    ROS knows the dead one until the lease of its process ends (``config/fastdds.xml``). If the
-    interface gives the topic a liveliness lease, only publishers that are alive count; events
-    report them.
+    ROS still lists the killed one until the lease of its process ends (``config/fastdds.xml``). If
+    the topic has a liveliness lease in the interface, only publishers that are alive count, which
+    events report.
     """
 
     def __init__(self, node: Node, topic: Topic, *, recorded: bool = False) -> None:
@@ -38,17 +38,17 @@ class LivePublishers(Publishers):
 
         Args:
             node: the subscribing node.
-            topic: the topic in the interface.
-            recorded: whether the node only records, and must record every message.
+            topic: topic in the interface.
+            recorded: whether the node only records, and must not miss a message.
         """
         super().__init__(node, topic, replace(
             topic.qos, durability="volatile",
-            # Each message of a topic with a lease restarts a timer in each of its readers.
+            # Every message on a topic with a lease restarts a timer in every reader.
             lease_s=math.inf if recorded else topic.qos.lease_s,
         ))
         self._by_lease = math.isfinite(self.required.lease_s)
         self._depth = _RECORDED_DEPTH if recorded else 1
-        self._alive = 0  # counted if there is a lease
+        self._alive = 0  # counted only if there is a lease
         self._unfit_since = -math.inf  # when the middleware last reported an incompatible one
 
     def profile(self) -> QoSProfile:
@@ -58,7 +58,7 @@ class LivePublishers(Publishers):
         return profile
 
     def events(self) -> SubscriptionEventCallbacks | None:
-        """Return the event callbacks of the subscription: with a lease, they count publishers."""
+        """Return the subscription's event callbacks, which count publishers if there is a lease."""
         if not self._by_lease:
             return None
         return SubscriptionEventCallbacks(
@@ -73,18 +73,18 @@ class LivePublishers(Publishers):
 
     @property
     def count(self) -> int:
-        """How many publishers there are."""
+        """Number of publishers."""
         return self._alive if self._by_lease else super().count
 
     @property
     def compatible(self) -> int:
-        """How many publishers have a compatible quality of service: their messages arrive."""
+        """Number of publishers with a compatible quality of service, whose messages arrive."""
         return self._alive if self._by_lease else super().compatible
 
     def describe_second(self, wait_s: float = 0.0) -> str:
-        """Return that there is a second publisher, or with a lease an incompatible one.
+        """Return a message if there is a second publisher or, with a lease, an incompatible one.
 
-        If only one of two is known, the middleware miscounted after a lease ran out on a busy
+        If only one of two is known, the middleware has miscounted after a lease ran out on a busy
         machine.
         """
         if self._unfit_since > -math.inf:
@@ -99,10 +99,10 @@ class LiveInput(Input):
     """An input with the rules that its values must keep.
 
     Attributes:
-        publishers: the topic's publishers.
-        rules: the rules.
+        publishers: publishers of the topic.
+        rules: rules of the input.
         diagnosis: which rule is broken; None if the newest value may be acted on.
-        received: whether any message was received.
+        received: whether any message has been received.
         optional: whether the node acts without it.
     """
 
@@ -112,8 +112,8 @@ class LiveInput(Input):
         """Start without a value.
 
         Args:
-            publishers: the topic's publishers.
-            rules: the rules.
+            publishers: publishers of the topic.
+            rules: rules of the input.
             optional: whether the node acts without it.
         """
         super().__init__(publishers.topic, publishers.full_name)
@@ -129,7 +129,7 @@ class LiveInput(Input):
         return self.diagnosis is None
 
     def receive(self, message: bytes) -> None:
-        """Receive the value of a message, or 0 if the value must be refused, and check it."""
+        """Receive the value of a message, or 0 if the value must be rejected, and check it."""
         self.received, self._unknown = True, False
         try:
             super().receive(message)
@@ -148,7 +148,7 @@ class LiveInput(Input):
         self.diagnosis = self.rules.check(boot_time(), self.publishers.describe_second())
 
     def refuse(self, why: str) -> None:
-        """Refuse the newest value, because the node cannot act on it.
+        """Reject the newest value because the node cannot act on it.
 
         Args:
             why: the reason.
@@ -165,9 +165,9 @@ class LiveInput(Input):
 
 
 def bad_inputs(inputs: Iterable[Input]) -> Diagnosis | None:
-    """Return what is wrong with the inputs that are not good, under the code of the worst.
+    """Return what is wrong with the inputs that are not good, under the code of the worst one.
 
-    That is the first that breaks a rule, or else the first that is awaited.
+    The worst is the first that breaks a rule or, if there is none, the first that is awaited.
     """
     diagnoses = [diagnosis for entry in inputs if (diagnosis := entry.diagnosis) is not None]
     worst = min(diagnoses, key=lambda each: each.code in AWAITED, default=None)

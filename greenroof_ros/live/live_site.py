@@ -1,4 +1,4 @@
-"""A live site as the command line describes it, and its nodes with their parameters."""
+"""A live site as described on the command line, and its nodes with their parameters."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from greenroof_ros.live.supervisor import NodeStart
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.model.site import read_site
 
-# The minimum size of a bag (MB).
+# Minimum size of a bag (MB).
 MIN_BAG_MB = 2.0
 
 
@@ -36,14 +36,14 @@ class LiveSite:
     """What bringup runs on a live site.
 
     Attributes:
-        site_file: the parameters of Table I.
+        site_file: the site file.
         controller: the chosen controller.
         parameters: all parameters of the controller.
         sensors: sensor file; None if the user's own nodes publish the levels.
-        sensed: content of that file; None without a file.
-        weather: whether bringup starts the weather node; otherwise the user runs one.
-        forecast: forecast file, or ``open-meteo`` to fetch it from there; None if there is none or
-            the user runs the weather node.
+        sensed: content of the sensor file; None without one.
+        weather: whether bringup starts the weather node; if not, the user runs one.
+        forecast: forecast file, or ``open-meteo`` to fetch forecasts from there; None if there is
+            none or the user runs the weather node.
         drive: the pump's drive; None if the user's own node runs the pump.
         bag_limit: size beyond which the bag's oldest files are removed (MB).
     """
@@ -52,7 +52,7 @@ class LiveSite:
         """Check the command line and read the files that it names.
 
         Raises:
-            ConfigurationError: an option or a file that it names is wrong or missing.
+            ConfigurationError: if an option or a file that it names is wrong or missing.
         """
         self.site_file: Path = arguments.site
         site = read_site(self.site_file)
@@ -63,16 +63,16 @@ class LiveSite:
         others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
         refuse(
             (arguments.sensors is None, "--sensors FILE", None,
-             "is missing: a live site needs it to know where the levels are measured; or give "
-             "--sensors external, if your own nodes publish /cistern/level and /roof/level"),
+             "is missing: a live site needs it to know where the levels are measured; or use "
+             "--sensors external if your own nodes publish /cistern/level and /roof/level"),
             (drive is None and not arguments.pump, "--drive NAME", None,
              "is missing: a live site needs it to know the pump's drive, and --drive-at its "
-             "address; or give --pump external, if your own node runs the pump"),
+             "address; or use --pump external if your own node runs the pump"),
             (others_weather and has_forecast, "--forecast", arguments.forecast,
              "is for the weather node, which --weather external replaces"),
             (not others_weather and not has_forecast and self.controller.needs_forecast,
              "--forecast FILE.csv", None,
-             f"is missing: {self.controller.name} needs a forecast; or give --weather external, "
+             f"is missing: {self.controller.name} needs a forecast; or use --weather external "
              "if your own node publishes it, or --controller onoff or lookahead, which need "
              "no forecast"),
         )
@@ -98,17 +98,17 @@ class LiveSite:
              and not has_thermometer,
              "--thermometer external", None,
              "is missing: without --forecast FILE.csv only a thermometer can show whether there "
-             "is frost; give it if your own node publishes /gauge/temperature (degC), or add a "
-             "thermometer to the file of --sensors, or give a forecast"),
+             "is frost; use it if your own node publishes /gauge/temperature (degC), or add a "
+             "thermometer to the file of --sensors, or specify a forecast"),
             (has_thermometer and arguments.thermometer is not None, "--thermometer", EXTERNAL,
-             "contradicts the file of --sensors, which has a thermometer"),
+             "contradicts the file of --sensors, which contains a thermometer"),
         )
         self.weather = not others_weather
         self.forecast = _forecast(arguments)
         self.bag_limit: float = arguments.bag_limit
 
     def files(self) -> dict[str, Path]:
-        """Return the files that its nodes read, by name; without the forecast: it changes."""
+        """Return the files that its nodes read, by name, except the forecast, which changes."""
         files = {
             "site": self.site_file, "sensors": self.sensors,
             "drive": Path(self.drive.drive) if self.drive is not None else None,
@@ -151,7 +151,7 @@ class LiveSite:
             ("--controller", self.controller.reference),
             {
                 **common, **self.parameters,
-                # One controller cannot use what another has learned.
+                # A controller cannot use what another one has learned.
                 "state_file": str(state / f"{self.controller.name}.json"),
             },
             instead=partial(_give_up, self.controller),
@@ -172,13 +172,13 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof live",
         usage="%(prog)s [options]",
-        description="Keep a site with sensors and a pump running, by the system clock; nothing is "
-        "simulated. It does not end automatically: Ctrl-C or SIGTERM stops the pump, and then the "
+        description="Keep a site with sensors and a pump running on the system clock; nothing is "
+        "simulated. It does not end by itself: Ctrl-C or SIGTERM stops the pump, and then the "
         "nodes.",
         epilog="examples:\n"
         "  greenroof live --sensors sensors.yaml --forecast forecast.csv \\\n"
         "    --drive danfoss_fc202 --drive-at /dev/ttyUSB0\n\n"
-        "exit codes: 0 asked to stop, 1 a node failed, or the pump may run on, 2 bad usage or "
+        "exit codes: 0 stopped on request, 1 a node failed, or the pump may run on, 2 bad usage or "
         "configuration, 3 a graph is already running, 130 interrupted before anything was started",
     )
     group = parser.add_argument_group("the site")
@@ -186,34 +186,34 @@ def make_parser() -> Parser:
     add_site(group)
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
-        help="file of the sensors, on Modbus or MQTT (see config/sensors.yaml); external: your "
-        "own nodes publish the levels",
+        help="read the sensors from this file, which describes them on Modbus or MQTT (see "
+        "config/sensors.yaml); external: your own nodes publish the levels",
     )
     group.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",
-        help="forecasts, read again when the file is replaced; open-meteo: fetched from "
-        "Open-Meteo for the site's place, as the weather node's parameters fetch_... say "
-        "(--node-parameters), and kept in the state directory; with a thermometer, onoff and "
-        "lookahead need no forecast",
+        help="read forecasts from FILE.csv, again whenever it is replaced; open-meteo: fetch them "
+        "from Open-Meteo for the site's place, as set by the weather node's parameters fetch_... "
+        "(--node-parameters), and keep them in the state directory; with a thermometer, onoff "
+        "and lookahead need no forecast",
     )
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],
-        help="external: your own node publishes /gauge/temperature (degC), if the file of "
-        "--sensors has no thermometer; without --forecast nothing else can show whether there is "
+        help="external: your own node publishes /gauge/temperature (degC), as the file of "
+        "--sensors has no thermometer; without --forecast, nothing else can show whether there is "
         "frost",
     )
     group.add_argument(
         "--weather", choices=[EXTERNAL],
-        help="external: your own node publishes weather and forecast",
+        help="external: your own node publishes the weather and the forecast",
     )
     group.add_argument(
         "--state", type=Path, default=Path("live"), metavar="DIR",
-        help="directory for what must survive a restart (a stop, a fault, the pump's use of 24 "
-        "h), bag, logs and summary (default: live)",
+        help="keep what must survive a restart (a stop, a fault, the pump's use in 24 h), the bag, "
+        "logs and summary in this directory (default: live)",
     )
     group.add_argument(
         "--bag-limit", type=make_number_type(MIN_BAG_MB, 1e9), default=10_000.0, metavar="MB",
-        help="size of the bag beyond which its oldest files are removed (default: %(default)g MB); "
+        help="remove the bag's oldest files when it exceeds this size (default: %(default)g MB); "
         "at most nine tenths of the room on its disk at the start",
     )
     add_graph_arguments(parser)
@@ -222,9 +222,10 @@ def make_parser() -> Parser:
 
 
 def _give_up(controller: ControllerChoice, why: str) -> tuple[str, ...]:
-    """Return the arguments of a controller's node that does not run its controller any more.
+    """Return the arguments of a controller's node that no longer runs its controller.
 
-    Why is not enough if the process ended without a word, so the controller's place is added.
+    The reason does not suffice if the process ended without a word, so the place of the
+    controller's code is added.
     """
     file, line = find_place(controller.kind, "command")
     why = f"{why} ({controller.reference} is in {file}, line {line})"
@@ -241,7 +242,7 @@ def _forecast(arguments: argparse.Namespace) -> Path | str | None:
     The file may be written later: the weather node reports what is missing.
 
     Raises:
-        ConfigurationError: it is not the name of a CSV file.
+        ConfigurationError: if it is not the name of a CSV file.
     """
     if arguments.forecast in (None, OPEN_METEO):
         return arguments.forecast
@@ -249,16 +250,16 @@ def _forecast(arguments: argparse.Namespace) -> Path | str | None:
     refuse((
         file.suffix.lower() != ".csv" or file.is_dir(), "--forecast", arguments.forecast,
         "must be a FILE.csv, which is read again whenever it is replaced; only simulated runs read "
-        "other kinds of file",
+        "other kinds of files",
     ))
     return file
 
 
 def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
-    """Refuse a serial line shared by a sensor and the drive: only one program can open it.
+    """Reject a serial line that a sensor and the drive share, as only one program can open it.
 
     Raises:
-        ConfigurationError: the line is shared, or the drive's file or address is wrong.
+        ConfigurationError: if the line is shared, or the drive's file or address is wrong.
     """
     endpoint = drive.read()
     if not isinstance(endpoint, DriveEndpoint):

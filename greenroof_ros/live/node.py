@@ -1,6 +1,6 @@
-"""A node of a live site: it acts on the steady clock, on the newest value of each input.
+"""A node of a live site, which acts on the steady clock, on the newest value of each input.
 
-Also the executable of live nodes, and their help.
+The module also contains the executable of live nodes and their help.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from greenroof_ros.live.pumping.input_rules import InputRules, LevelRule
 from greenroof_ros.live.valve import refuse_valve
 from greenroof_ros.model.site import Site
 
-# How long a node waits for messages at most before it checks its clocks and signals again (s).
+# Longest time for which a node waits for messages before it checks clocks and signals again (s).
 _CHECK_S = 0.05
-# How often a node reports its state to the supervisor (s), which kills a silent pump node after
-# 2 s; on /diagnostics it does so once a second.
+# Interval at which a node reports its state to the supervisor (s), which kills a silent pump node
+# after 2 s; on /diagnostics it reports once a second.
 _REPORT_S = 0.25
 
 
 class LiveNode(GraphNode):
     """A node of a live site.
 
-    A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, by their names in
-    the interface. It overrides :meth:`on_inputs` and, as needed, the other ``on_`` methods and
+    A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, using their names
+    in the interface. It overrides :meth:`on_inputs` and, as needed, the other ``on_`` methods and
     ``progress``.
     """
 
@@ -53,11 +53,11 @@ class LiveNode(GraphNode):
         """Join the graph.
 
         Args:
-            name: the node's name.
+            name: name of the node.
             role: its role in the interface: its name, or ``controller``.
 
         Raises:
-            ConfigurationError: ROS arguments or a parameter file are wrong.
+            ConfigurationError: if ROS arguments or a parameter file are wrong.
         """
         super().__init__(name, role, read_live_topics(), LiveDiagnostics)
         if self.get_parameter(USE_SIM_TIME).value:
@@ -73,7 +73,7 @@ class LiveNode(GraphNode):
     # --- to override ------------------------------------------------------------------------
 
     def on_inputs(self) -> None:
-        """Act: the period has passed; see :attr:`good`."""
+        """Act, since the period has passed; see :attr:`good`."""
 
     # --- setting up -------------------------------------------------------------------------
 
@@ -81,7 +81,7 @@ class LiveNode(GraphNode):
         """Declare the parameter ``site_file``, and read the site; its tau is the node's period.
 
         Raises:
-            ConfigurationError: the file, or a value in it, is wrong, or its outlet has a valve.
+            ConfigurationError: if the file, or a value in it, is wrong, or its outlet has a valve.
         """
         site = super().declare_site()
         refuse_valve(site, Path(self.get_parameter("site_file").value))
@@ -91,12 +91,12 @@ class LiveNode(GraphNode):
     def subscribe(
         self, name: str, *, optional: bool = False, level: LevelRule | None = None
     ) -> LiveInput:
-        """Open an input and return it.
+        """Open an input, and return it.
 
         Args:
-            name: the topic's name in the interface.
+            name: name of the topic in the interface.
             optional: whether the node acts without it.
-            level: the additional rule for a level; None for another input.
+            level: additional rule for a level; None for any other input.
         """
         limit = LIMITS[name].name
         publishers = LivePublishers(self, self.interface[name])
@@ -109,7 +109,7 @@ class LiveNode(GraphNode):
         return entry
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
-        """Pass each serialised message of a topic of any type to a callback."""
+        """Pass every serialised message on a topic of any type to a callback."""
         topic = self.interface[name]
         publishers = LivePublishers(self, topic, recorded=True)
         self._open(publishers, pass_whole(topic.type, callback))
@@ -134,7 +134,7 @@ class LiveNode(GraphNode):
         return all(entry.good for entry in self._engine.required)
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the required inputs without a compatible publisher, by missing role."""
+        """Return the required inputs that have no compatible publisher, by missing role."""
         topics = {name: entry.topic for name, entry in self.inputs.items()}
         return group_by_role(self.role, topics, [
             entry.topic.name for entry in self._engine.required if not entry.publishers.compatible
@@ -142,24 +142,24 @@ class LiveNode(GraphNode):
 
     @property
     def wait_s(self) -> float:
-        """How long the node may wait for the next message (s)."""
+        """Longest time for which the node may wait for the next message (s)."""
         return min(_CHECK_S, self._engine.due_in)
 
     def check(self, now: float) -> None:
-        """Act if it is time to, check what else depends on the clock, and report the node's state.
+        """Act if it is time to do so, check what else depends on the clock, and report the state.
 
         Args:
-            now: steady clock (s).
+            now: time of the steady clock (s).
 
         Raises:
-            LockstepError: the node cannot go on.
-            ConfigurationError: the set-up is wrong.
-            OSError: the node cannot go on, for instance on a full disk.
+            LockstepError: if the node cannot go on.
+            ConfigurationError: if the set-up is wrong.
+            OSError: if the node cannot go on, for instance on a full disk.
         """
         if self.failure is not None:
             raise self.failure
         self._engine.check()
-        if now - self._checked < _CHECK_S:  # asking ROS takes milliseconds: not for each message
+        if now - self._checked < _CHECK_S:  # asking ROS takes milliseconds: not for every message
             return
         self._checked = now
         self.on_timer(now)
@@ -174,7 +174,7 @@ class LiveNode(GraphNode):
             self.report_state()
 
     def _warn(self, now: float) -> None:
-        """Log each publisher that is not responding, once; drop the warning when it has gone."""
+        """Log once each publisher that does not respond; drop the warning when it has gone."""
         before = self.warnings
         self.warnings = [
             sentence for publishers in self._subscribed if (sentence := publishers.warning(now))
@@ -187,12 +187,12 @@ class LiveNode(GraphNode):
 def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:
     """Run the live nodes of this process until one fails or a check ends them.
 
-    Not with rclpy's fast executor: publisher events can lock it up (rmw_fastrtps, pull request
-    890).
+    It does not use rclpy's fast executor, which publisher events can lock up (rmw_fastrtps, pull
+    request 890).
 
     Args:
         nodes: the nodes.
-        check: called at least 20 times a second; it can raise.
+        check: function called at least 20 times a second, which may raise an exception.
     """
     executor = SingleThreadedExecutor()
     for node in nodes:

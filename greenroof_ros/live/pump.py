@@ -1,18 +1,18 @@
-"""The pump node of a live site: it turns /pump/command into orders to a drive or a relay.
+"""The pump node of a live site, which turns /pump/command into orders to a drive or a relay.
 
-It acts every tau of the site, on the newest values, and lets the pump run only on fresh, good ones.
-It connects to the drive by itself, and does not run it unless the drive's own communication timeout
-would stop it without this node. In between, the drive can be stopped by the steady clock.
-/pump/flow is published every tau, and /pump/state whenever it changes.
+It acts once every tau of the site, on the newest values, and lets the pump run only on fresh, good
+ones. It connects to the drive by itself, and does not run it unless the drive's own communication
+timeout would stop it without this node. In between, the steady clock can stop the drive. /pump/flow
+is published every tau, and /pump/state whenever it changes.
 
 ``~/stop`` (std_srvs/SetBool) with true holds the pump: it stays off, regardless of the command,
-also after a restart; with false it ends any hold. ``~/hold``
-(rcl_interfaces/SetParametersAtomically) holds it for an ``owner``, with a ``reason`` and an end,
-``until`` (s since 1970), if they are given. ``~/reset`` (std_srvs/Trigger), for a person at the
-pump, clears a latched fault and an unknown state; ``~/clear``, for the page, clears only a fault
-that needs no person at the pump (speed_not_followed). If the site file allows it, ``~/dose``
+even after a restart. With false, it ends any hold. ``~/hold``
+(rcl_interfaces/SetParametersAtomically) holds the pump for an ``owner``, with a ``reason`` and an
+end, ``until`` (s since 1970), if they are specified. ``~/reset`` (std_srvs/Trigger), for a person
+at the pump, clears a latched fault and an unknown state; ``~/clear``, for the page, clears only a
+fault that needs no person at the pump (speed_not_followed). If the site file allows it, ``~/dose``
 (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, the present time in s
-since 1970) delivers a volume once, or reports why not.
+since 1970) delivers a volume once, or reports why it does not.
 """
 
 from __future__ import annotations
@@ -49,25 +49,25 @@ from greenroof_ros.live.pumping.pump_inputs import INPUTS, Observation
 from greenroof_ros.model.site import Site
 
 _COMMAND_LIMIT = LIMITS["/pump/command"]
-# How long a suspend of the machine, or a changed record, is reported (s).
+# For how long a suspension of the machine, or a changed record, is reported (s).
 _REPORTED_S = 60.0
-# How often a state that could not be saved yet is written again, and how often the node reports on
-# the drive (s).
+# Interval at which a state that could not be saved is written again, and at which the node reports
+# on the drive (s).
 _AGAIN_S, _REPORT_S = 0.5, 0.2
 
 _OWN = (
     *CHOICE,
     Parameter(
-        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "maximum communication timeout that the "
+        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "longest communication timeout that the "
         "drive itself may have",
     ),
     Parameter(
-        "local_settings_stop_the_pump", False, meaning="confirms that someone has set the pump "
-        "to stop when the bus connection ends, and has seen it stop; needed if the setting cannot "
-        "be read",
+        "local_settings_stop_the_pump", False, meaning="true confirms that someone has set the "
+        "pump to stop when the bus connection ends, and has seen it stop; needed if that setting "
+        "cannot be read",
     ),
     Parameter(
-        "state_file", "", meaning="file that keeps a hold, a fault and the use of 24 h across "
+        "state_file", "", meaning="file that keeps a hold, a fault and the use in 24 h across "
         "restarts; empty: greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
     ),
 )
@@ -85,10 +85,10 @@ class PumpNode(LiveNode):
     """Runs the pump of a live site as commanded, unless an interlock is active."""
 
     def __init__(self) -> None:
-        """Declare the parameters, and open topics and services.
+        """Declare the parameters, and open the topics and services.
 
         Raises:
-            ConfigurationError: a parameter, or the drive file, is wrong.
+            ConfigurationError: if a parameter, or the drive file, is wrong.
         """
         super().__init__("pump", "pump")
         site = self._site = self.declare_site()
@@ -107,12 +107,12 @@ class PumpNode(LiveNode):
         settings = {parameter.name: values[parameter.name] for parameter in pump_parameters(site)}
         settings["min_speed"] = max(settings["min_speed"], endpoint.file.min_speed)
         self._settings = PumpSettings(**settings)
-        # Time after which a drive that is not responding is stopped (s).
+        # Time after which a drive that does not respond is stopped (s).
         self._drive_stops_after = UNREAD_S + values["drive_timeout_limit"] + MAX_RAMP_S
         own_name = self.get_fully_qualified_name().strip("/").replace("/", "-")
         self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
         self._ledger = Ledger(self._state_file, time.time)
-        # Why a stop would be forgotten at a restart; empty once the state was saved.
+        # Why a stop would be forgotten at a restart; empty once the state has been saved.
         self._unsaved, self._saved_at = "it is not saved yet", -math.inf
         self._start_control()
         self._decision = Decision(
@@ -120,7 +120,7 @@ class PumpNode(LiveNode):
             flow_known=False, blind_for=0.0,
         )
         self._state = PumpState()
-        self._reasons: tuple[object, ...] = ()  # as `on_timer` last saw them
+        self._reasons: tuple[object, ...] = ()  # the reasons as `on_timer` last saw them
         self._resetting_until = self._reported_at = -math.inf
         self._stepped, self._watched = boot_time(), time.monotonic()
         self._suspended, self._suspended_at = suspended_time(), -math.inf
@@ -157,7 +157,7 @@ class PumpNode(LiveNode):
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _acquire_state(self) -> None:
-        """Take over the state file, if another process had it or it could not be made."""
+        """Take over the state file if another process had it or it could not be made."""
         if self._ledger.acquire():
             self._start_control()
             self._reasons = ()  # decide again
@@ -167,7 +167,7 @@ class PumpNode(LiveNode):
     def _open_service(
         self, name: str, kind: Any, act: Callable[[Any], tuple[bool, str]]
     ) -> None:
-        """Offer a service, which answers whether it was done, and how; a ValueError refuses it."""
+        """Offer a service, which answers whether and how it was done; a ValueError refuses it."""
 
         def answer(request: Any, response: Any) -> Any:
             self._acquire_state()
@@ -185,7 +185,7 @@ class PumpNode(LiveNode):
         self.create_service(kind, f"~/{name}", answer)
 
     def _saved(self, said: str) -> tuple[bool, str]:
-        """Return that a request was done, only if the state is saved for a restart; and how."""
+        """Return whether a request succeeded, for which the state must be saved, and the answer."""
         problem = self._ledger.flush()
         return not problem, f"{said}; but {problem}" if problem else said
 
@@ -219,7 +219,7 @@ class PumpNode(LiveNode):
         fields = {parameter.name: parameter.value.double_value for parameter in request.parameters}
         if fields.keys() != {"volume", "asked_at"}:
             raise ValueError("a dose needs volume (m3) and asked_at (s since 1970), and no more")
-        self._step()  # a reason against it may have just arrived
+        self._step()  # a reason against the dose may have just arrived
         refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
         self._step()
         return not refusal, refusal or str(self._state)
@@ -244,18 +244,18 @@ class PumpNode(LiveNode):
             self._saved_at = boot_time()
         command, snapshot = self._by_name["command"], self._exchange.snapshot
         status = snapshot.status_at(now)
-        command.check()  # only its age depends on the time
+        command.check()  # of a command, only the age depends on the time
         reasons = (
             [*self._reasons_against(snapshot, now)], command.good, _fault(status),
             status is not None and status.at_rest,
-            # Decide again every second, since a drive that is not responding comes to rest at some
+            # Decide again every second, since a drive that does not respond comes to rest at some
             # time.
             status is None and not self._decision.at_rest and now // 1,
         )
         if reasons != self._reasons:
             self._reasons = reasons
             self._step()
-        # Again and again: a request expires in a second.
+        # Repeatedly, since a request expires after a second.
         self._exchange.request_speed(self._decision.speed)
         if now - self._reported_at > _REPORT_S:
             self._reported_at = now
@@ -268,10 +268,10 @@ class PumpNode(LiveNode):
             )
 
     def on_stop(self) -> None:
-        """Stop the drive and confirm that it is stopped, regardless of what ends the node.
+        """Stop the drive and confirm that it is stopped, whatever ends the node.
 
         Raises:
-            OSError: that could not be confirmed; the node's exit code also shows this.
+            OSError: if that could not be confirmed, which the node's exit code also shows.
         """
         try:
             if self._exchange.started:
@@ -306,7 +306,7 @@ class PumpNode(LiveNode):
         return DriveState.STOPPED if self._ledger.active_hold else DriveState.READY
 
     def _unfit_drive(self, snapshot: DriveSnapshot) -> Iterator[Diagnosis]:
-        """Yield why a drive that answers must not be run yet: nothing might stop it."""
+        """Yield why a drive that answers must not be run yet, because nothing might stop it."""
         yield from filter(None, (
             snapshot.unguarded,
             self._exchange.timeout_problem(snapshot),
@@ -322,14 +322,14 @@ class PumpNode(LiveNode):
                 yield Diagnosis.of("drive_local", "local")
             yield from filter(None, (snapshot.second_master, snapshot.start_failed))
             yield from self._unfit_drive(snapshot)
-        # Another pump node may have the same drive: then neither runs it.
+        # Another pump node may use the same drive; then neither runs it.
         if second := self._second_pump():
             yield second
 
     def _second_pump(self) -> Diagnosis | None:
-        """Return that the flow has a second publisher; None if it has none.
+        """Return a diagnosis if the flow has a second publisher.
 
-        If one of them is incompatible, it is named: it may be trying to stop the pump.
+        If one of them is incompatible, it is named, since it may be trying to stop the pump.
         """
         flows = self._flows
         if not (second := flows.describe_second()):
@@ -343,7 +343,7 @@ class PumpNode(LiveNode):
         return float(entry.value) if self.acted and entry.good else None
 
     def _step(self) -> Decision:
-        """Decide on what is known now, give the drive its order, and publish the state."""
+        """Decide based on what is known now, give the drive its order, and publish the state."""
         now = boot_time()
         self._check_suspend(now)
         self._engine.check_inputs()
@@ -361,7 +361,8 @@ class PumpNode(LiveNode):
             reasons=[*self._reasons_against(snapshot, now)],
         )
         dt = self._elapsed()
-        # The drive is watched only while the machine is awake; this clock counts only that time.
+        # The drive is watched only while the machine is awake, and this clock counts only that
+        # time.
         awake = time.monotonic()
         drive_dt, self._watched = awake - self._watched, awake
         decided, decision = self._decision, self._control.step(dt, observation, drive_dt)
@@ -372,14 +373,14 @@ class PumpNode(LiveNode):
         before, self._state = self._state, state
         if state != before:
             self.publish("/pump/state", state.message())
-            # Not at every change of the words: they have numbers.
+            # Not at every change of the words, since they contain numbers.
             logged = (decided.state, decided.at_rest, *decided.interlocks)
             if (decision.state, decision.at_rest, *decision.interlocks) != logged:
                 self.get_logger().info(str(state))
         return decision
 
     def _elapsed(self) -> float:
-        """Return the time since the last call (s); a pause of this process is one tick."""
+        """Return the time since the last call (s); a pause of this process counts as one tick."""
         before, self._stepped = self._stepped, boot_time()
         dt, tau = self._stepped - before, self._site.tau
         if dt > tau + PAUSE_S:
@@ -413,16 +414,16 @@ class PumpNode(LiveNode):
 
 
 def _read_endpoint(values: Mapping[str, Any], node_name: str) -> Endpoint:
-    """Return the drive that a node's parameters choose.
+    """Return the drive that a node's parameters specify.
 
     Raises:
-        ConfigurationError: a parameter or the drive file is wrong.
+        ConfigurationError: if a parameter or the drive file is wrong.
     """
     key = f"parameter {{}} of {node_name}"
     if not values["drive"]:
         raise ConfigurationError(
-            "must be given: the make of the drive, as a file of config/drives without .yaml, or "
-            "the path of your own file", key=key.format("drive"),
+            "must be set to the make of the drive, as a file of config/drives without .yaml, or "
+            "to the path of your own file", key=key.format("drive"),
         )
     return read_endpoint(
         find_drive_file(values["drive"]), values["address"], key.format("address"),
@@ -434,7 +435,7 @@ def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
     """Return owner, reason and end of a requested hold.
 
     Raises:
-        ValueError: it is not such a request.
+        ValueError: if the request is not of this kind.
     """
     fields = {
         parameter.name: parameter_value_to_python(parameter.value)
@@ -450,7 +451,7 @@ def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
         )
     if "until" in fields and not time.time() < fields["until"] <= MAX_NUMBER:
         raise ValueError(
-            f"until = {fields['until']:.15g}: must be in the future, in s since 1970, and at most "
+            f"until = {fields['until']:.15g}: must be in the future (s since 1970) and at most "
             f"{MAX_NUMBER:g}"
         )
     return fields

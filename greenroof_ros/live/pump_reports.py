@@ -1,4 +1,4 @@
-"""What the pump node reports on its parts: pump, inputs, drive, delivery and dose."""
+"""The pump node's reports on its parts: pump, inputs, drive, delivery and dose."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from greenroof_ros.model.site import Site
 
 
 class PumpReports:
-    """Sets the diagnoses of the pump node's parts; words with numbers in them are not logged."""
+    """Sets the diagnoses of the pump node's parts; messages that contain numbers are not logged."""
 
     def __init__(
         self, reports: LiveDiagnostics, inputs: Mapping[str, LiveInput], exchange: DriveExchange
@@ -25,8 +25,8 @@ class PumpReports:
         """Report nothing yet.
 
         Args:
-            reports: of the node.
-            inputs: of the node, by their names in
+            reports: reports of the node.
+            inputs: inputs of the node, by their names in
                 :mod:`greenroof_ros.live.pumping.pump_inputs`.
             exchange: the communication with the drive.
         """
@@ -36,17 +36,17 @@ class PumpReports:
         self, now: float, site: Site, state: PumpState, decision: Decision, dose: Dose | None,
         unsaved: str, changed: bool, second_pump: Diagnosis | None,
     ) -> None:
-        """Report each part.
+        """Report on every part.
 
         Args:
-            now: `boot_time` (s).
+            now: time of `boot_time` (s).
             site: the site.
             state: what the pump does.
             decision: the last decision.
-            dose: the dose that waits, runs, or ended a moment ago; None if there is none.
-            unsaved: why the state would be forgotten at a restart; empty if it would not.
+            dose: the dose that is waiting, is running or ended a moment ago; None if there is none.
+            unsaved: why the state would be forgotten at a restart; empty if it would be kept.
             changed: whether another program has just changed the record.
-            second_pump: that there is another pump node; None if there is not.
+            second_pump: diagnosis that there is another pump node; None if there is not.
         """
         diagnose = self._reports.diagnose
         first = next(iter(decision.interlocks.values()), None)
@@ -69,7 +69,7 @@ class PumpReports:
         diagnose("flow", second_pump, f"source: {decision.source}")
         self._diagnose_inputs(decision)
         levels_known = self._inputs["cistern_level"].good and self._inputs["roof_level"].good
-        known_for = "both levels have not yet been known for long enough"
+        known_for = "the levels have not yet been known for long enough"
         diagnose(
             "delivery",
             Diagnosis.of("delivery_blind") if decision.blind_for and not levels_known else None,
@@ -89,7 +89,7 @@ class PumpReports:
                 parts.setdefault(part, []).append(row.name)
         for part, names in parts.items():
             diagnosis, level = bad_inputs(self._inputs[name] for name in names), ERROR
-            if diagnosis is None:  # perhaps a good value keeps the pump off
+            if diagnosis is None:  # a good value may still keep the pump off
                 level, diagnosis = WARN, next((
                     reason for code, reason in decision.interlocks.items()
                     if part in read_interlocks()[code].explained_by
@@ -104,7 +104,7 @@ class PumpReports:
         diagnosis = bad_inputs(self._inputs[row.name] for row in INPUTS if row.unknown == code)
         if diagnosis is None:
             return ""
-        unknown = code == "frost_unknown" and diagnosis.code == "input_refused"  # NaN: unknown
+        unknown = code == "frost_unknown" and diagnosis.code == "input_refused"  # NaN means unknown
         return "temperature_unknown" if unknown else diagnosis.code
 
     def _diagnose_dose(self, dose: Dose | None) -> None:
@@ -148,7 +148,7 @@ class PumpReports:
 
     def _diagnose_timeout(self, snapshot: DriveSnapshot) -> None:
         guard = self._exchange.endpoint.guard
-        well = f"without this machine the drive stops after {snapshot.timeout_s or 0:g} s"
+        well = f"without this machine, the drive stops after {snapshot.timeout_s or 0:g} s"
         if guard is not None and guard.traps:
             well += f"; beware: {guard.traps}"
         diagnosis, level = self._exchange.timeout_problem(snapshot), ERROR

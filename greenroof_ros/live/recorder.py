@@ -1,12 +1,11 @@
-"""The recorder node of a live site: records every message as it arrives, for months.
+"""The recorder node of a live site, which records every message as it arrives, for months.
 
 Messages go into the files of a bag, split by size and by day (UTC), with their times of arrival,
 and are on the disk after 10 s. The oldest files are removed when the bag reaches its limit. A full
 disk stops the recording and raises an alarm; the node keeps running, and tries again every minute.
-If the disk hangs, messages wait in memory, up to 32 MB, until it responds; that is an alarm, too.
-
-Of /diagnostics, changes of a state, a level or what is wrong are recorded, and one report of each
-node in ten seconds.
+If the disk hangs, up to 32 MB of messages wait in memory until it responds, which also raises an
+alarm. On /diagnostics, a report is recorded if a state, a level or what is wrong has changed, and
+otherwise once every ten seconds for each node.
 """
 
 from __future__ import annotations
@@ -28,11 +27,12 @@ from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.model.site import Site
 from greenroof_ros.recording.bag_writer import LiveBag
 
-# A file of the bag is not larger than this, nor than a tenth of the whole.
+# A file of the bag is neither larger than this nor than a tenth of the whole bag.
 _FILE_BYTES, _MB = 100e6, 1e6
-# How often the node checks whether a flush is due, and how long its end waits for the disk (s).
+# Interval at which the node checks whether a flush is due, and how long it waits for the disk at
+# its end (s).
 _UPDATE_S, _WRITTEN_S = 1.0, 4.0
-# How often a report on /diagnostics that shows no change is recorded (s).
+# Interval at which a report on /diagnostics that shows no change is recorded (s).
 _UNCHANGED_S = 10.0
 _DIAGNOSTICS = "/diagnostics"
 
@@ -40,10 +40,10 @@ _DIAGNOSTICS = "/diagnostics"
 def parameters(site: Site | None = None) -> list[Parameter]:
     """Return the node's parameters, which are the same at every site."""
     return [
-        Parameter("directory", "bag", meaning="the bag; continues an existing one"),
+        Parameter("directory", "bag", meaning="directory of the bag; an existing bag is continued"),
         Parameter(
             "total_limit", 10_000.0, "MB", 0.2, 1e9, "size beyond which the bag's oldest files are "
-            "removed; a file has a tenth of that, or 100 MB",
+            "removed; a file has at most a tenth of this size, and at most 100 MB",
         ),
     ]
 
@@ -53,7 +53,7 @@ class ReportFilter:
 
     def __init__(self) -> None:
         """Begin with no report."""
-        # What each sender's last recorded report showed, and when that came (steady clock, s).
+        # What each sender's last recorded report showed, and when it arrived (steady clock, s).
         self._recorded: dict[str, tuple[list[tuple[object, ...]], float]] = {}
 
     def passes(self, message: bytes, now: float) -> bool:
@@ -61,13 +61,13 @@ class ReportFilter:
 
         Args:
             message: a serialised ``diagnostic_msgs/msg/DiagnosticArray``.
-            now: steady clock (s).
+            now: time of the steady clock (s).
         """
         statuses = deserialize_message(message, DiagnosticArray).status
         shown: list[tuple[object, ...]] = []
         for status in statuses:
             values = {entry.key: entry.value for entry in status.values}
-            # A node's own message is its state; any other is a sentence, which may have numbers.
+            # A node's own message is its state; any other is a sentence, which may contain numbers.
             state = status.message if "role" in values else ""
             shown.append((status.name, status.level, identity_of(values), state))
         sender = statuses[0].name if statuses else ""
@@ -81,7 +81,7 @@ class ReportFilter:
 class LiveRecorderNode(LiveNode):
     """Records the topics of a live graph, and /diagnostics, under their full names.
 
-    The disk thread writes. This node's own thread receives and reports, and waits for no disk.
+    The disk thread writes. This node's own thread receives and reports, and never waits for a disk.
     """
 
     def __init__(self) -> None:
@@ -99,7 +99,7 @@ class LiveRecorderNode(LiveNode):
             total_bytes=int(total),
         )
         self._reports = ReportFilter()
-        self._unwritten = 0  # messages that found no room in memory
+        self._unwritten = 0  # messages for which there was no room in memory
         self._updated_at = time.monotonic()
         for name, topic in topics.items():
             self.record(topic.name, partial(self._queue, name))
@@ -133,7 +133,7 @@ class LiveRecorderNode(LiveNode):
         }
 
     def on_stop(self) -> None:
-        """Close the bag, unless the disk hangs: then it stays as after a kill."""
+        """Close the bag, unless the disk hangs; it is then left as if the node had been killed."""
         problem = ""
         if not (DISK.do(self._bag.close) and DISK.wait(_WRITTEN_S)):
             problem = f"{self._bag.directory}: the disk does not respond; the bag is not closed"

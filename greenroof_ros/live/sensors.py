@@ -1,9 +1,9 @@
-"""The nodes of all sensors, in one process: they publish the readings.
+"""The nodes of all sensors, which publish their readings from one process.
 
-``python -m greenroof_ros.live.sensors --sensors sensors.yaml`` makes a node for each section of the
-file, such as /cistern_sensor, which publishes /cistern/level: once per period for a sensor on
-Modbus, at each message for a sensor on MQTT. A bad reading is not published, and /diagnostics
-reports why; the last value then becomes too old for its readers.
+``python -m greenroof_ros.live.sensors --sensors sensors.yaml`` makes a node for every section of
+the file, such as /cistern_sensor, which publishes /cistern/level. It publishes once per period for
+a sensor on Modbus, and at every message for a sensor on MQTT. A bad reading is not published, and
+/diagnostics reports why; the last value then becomes too old for its readers.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from greenroof_ros.live.engine import LIMITS
 from greenroof_ros.live.live_diagnostics import ERROR, STALE, WARN
 from greenroof_ros.live.node import LiveNode, live_command
 
-# After this many periods without a reading, good or bad, the reader of a device is treated as hung.
+# After this many periods without a reading, good or bad, the reader of a device counts as hung.
 _PERIODS = 5
-# After this time without a first reading, the node reports what it waits for (s).
+# Time without a first reading after which the node reports what it is waiting for (s).
 _AWAITED_S = 5.0
 
 
@@ -41,11 +41,11 @@ class SensorNode(LiveNode):
 
         Args:
             section: section of the file, such as ``cistern``.
-            file: the sensors' file.
+            file: the sensor file.
             lines: the lines of the sensors on Modbus, by connection; this sensor is added.
 
         Raises:
-            ConfigurationError: the file is wrong.
+            ConfigurationError: if the file is wrong.
         """
         quantity = QUANTITIES[section]
         super().__init__(quantity.node, quantity.node)
@@ -65,7 +65,7 @@ class SensorNode(LiveNode):
             line = lines.setdefault(sensor.connection, SensorLine(sensor.address))
             age = values[quantity.limit]
             self._reader = ModbusReader(sensor, unit, line, age, quantity.spread_s)
-            # Besides, the other sensors on its line can take half of the maximum age.
+            # In addition, the other sensors on its line can take half of the maximum age.
             self._hangs_s = _PERIODS * sensor.period + age / 2
         else:
             self._reader = MqttReader(quantity.node, sensor, unit, quantity.spread_s)
@@ -76,7 +76,7 @@ class SensorNode(LiveNode):
         self._reader.start()
 
     def on_timer(self, now: float) -> None:
-        """Publish each new good reading; report why a reading is bad."""
+        """Publish every new good reading, and report why a reading is bad."""
         reading = self._reader.snapshot
         if now - max(reading.read_at, self._started) > self._hangs_s:
             self.reports.diagnose(self._part, Diagnosis.of("sensor_hangs"), level=STALE)
@@ -88,10 +88,11 @@ class SensorNode(LiveNode):
             self._newest = reading.value
             self._published = reading.read_at
             if reading.value is not None:
-                # An empty tank or a stopped pump reads slightly below 0: noise, or a shifted zero.
+                # An empty tank or a stopped pump may read slightly below 0 because of noise or a
+                # shifted zero.
                 self.publish(self._topic, max(reading.value, self._lowest))
             problem = Diagnosis.if_any(reading.code, reading.problem)
-            if problem is None or problem.code == "sensor_lost":  # no reading of a lost broker
+            if problem is None or problem.code == "sensor_lost":  # a lost broker is not a reading
                 problem = self._reader.share.diagnosis or problem
             self.reports.diagnose(self._part, problem, "the sensor is read", self._level)
 
@@ -101,10 +102,10 @@ class SensorNode(LiveNode):
 
 
 def sensor_nodes(file: str) -> list[SensorNode]:
-    """Return a node for each sensor in a file, which is being read.
+    """Return a node for each sensor in a file; the sensors are being read.
 
     Raises:
-        ConfigurationError: the file or a parameter is wrong, or a library is missing.
+        ConfigurationError: if the file or a parameter is wrong, or a library is missing.
     """
     lines: dict[str, SensorLine] = {}
     nodes = [

@@ -1,4 +1,4 @@
-"""The alarms of a live site, by the reports of its nodes to the supervisor."""
+"""The alarms of a live site, derived from the reports of its nodes to the supervisor."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from greenroof_ros.common.interface import read_live_topics
 from greenroof_ros.common.states import STARTING
 from greenroof_ros.live.supervisor import NodeStart
 
-# A gap between two updates that is longer means that this process was paused (s): what it has not
-# read yet is no silence of the nodes.
+# A longer gap between two updates means that this process was paused (s), so what it has not read
+# yet does not mean that the nodes were silent.
 _PAUSE_S = 1.0
 
 
 class SiteAlarms:
     """Judges the reports of a site's nodes, and prints and records the alarms.
 
-    A node whose process has ended is lost at once here, and to an observer of /diagnostics when it
-    has been silent for a while, or is back: both have the same alarm, since its last report there.
+    A node whose process has ended is lost immediately here. For an observer of /diagnostics, it is
+    lost when it has been silent for a while or is back. Both raise the same alarm, which dates from
+    the node's last report there.
 
     Attributes:
-        log: what is printed and recorded.
-        judge: what is wrong now.
+        log: log of what is printed and recorded.
+        judge: judge of what is wrong now.
     """
 
     def __init__(
@@ -36,10 +37,10 @@ class SiteAlarms:
         """Continue the record in the directory of a site.
 
         Args:
-            state: the directory.
-            namespace: of the nodes, such as ``/site1``; empty for none.
-            processes: the processes of the site.
-            print_line: prints a line for people.
+            state: directory of the site.
+            namespace: namespace of the nodes, such as ``/site1``; empty for none.
+            processes: processes of the site.
+            print_line: function that prints a line for people.
         """
         self.log = AlarmLog(print_line, state / ALARMS)
         self.judge = Judge(self.log.last_number)
@@ -51,7 +52,7 @@ class SiteAlarms:
         self._updated_at = time.monotonic()
 
     def fail(self, process: str, text: str) -> None:
-        """Print that a process has failed, and how; the next update makes it an alarm."""
+        """Print that a process has failed, and how; the next update turns this into an alarm."""
         self._print_line(f"{process}: {text}")
         now = time.monotonic()
         for name in self._processes[process]:
@@ -61,10 +62,10 @@ class SiteAlarms:
             known.ended = text
 
     def update(self, reports: Mapping[str, Mapping[str, Any]]) -> None:
-        """Judge the last report of each node; after a pause of this process, not before the next.
+        """Judge the last report of each node; after a pause of this process, wait for the next one.
 
         Args:
-            reports: by the names of the nodes. A report that was there before is not received
+            reports: reports by the names of the nodes. One that was there before is not received
                 again.
         """
         wall, now = time.monotonic(), time.time()

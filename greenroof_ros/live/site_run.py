@@ -1,4 +1,4 @@
-"""Keep a live site running: its directory, its nodes, its messages."""
+"""Keeps a live site running: its directory, its nodes, its messages."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ from greenroof_ros.live.site_alarms import SiteAlarms
 from greenroof_ros.live.supervisor import LiveSupervisor, NodeFailed, NodeStart
 from greenroof_ros.model.site import format_site, read_site
 
-# How often systemd is notified (s), and how far each notice extends the start timeout (us).
+# Interval at which systemd is notified (s), and how far each notice extends the start timeout (us).
 _NOTIFY_S = 1.0
 _STILL_STARTING = "EXTEND_TIMEOUT_USEC=30000000"
-# How long the list of what is missing must be unchanged before it is printed (s).
+# How long the list of what is missing must have been unchanged before it is printed (s).
 _LISTED_S = 1.0
 # How long to wait at the end for the summary to be written (s).
 _WRITTEN_S = 5.0
@@ -59,15 +59,15 @@ _PLACES = {"cistern": 3, "roof": 4}
 
 
 def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) -> int:
-    """Start the nodes of a live site and keep them running until a signal comes.
+    """Start the nodes of a live site, and keep them running until a signal arrives.
 
     Returns:
         The exit code: 0 if the site was asked to stop and the pump is stopped.
 
     Raises:
-        ConfigurationError: a graph runs already, ROS 2 is missing, a parameter file is wrong, or
-            the directory cannot be created.
-        OSError: the configuration cannot be written.
+        ConfigurationError: if a graph is already running, ROS 2 is missing, a parameter file is
+            wrong, or the directory cannot be created.
+        OSError: if the configuration cannot be written.
     """
     state: Path = arguments.state
     modules = {
@@ -103,7 +103,7 @@ def run_live(site: LiveSite, arguments: argparse.Namespace, signals: Signals) ->
                 for node in nodes:
                     supervisor.add(node)
                 _supervise(site, supervisor, record, start, signals)
-        except Exception as error:  # for any error, the summary must not state "running"
+        except Exception as error:  # whatever the error, the summary must not state "running"
             signals.ignore()
             return _report_end(record, supervisor, error)
 
@@ -115,22 +115,22 @@ def _supervise(
     """Watch the nodes until an error ends the site.
 
     Raises:
-        InterruptedRun: a signal came.
-        NodeFailed: a node cannot be kept running.
+        InterruptedRun: if a signal arrived.
+        NodeFailed: if a node cannot be kept running.
     """
     ready = False
     notified = -_NOTIFY_S
     try:
         while True:
             supervisor.read_reports()
-            signals.check()  # before update(): a node stopped by a service manager has not failed
+            signals.check()  # before update(): a node that a service manager stops has not failed
             supervisor.update()
             unready = supervisor.unready
             record.update(supervisor.last)
             start.update(record.alarms.judge, supervisor.last, unready)
             if not ready and not unready:
                 ready = True
-                print_line("all nodes are here")
+                print_line("all nodes have joined")
                 notify("READY=1")
             now = time.monotonic()
             if now - notified >= _NOTIFY_S:
@@ -166,17 +166,18 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
 
 
 class _StartReport:
-    """During the start, lists what keeps the site from pumping, each with what to do about it.
+    """During the start, lists what keeps the site from pumping, and what to do about it.
 
-    It lists what is missing or wrong, except warnings; a mere consequence only if it stops the pump
-    and its cause does not. It is printed when its codes change (the messages contain numbers). The
-    start ends when nothing is missing; later losses are alarms.
+    The list covers everything that is missing or wrong, except warnings. It includes a mere
+    consequence only if that stops the pump and its cause does not. It is printed when its codes
+    change, since the messages contain numbers. The start ends when nothing is missing; later losses
+    are alarms.
     """
 
     def __init__(self) -> None:
         """Begin the start."""
         self._finished = False
-        # What is missing, by node, part and code: as last printed; as last seen, and since when.
+        # What is missing, by node, part and code: as last printed, and as last seen and since when.
         self._printed: list[tuple[str, ...]] | None = None
         self._last_missing: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
 
@@ -186,7 +187,7 @@ class _StartReport:
         Args:
             judge: what is wrong now.
             reports: the last report of each node.
-            unready: which nodes are not ready, and why; empty if all are.
+            unready: the nodes that are not ready, and why; empty if all are.
         """
         if self._finished:
             return
@@ -269,7 +270,7 @@ class _SiteRecord:
         })
 
     def _warn(self, of_nodes: set[str]) -> None:
-        """Print each new warning of the nodes, or about files not written."""
+        """Print every new warning from the nodes or about files that were not written."""
         warnings = {self._summary.problem} if self._summary.problem else set()
         if DISK.late:
             warnings.add(
@@ -277,7 +278,7 @@ class _SiteRecord:
             )
         elif DISK.refused:
             warnings.add(
-                f"{self._state}: {DISK.refused} pieces of logs did not fit in memory since the "
+                f"{self._state}: {DISK.refused} pieces of logs did not fit into memory since the "
                 "start, and are lost"
             )
         for text in sorted((of_nodes | warnings) - self._warnings):
@@ -299,7 +300,7 @@ class _SiteRecord:
         })
 
     def wait(self) -> None:
-        """Wait until everything is on the disk; warn if it is not within 5 s."""
+        """Wait until everything is on the disk; warn if that takes more than 5 s."""
         if not DISK.wait(_WRITTEN_S):
             self._summary.problem = (
                 f"{self._state}: the disk does not respond; {summary.SUMMARY} is not kept"
@@ -308,7 +309,7 @@ class _SiteRecord:
 
 
 def describe_site(reports: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return both levels as text, with command and pump state if they are reported."""
+    """Return both levels as text, with the command and the pump's state if they are reported."""
     values = _merge_values(reports)
     parts = [levels_of(reports)]
     if values.get("command") is not None:
@@ -343,11 +344,11 @@ def _merge_values(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 @contextmanager
 def _state_directory(path: Path) -> Iterator[Path]:
-    """Create the directory of a site and lock it.
+    """Create the directory of a site, and lock it.
 
     Raises:
-        ConfigurationError: it cannot be created or written.
-        OccupiedError: another bringup has locked it.
+        ConfigurationError: if it cannot be created or written to.
+        OccupiedError: if another bringup has locked it.
     """
     try:
         with writable(path, "--state"):
@@ -363,30 +364,30 @@ def _state_directory(path: Path) -> Iterator[Path]:
 
 
 def _fit_bag(site: LiveSite, bag: Path) -> None:
-    """Reduce the bag's limit to nine tenths of what fits on its disk, and print that."""
+    """Reduce the bag's limit to nine tenths of what fits on its disk, and print a warning."""
     fits = shutil.disk_usage(bag.parent).free + sum(
         file.stat().st_size for file in bag.glob("*.mcap")
     )
     reduced = max(MIN_BAG_MB, 0.9 * fits / 1e6)
     if site.bag_limit > reduced:
         print_line(
-            f"warning: {bag}: its disk has room for {fits / 1e6:.0f} MB of it, less than "
+            f"warning: {bag}: its disk has room for {fits / 1e6:.0f} MB of it, which is less than "
             f"--bag-limit {site.bag_limit:g}; its oldest files are removed beyond {reduced:.0f} MB"
         )
         site.bag_limit = reduced
 
 
 class _Configuration:
-    """The files that the site is started with, which its nodes read, also after a restart.
+    """The files with which the site is started, which its nodes read even after a restart.
 
-    Nodes read neither originals, which may have been edited, nor the copies of an earlier start.
-    Only the forecast is read from its own path, since it is replaced there, and the controller's
-    code. The copies are in memory, since after a power cut no one is there to make room on a full
-    disk. A cleaner may remove them, or systemd when their user logs out: before each start of a
-    node what is missing is written again.
+    Nodes read neither the originals, which may have been edited, nor the copies of an earlier
+    start. Only the forecast, which is replaced in its own place, and the controller's code are read
+    from their own paths. The copies are in memory, since after a power cut no one is there to make
+    room on a full disk. A cleaner may remove them, as may systemd when their user logs out, so what
+    is missing is written again before every start of a node.
 
     Attributes:
-        parameters: the ROS 2 parameter files that all nodes read, bringup's and the user's.
+        parameters: the ROS 2 parameter files that all nodes read: bringup's and the user's.
     """
 
     def __init__(
@@ -396,17 +397,17 @@ class _Configuration:
         """Read the files.
 
         Args:
-            directory: of the copies.
-            site: the site as the command line describes it.
+            directory: directory of the copies.
+            site: the site as described on the command line.
             user_files: the user's parameter files.
             nodes: the nodes.
 
         Raises:
-            OSError: a file cannot be read or written.
+            OSError: if a file cannot be read or written.
         """
         self._directory = directory
         self._files: dict[Path, tuple[bytes, int]] = {}  # content and mode of each copy
-        self._kept: dict[Path, bytes] = {}  # what people may read later; no passwords
+        self._kept: dict[Path, bytes] = {}  # what people may read later, without passwords
         with add_path_to_errors(directory):
             of_nodes = {node.name: node.parameters for node in nodes if node.parameters}
             own = write_parameters(directory, of_nodes)
@@ -420,17 +421,17 @@ class _Configuration:
             self._add(file)
 
     def _add(self, file: Path, content: bytes | None = None) -> Path:
-        """Return the copy of a file; by default with its content."""
+        """Add a copy of a file, with the file's content by default, and return its path."""
         copy = Path(f"{self._directory}{file.absolute()}")
         mode = file.stat().st_mode & 0o777
         self._files[copy] = file.read_bytes() if content is None else content, mode
         return copy
 
     def write(self) -> dict[str, str]:
-        """Write the copies that are missing or damaged; return the nodes' environment for them.
+        """Write the copies that are missing or damaged, and return the environment that names them.
 
         Raises:
-            OSError: they cannot be written.
+            OSError: if the copies cannot be written.
         """
         for copy, (content, mode) in self._files.items():
             with suppress(OSError):
@@ -446,7 +447,7 @@ class _Configuration:
         return {COPIES: str(self._directory)}
 
     def keep(self, kept: Path) -> None:
-        """Keep copies for people, in place of those of the last start; warn if that fails."""
+        """Keep copies for people, replacing those of the last start; warn if that fails."""
         part = kept.with_suffix(".part")
         shutil.rmtree(part, ignore_errors=True)
         try:

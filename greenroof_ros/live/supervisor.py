@@ -1,4 +1,4 @@
-"""Start, watch, log and end the processes of a graph's nodes; on a live site, restart them, too."""
+"""Starts, watches, logs, restarts and ends the processes of a live site's nodes."""
 
 from __future__ import annotations
 
@@ -34,48 +34,50 @@ from greenroof_ros.graph.domain import LEASE, ros_arguments
 from greenroof_ros.live.devices.sensor_file import QUANTITIES, TANKS
 from greenroof_ros.live.supervisor_socket import SOCKET, read_report
 
-# How long to wait after asking a process to end before killing it (s). The pump node gets longer:
-# it waits until the pump is stopped, for as long as the speed falls.
+# How long to wait for a process to end before it is killed (s). The pump node is given longer: it
+# waits until the pump is stopped, while the speed falls.
 ENDING_S, PUMP_ENDING_S = 8.0, 40.0
-# How long killing a process may take (s).
+# Longest time that killing a process may take (s).
 KILLING_S = 5.0
-# How long a started node may be silent at first (s): imports take seconds on a busy machine.
+# How long a started node may be silent at first (s), since imports take seconds on a busy machine.
 START_LIMIT_S = 30.0
 _LAST_LINES = 15
-# Largest report of a node; a line that is longer is none. More than a socket holds (both bytes).
+# Size of the largest report of a node, and of what is read from a socket at a time, which is more
+# than it holds (bytes). A longer line is not a report.
 _MAX_REPORT, _MAX_READ = 10_000_000, 1 << 18
-# Size at which a node's log is renamed to .log.1, replacing the previous one: a live site runs for
-# months. After the nodes have ended, how long to wait until their output is written (s).
+# Size at which a node's log is renamed to .log.1, replacing the previous one, since a live site
+# runs for months. How long to wait, after the nodes have ended, until their output is written (s).
 _LOG_BYTES, _WRITTEN_S = 10_000_000, 2.0
-# A gap longer than this means that this process was paused (s): the nodes were not silent then.
+# A gap longer than this means that this process was paused (s), so the nodes were not silent.
 _PAUSE_S = 1.0
 
-# Live: a pump node that is silent for this long (s) is killed, unless it last reported that the
-# pump is stopped; nodes report four times a second.
+# A pump node that is silent for this long (s) is killed, unless it last reported that the pump is
+# stopped; nodes report four times a second.
 SILENT_S = 2.0
-# The longest wait before a restart (s): it is 1, 2, 4, ... s, by the restarts in the last 10 min.
+# Longest wait before a restart (s). It is 1, 2, 4, ... s, depending on the restarts in the last 10
+# min.
 _MAX_WAIT_S = 10.0
-# A node may be restarted this often within ten minutes; one more failure stops the site.
+# How often a node may be restarted within ten minutes; one more failure stops the site.
 MAX_RESTARTS, _WINDOW_S = 10, 600.0
-# How long a killed node is still treated as a second publisher after its restart (s).
+# How long after its restart a killed node still counts as a second publisher (s).
 _LIVE_LEASE_S = "3"
-# Nodes without which the site works; a node that needs a gauge reports its absence itself.
+# Nodes that the site can do without; a node that needs a gauge itself reports its absence.
 _NOT_REQUIRED = {
     RECORDER, *(quantity.node for section, quantity in QUANTITIES.items() if section not in TANKS)
 }
 
-# A full disk is not an error of logging: lines that do not fit are lost. Do not flush at exit: it
-# would block on a hung disk, and each line is flushed when it is written.
+# A full disk is not an error of logging: lines that do not fit are lost. There is no flush at exit,
+# which would block on a hung disk, and every line is flushed when it is written.
 logging.raiseExceptions = False
 atexit.unregister(logging.shutdown)
 
-# Stops the drive without the pump node, given that node's process id; returns whether the drive
-# reports the pump as stopped, and the outcome in words.
+# A function that stops the drive without the pump node, whose process id it takes; it returns
+# whether the drive reports the pump as stopped, and the outcome in words.
 StopDrive = Callable[[int], tuple[bool, str]]
 
 
 class NodeFailed(Exception):
-    """A node ended or hangs, so the graph must end.
+    """A node has ended or hangs, so the graph must end.
 
     Attributes:
         last_lines: the last lines that the node printed.
@@ -93,13 +95,13 @@ class NodeStart:
     """The process of a node, or of several, to be started.
 
     Attributes:
-        name: the node's name, or one for all.
+        name: name of the node, or one name for several.
         module: its Python module, such as greenroof_ros.nodes.weather.
         arguments: its command-line arguments, without ROS arguments.
-        parameters: the parameters that bringup sets, if they are not written elsewhere.
-        several: the names of the nodes if the process has several.
-        instead: returns the arguments with which it is started once it is given up, for this
-            reason; None if the site ends then.
+        parameters: parameters that bringup sets, if they are not written elsewhere.
+        several: names of the nodes if the process has several.
+        instead: function that returns the arguments with which the process is started once it has
+            been given up for a reason; None if the site then ends.
     """
 
     name: str
@@ -116,15 +118,15 @@ class NodeStart:
 
 
 class NodeProcess:
-    """The process of a node, or of several, with their reports and output.
+    """The process of a node or of several, with their reports and output.
 
     Attributes:
         process: the operating-system process.
-        last_report_at: when it last reported or was started, or this process resumed (steady
+        last_report_at: when it last reported or was started, or when this process resumed (steady
             clock, s).
         has_reported: whether it has reported.
-        reports: the last report of each of its nodes that has reported, by name.
-        last_lines: the last lines that it printed.
+        reports: last report of each of its nodes that has reported, by name.
+        last_lines: last lines that it printed.
     """
 
     def __init__(
@@ -148,13 +150,13 @@ class NodeProcess:
             self.reports[report.get("node", self._name)] = report
 
     def log(self, data: bytes) -> None:
-        """Keep its output in its log, and the last lines in memory, as the disk can fail."""
+        """Keep its output in its log, and the last lines in memory in case the disk fails."""
         self.last_lines.extend(data.decode(errors="replace").splitlines())
         record = logging.makeLogRecord({"msg": data.decode(errors="surrogateescape")})
         DISK.do(partial(self._log.emit, record), len(data))
 
     def kill(self) -> None:
-        """Kill it, and wait at most 1 s."""
+        """Kill it, and wait for at most 1 s."""
         self.process.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel may take longer
             self.process.wait(1.0)
@@ -172,21 +174,21 @@ class _NodeRecord:
 
 
 class LiveSupervisor:
-    """The node processes of a live site: starts, restarts and ends them.
+    """Starts, restarts and ends the node processes of a live site.
 
-    Each has a socket on which it reports its state every quarter of a second. Not over topics:
-    discovery can take seconds, and a supervisor must not miss a report.
+    Each of them has a socket on which it reports its state every quarter of a second. Topics are
+    not used, since discovery can take seconds, and a supervisor must not miss a report.
 
-    It has no part in whether the pump may run. A node that ends or is silent for too long is
-    restarted after a delay that grows. If a node needs too many restarts, it is given up: the pump
-    is stopped and the site ends. The recorder is never given up: recording must not stop control.
-    A controller that is given up, or with which its node cannot run any more, is replaced.
-    A pump node that has died cannot stop the drive: it is stopped from here, also at the end,
-    regardless of what the pump node reports.
+    The supervisor has no say in whether the pump may run. A node that ends or is silent for too
+    long is restarted after a delay that grows. If a node needs too many restarts, it is given up:
+    the pump is stopped and the site ends. The recorder is never given up, since recording must not
+    stop control. A controller that is given up, or with which its node can no longer run, is
+    replaced. A pump node that has died cannot stop the drive, so the supervisor stops it. It does
+    so at the end, too, whatever the pump node reports.
 
     Attributes:
-        nodes: the started processes of nodes, by name.
-        may_run: a warning that the pump may still run after the end; empty if it is stopped.
+        nodes: started processes of nodes, by name.
+        may_run: warning that the pump may still run after the end; empty if it is stopped.
     """
 
     def __init__(
@@ -197,15 +199,16 @@ class LiveSupervisor:
         """Start nothing yet.
 
         Args:
-            logs: the directory for the nodes' output, one file each; must exist.
+            logs: existing directory for the nodes' output, with one file for each.
             parameters: ROS 2 parameter files for all nodes; later files override earlier ones.
-            namespace: the nodes' namespace, such as ``/site1``; empty for none.
-            stop_drive: stops the drive; None if there is none, or the user runs the pump.
-            on_failure: called with a node's name and a text if the node failed without ending the
-                run, or the drive had to be stopped in its place.
+            namespace: namespace of the nodes, such as ``/site1``; empty for none.
+            stop_drive: function that stops the drive; None if there is none or the user runs the
+                pump.
+            on_failure: function called with a node's name and a text if the node failed without
+                ending the run, or if the drive had to be stopped in its place.
             silence_s: how long a node may be silent before it is killed (s).
-            prepare: called before each start of a node; returns additions to its environment, or
-                raises an :class:`OSError`.
+            prepare: function called before every start of a node; it returns additions to the
+                node's environment, or raises an :class:`OSError`.
         """
         self.nodes: dict[str, NodeProcess] = {}
         self.may_run = ""
@@ -217,7 +220,7 @@ class LiveSupervisor:
         self._silence_s = silence_s
         self._prepare = prepare
         self._stopper = ThreadPoolExecutor(1)
-        self._stopper.submit(int)  # start its thread now: later the system may be out of threads
+        self._stopper.submit(int)  # start its thread now: the system may be out of threads later
         self._stopping: Future[tuple[bool, str]] | None = None
         self._ros_arguments = ros_arguments(parameters, namespace)
         self._selector = selectors.DefaultSelector()
@@ -228,14 +231,14 @@ class LiveSupervisor:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End all nodes: the pump node first, the recorder last, so that the bag is complete.
+        """End all nodes: the pump node first, and the recorder last, so that the bag is complete.
 
-        Two stops of the drive would collide, so a running one ends first.
+        Two simultaneous stops of the drive would collide, so one that is running ends first.
         """
         if self._stopping is not None:
             self._stopping.result()
         for node in self.nodes.values():
-            node.process.send_signal(signal.SIGCONT)  # a stopped process would not get SIGTERM
+            node.process.send_signal(signal.SIGCONT)  # a stopped process would not receive SIGTERM
         names = self.nodes.keys()
         self._stop_nodes(names & {PUMP})
         if self._stop_drive is not None and PUMP in names:
@@ -254,10 +257,10 @@ class LiveSupervisor:
     # --- starting -------------------------------------------------------------------------------
 
     def start(self, node: NodeStart) -> None:
-        """Start one node, in its own session: the terminal's Ctrl-C reaches only this process.
+        """Start one node in its own session, so that Ctrl-C at the terminal does not reach it.
 
         Raises:
-            OSError: the system is out of processes or files, or the node's files cannot
+            OSError: if the system is out of processes or files, or the node's files cannot
                 be written; nothing is left open.
         """
         name, additions = node.name, self._prepare()
@@ -275,7 +278,7 @@ class LiveSupervisor:
                 env={
                     **child_environment(), **additions, LEASE: _LIVE_LEASE_S,
                     SOCKET: str(theirs.fileno()),
-                    "PYTHONFAULTHANDLER": "1",  # a crash in compiled code shows its place
+                    "PYTHONFAULTHANDLER": "1",  # so that a crash in compiled code shows its place
                 },
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
@@ -291,14 +294,14 @@ class LiveSupervisor:
 
     @property
     def last(self) -> dict[str, dict[str, Any]]:
-        """The last report of each node that has reported."""
+        """Last report of each node that has reported."""
         return {
             name: report for node in self.nodes.values() for name, report in node.reports.items()
         }
 
     def read_reports(self, seconds: float = 0.1) -> None:
-        """Read the nodes' reports and output; wait at most this long (s)."""
-        self._read(seconds)  # may find nothing if this process was paused in it
+        """Read the nodes' reports and output, waiting for at most this long (s)."""
+        self._read(seconds)  # finds nothing if this process was paused during the wait
         now = time.monotonic()
         if now - self._read_at > _PAUSE_S:
             for node in self.nodes.values():
@@ -306,7 +309,7 @@ class LiveSupervisor:
         self._read_at = now
 
     def _read(self, seconds: float) -> None:
-        """Wait for data from the nodes, at most this long (s), and read all that is there."""
+        """Wait for data from the nodes for at most this long (s), and read all that is there."""
         for key, _ in self._selector.select(seconds):
             data = os.read(key.fd, _MAX_READ)
             if data:
@@ -322,7 +325,7 @@ class LiveSupervisor:
         return "\n".join([f"last lines of {node}:", *last_lines_of])
 
     def exit_status(self, node: str) -> str:
-        """Return how a node ended, and the reason if it gave one; empty while it runs."""
+        """Return how a node ended, and the reason if it stated one; empty while it runs."""
         code = self.nodes[node].process.poll()
         if code is None:
             return ""
@@ -335,10 +338,10 @@ class LiveSupervisor:
     # --- ending ---------------------------------------------------------------------------------
 
     def _stop_nodes(self, nodes: Collection[str]) -> None:
-        """Stop these nodes by SIGTERM, and kill them if they take too long.
+        """Stop these nodes with SIGTERM, and kill them if they take too long.
 
-        Not by SIGINT: processes in a shell's background ignore it, and so would a node that is just
-        starting.
+        SIGINT is not used: processes in the background of a shell ignore it, as would a node that
+        is just starting.
         """
         started_at = time.monotonic()
         limits = {
@@ -386,7 +389,7 @@ class LiveSupervisor:
         """Restart failed nodes; called repeatedly.
 
         Raises:
-            NodeFailed: a required node was restarted too often; or it was never ready and ended
+            NodeFailed: if a required node was restarted too often, or was never ready and ended
                 because of wrong parameters or another graph.
         """
         now = time.monotonic()
@@ -404,10 +407,10 @@ class LiveSupervisor:
             self._stopping = None
 
     def _kill_if_silent(self, name: str, now: float) -> str:
-        """Kill a node that hangs, and return why; empty if it does not."""
+        """Kill a node if it hangs, and return why; empty if it does not hang."""
         node = self.nodes[name]
         limit = self._silence_s if node.has_reported else max(self._silence_s, START_LIMIT_S)
-        at_rest = self.last.get(PUMP, {}).get("stands") is True  # read, or by its timeout
+        at_rest = self.last.get(PUMP, {}).get("stands") is True  # read, or due to its timeout
         if name == PUMP and node.has_reported and not at_rest:
             limit = SILENT_S
         if now - node.last_report_at <= limit:
@@ -416,10 +419,10 @@ class LiveSupervisor:
         return f"had not answered for {limit:g} s: killed"
 
     def _handle_failure(self, name: str, failure: str, now: float) -> None:
-        """Report that a node failed and schedule its restart; for the pump node, stop the drive.
+        """Report that a node failed, and schedule its restart; for the pump node, stop the drive.
 
         Raises:
-            NodeFailed: it is not restarted, and the site must end.
+            NodeFailed: if the node is not restarted and the site must end.
         """
         record, code = self._records[name], self.nodes[name].process.returncode
         while record.restarts and now - record.restarts[0] > _WINDOW_S:
@@ -450,7 +453,7 @@ class LiveSupervisor:
             self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
 
     def _reason(self, name: str, failure: str) -> str:
-        """Return how a node failed, and where its Python code was if Python has printed that."""
+        """Return how a node failed, and where its Python code was if Python has printed this."""
         lines = map(str.strip, self.nodes[name].last_lines)
         places = [line for line in lines if line.startswith('File "')]
         return ", ".join([failure, *places[:1]])
@@ -463,7 +466,7 @@ class LiveSupervisor:
 
     @property
     def unready(self) -> str:
-        """Which of the nodes that the pump needs are not ready, and why; empty if all are."""
+        """The nodes that the pump needs but that are not ready, and why; empty if all are ready."""
         return ", ".join(
             f"{node} {why}" for name, record in self._records.items() for node in record.start.nodes
             if node not in _NOT_REQUIRED and (why := self._why_unready(name, node))

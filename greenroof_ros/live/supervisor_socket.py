@@ -1,6 +1,6 @@
 """Reports of nodes to the supervisor that started them.
 
-They use a socket, since discovery in the graph can take seconds. This module needs no ROS.
+They travel over a socket, since discovery in the graph can take seconds. This module needs no ROS.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ from typing import Any
 
 from greenroof_ros import __version__
 
-# Environment variable with the file descriptor of a process's end of the socket to its supervisor.
-# Its nodes write their reports to it, one JSON object per line, with the keys "node" (the node's
-# name; may be missing if the process has only one), "state" and "version" (of the package).
+# Environment variable that holds the file descriptor of a process's end of the socket to its
+# supervisor. Its nodes write their reports to it, one JSON object per line, with the keys "node"
+# (the node's name; may be missing if the process has only one), "state" and "version" (of the
+# package).
 SOCKET = "GREENROOF_ROS_SUPERVISOR"
 
 
 def read_report(line: bytes) -> dict[str, Any] | None:
     """Return the report in a line from the socket; None if it is not a report of this version.
 
-    A restarted node can have another version than its supervisor, if the package was updated in
-    between: it is not heard until the site is restarted.
+    A restarted node can have a different version from its supervisor if the package was updated in
+    between; it is not heard until the site is restarted.
     """
     try:
         report = json.loads(line)
@@ -37,14 +38,14 @@ def read_report(line: bytes) -> dict[str, Any] | None:
 
 
 class SupervisorSocket:
-    """A process's end of the socket: sends its nodes' reports."""
+    """A process's end of the socket, which sends the reports of its nodes."""
 
     def __init__(self) -> None:
-        """Use the socket that the environment names, if there is one."""
+        """Use the socket that the environment names, if any."""
         self._enabled = SOCKET in os.environ
         self._socket = int(os.environ[SOCKET]) if self._enabled else -1
-        self._unsent = b""  # the rest of a report
-        self._next: dict[str, bytes] = {}  # the newest after it, by node
+        self._unsent = b""  # the remainder of a report
+        self._next: dict[str, bytes] = {}  # the newest report after it, by node
         if self._enabled:
             os.set_blocking(self._socket, False)
 
@@ -79,5 +80,5 @@ class SupervisorSocket:
 
 @cache
 def supervisor_socket() -> SupervisorSocket:
-    """Return this process's end of the socket: reports of several nodes must not mix."""
+    """Return this process's only end of the socket, as reports of several nodes must not mix."""
     return SupervisorSocket()

@@ -1,4 +1,4 @@
-"""A live site cannot command the valve of a low outlet yet."""
+"""Rejects sites with an outlet valve, which a live site cannot command yet."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from greenroof_ros.model.site import Site
 
 
 def refuse_valve(site: Site, file: Path | None) -> None:
-    """Refuse a site with a valve on its low outlet.
+    """Reject a site with a valve at its low outlet.
 
     Args:
         site: the site.
-        file: its file; None if it is not from a file.
+        file: its file; None if it was not read from a file.
 
     Raises:
-        ConfigurationError: it has such a valve.
+        ConfigurationError: if the site has such a valve.
     """
     if site.low_outlet_valve:
         raise ConfigurationError(
             "must be false: a live site cannot command the valve yet; it would stay as it is while "
-            "the controller plans with it", file=file, key="low_outlet_valve", value=True,
+            "the controller plans to use it", file=file, key="low_outlet_valve", value=True,
         )

@@ -1,7 +1,7 @@
-"""The weather node of a live site: publishes the weather and the forecast in each tick.
+"""The weather node of a live site, which publishes the weather and the forecast in every tick.
 
-They come from the site's gauges, and from forecasts in a file or of a service, if there are any. A
-fetched forecast needs no disk: its file is an archive, read once at the start.
+They come from the site's gauges, and from forecasts in a file or from a service, if there are any.
+A fetched forecast needs no disk: its file is only an archive, which is read once at the start.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from greenroof_ros.live.live_input import LiveInput
 from greenroof_ros.live.node import LiveNode, live_command
 from greenroof_ros.model.site import Site
 
-# How long the start waits for the first forecast (s); most files take less.
+# How long the start waits for the first forecast (s), which is more than most files take.
 _FIRST_READ_S = 1.0
 _GAUGES = ("/gauge/precipitation", "/gauge/temperature")
 
@@ -51,12 +51,12 @@ def parameters(site: Site) -> list[Parameter]:
         site_file(),
         *look_ahead_parameters(),
         Parameter(
-            "forecast", "", meaning="a FILE.csv, read again whenever it is replaced, or empty for "
+            "forecast", "", meaning="a FILE.csv, read again whenever it is replaced; empty for "
             "none",
         ),
         Parameter(
-            "fetch", "", meaning="fetch forecasts from this interface of Open-Meteo, and keep them "
-            "in the FILE.csv of forecast and next to it; empty: someone else writes the file",
+            "fetch", "", meaning="interface of Open-Meteo from which to fetch forecasts, which are "
+            "kept in the FILE.csv of forecast and next to it; empty: someone else writes the file",
             among=("", *INTERFACES),
         ),
         Parameter(
@@ -85,17 +85,17 @@ class LiveWeatherNode(LiveNode):
         """Declare the parameters and open the topics.
 
         Raises:
-            ConfigurationError: a parameter is wrong.
+            ConfigurationError: if a parameter is wrong.
         """
         super().__init__("weather", "weather")
         self._site = site = self.declare_site()
         values = declare(self, parameters(site))
         self._unknown_frost = 0.0 if values["unknown_frost_may_pump"] else math.nan
-        # A file of many members, or on a slow disk, takes seconds to read.
+        # A file with many members, or on a slow disk, takes seconds to read.
         self._reader = DiskThread()
         self._forecast: LiveForecast | None = None
         self._fetcher: Fetcher | None = None
-        self._unkept = ""  # why the last forecast that was fetched is not kept
+        self._unkept = ""  # why the last fetched forecast is not kept
         if values["forecast"]:
             self._file = ForecastFile(file := Path(values["forecast"]))
             if file.suffix.lower() != ".csv":
@@ -109,14 +109,14 @@ class LiveWeatherNode(LiveNode):
             self._reader.do(self._file.update)
             self._reader.wait(_FIRST_READ_S)
             self._fetcher = self._fetch(values, file) if values["fetch"] else None
-        self._gauges: set[str] = set()  # that have been good
+        self._gauges: set[str] = set()  # those that have been good
         self._rain_gauge, self._thermometer = (
             self.subscribe(name, optional=True) for name in _GAUGES
         )
         self._weather = WeatherOutputs(self, site, values["horizon"])
 
     def on_inputs(self) -> None:
-        """Publish what is known now; readers notice a missing value by its age."""
+        """Publish what is known now; readers notice a missing value from its age."""
         now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
         if self._fetcher is not None:
@@ -183,12 +183,12 @@ class LiveWeatherNode(LiveNode):
     def _outlook(
         self, forecast: LiveForecast, now: datetime, rain: float | None
     ) -> Outlook | None:
-        """Return the outlook, None without a forecast, and report its issue or problem.
+        """Return the outlook, or None without a forecast, and report its issue or a problem.
 
         Args:
-            forecast: of the look-ahead.
-            now: the time.
-            rain: from the gauge (m/s); None if unknown.
+            forecast: forecast for the look-ahead.
+            now: the present time.
+            rain: rain from the gauge (m/s); None if unknown.
         """
         problem, forecast.issues = "", self._file.issues
         if self._fetcher is None:
@@ -218,11 +218,11 @@ class LiveWeatherNode(LiveNode):
         return outlook
 
     def _frost(self, temperature: float, why: str) -> float:
-        """Return 1 in frost, else 0; if unknown, report that and return NaN, or 0 if allowed.
+        """Return 1 in frost, otherwise 0; if unknown, report that and return NaN, or 0 if allowed.
 
         Args:
-            temperature: degC; NaN if unknown.
-            why: it would be unknown.
+            temperature: air temperature (degC); NaN if unknown.
+            why: why the temperature is unknown, if it is.
         """
         if not math.isnan(temperature):
             self.reports.diagnose("frost", None, "the temperature is known")
@@ -233,7 +233,7 @@ class LiveWeatherNode(LiveNode):
         return self._unknown_frost
 
     def _temperature_code(self) -> str:
-        """Return the code for an unknown temperature, by what the site has."""
+        """Return the code for an unknown temperature, which depends on what the site has."""
         thermometer = self._thermometer
         diagnosis = thermometer.diagnosis
         if thermometer.received and diagnosis is not None and diagnosis.code == "input_recovering":
@@ -243,7 +243,7 @@ class LiveWeatherNode(LiveNode):
         return "temperature_unknown" if self._fetcher is None else "temperature_not_fetched"
 
     def _diagnose_gauge(self, part: str, gauge: LiveInput, instead: str) -> None:
-        """Report the state of a gauge, if one was ever received; a site may do without."""
+        """Report the state of a gauge if it was ever received; a site may do without one."""
         if gauge.good:
             self._gauges.add(part)
         if not gauge.received:
@@ -252,7 +252,7 @@ class LiveWeatherNode(LiveNode):
         if part not in self._gauges and not gauge.publishers.count:
             well = f"no one publishes {gauge.name}"
         elif diagnosis is not None and diagnosis.code == "input_recovering" and (
-            part not in self._gauges  # it has just come for the first time
+            part not in self._gauges  # it has just been received for the first time
         ):
             well = diagnosis.sentence
         elif diagnosis is not None:

@@ -68,7 +68,7 @@ class Bridge:
             broker: where to publish.
 
         Raises:
-            ConfigurationError: the MQTT library is missing, or the login or certificate file is
+            ConfigurationError: if the MQTT library is missing, or the login or certificate file is
                 wrong.
         """
         site = store.namespace.strip("/").replace("/", "_") or "roof"
@@ -98,7 +98,7 @@ class Bridge:
             signals: the signals that end it.
 
         Raises:
-            InterruptedRun: a signal came.
+            InterruptedRun: if a signal came.
         """
         self._client.loop_start()
         try:

@@ -79,7 +79,7 @@ class Feed:
         """Join the graph.
 
         Raises:
-            ConfigurationError: ROS 2 is not installed.
+            ConfigurationError: if ROS 2 is not installed.
         """
         self._client = GraphClient(self._store.namespace, self._on_message)
         self._requesting.release()
@@ -107,7 +107,7 @@ class Feed:
             The pump node's answer.
 
         Raises:
-            PumpRequestError: the pump node did not confirm it.
+            PumpRequestError: if the pump node did not confirm it.
         """
         this = object()
         if action == "stop":

@@ -30,7 +30,7 @@ def refuse_unusable(port: int) -> None:
     """Refuse a port that is in use, and a missing SDK, before anything is started.
 
     Raises:
-        ConfigurationError: it cannot be served at this port.
+        ConfigurationError: if it cannot be served at this port.
     """
     with require_extra("foxglove"):
         import foxglove  # noqa: F401
@@ -58,7 +58,7 @@ class FoxgloveServer:
             port: TCP port; 0 for any that is free.
 
         Raises:
-            ConfigurationError: the port cannot be used, or foxglove-sdk or ROS 2 is missing.
+            ConfigurationError: if the port cannot be used, or foxglove-sdk or ROS 2 is missing.
         """
         refuse_unusable(port)
         import foxglove
@@ -89,7 +89,7 @@ class FoxgloveServer:
         """Pass messages on until a signal comes.
 
         Raises:
-            InterruptedRun: a signal came.
+            InterruptedRun: if a signal came.
         """
         try:
             while True:

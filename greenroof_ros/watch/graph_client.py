@@ -66,7 +66,7 @@ class GraphClient:
                 its time of arrival (ns of the system clock).
 
         Raises:
-            ConfigurationError: ROS 2 is not installed.
+            ConfigurationError: if ROS 2 is not installed.
         """
         self._context = join()
         from rcl_interfaces.srv import SetParametersAtomically
@@ -173,7 +173,7 @@ class GraphClient:
                 and ``asked_at``, when the user requested it (s since 1970).
 
         Raises:
-            PumpRequestError: the pump node did not confirm it.
+            PumpRequestError: if the pump node did not confirm it.
         """
         service, to_all = _SERVICES[action], action == "stop"
         request = {"data": False} if action == "release" else _make_parameters(parameters)

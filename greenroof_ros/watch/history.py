@@ -155,7 +155,7 @@ def write_histories(file: Path, rows: Mapping[str, NDArray[np.void]]) -> None:
         rows: of each history, by its name.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: if it cannot be written.
     """
     content: dict[str, Any] = {_FORMAT: np.array(_VERSION), **rows}
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -173,8 +173,8 @@ def read_histories(file: Path, names: Iterable[str], until_ns: int) -> dict[str,
         until_ns: now (ns since 1970): what is later is left out, since the clock was set back.
 
     Raises:
-        OSError: it cannot be read.
-        ValueError: it is damaged, or of another program.
+        OSError: if it cannot be read.
+        ValueError: if it is damaged, or of another program.
     """
     histories = {}
     try:

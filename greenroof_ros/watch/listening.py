@@ -49,7 +49,7 @@ def _resolve(host: str) -> list[tuple[socket.AddressFamily, str]]:
     """Return the addresses of a host, in the order in which to try them.
 
     Raises:
-        ConfigurationError: it has none.
+        ConfigurationError: if it has none.
     """
     try:
         known = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
@@ -65,7 +65,7 @@ def is_loopback(host: str) -> bool:
     """Return whether only this machine can reach a host's addresses.
 
     Raises:
-        ConfigurationError: it has none.
+        ConfigurationError: if it has none.
     """
     return all(ipaddress.ip_address(text.split("%")[0]).is_loopback for _, text in _resolve(host))
 
@@ -78,7 +78,7 @@ def listen(host: str, port: int | None) -> Listener:
         port: TCP port; 0 for any that is free, None for the first free one from 8080 on.
 
     Raises:
-        ConfigurationError: the host is not this machine, or the port cannot be used.
+        ConfigurationError: if the host is not this machine, or the port cannot be used.
     """
     family, address = _resolve(host)[0]
     ports = PORTS if port is None else [port]
@@ -119,7 +119,7 @@ def read_token(file: Path) -> str:
     """Return the token in a file; if the file is missing, it is made, with a new token.
 
     Raises:
-        ConfigurationError: the file is unusable, or other users may read or change it.
+        ConfigurationError: if the file is unusable, or other users may read or change it.
     """
     def refuse(why: str) -> ConfigurationError:
         return ConfigurationError(why, key="--token-file", value=str(file))

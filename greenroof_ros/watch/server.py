@@ -541,7 +541,7 @@ def serve(
         signals: the signals that end it.
 
     Raises:
-        ConfigurationError: the address or the port cannot be used.
+        ConfigurationError: if the address or the port cannot be used.
     """
     async def run() -> None:
         listener = listen(host, port)

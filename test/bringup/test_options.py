@@ -65,14 +65,14 @@ WRONG = {
     "live --weather external --pump external": "--sensors FILE: is missing: a live site needs it",
     "live --weather external --sensors external": "--drive NAME: is missing: a live site needs it",
     WEATHERED:
-        "--forecast FILE.csv: is missing: mpc needs a forecast; or give --weather external",
+        "--forecast FILE.csv: is missing: mpc needs a forecast; or use --weather external",
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
-        "show whether there is frost; give it if your own node publishes /gauge/temperature",
+        "show whether there is frost; use it if your own node publishes /gauge/temperature",
     f"{WEATHERED} --forecast no.json": "--forecast = 'no.json': must be a FILE.csv, which is",
     f"{SENSED} --drive no_such_drive --drive-at tcp://127.0.0.1:1": "drive = 'no_such_drive': is",
     f"{SENSED} --pump external --thermometer external":
-        "--thermometer = 'external': contradicts the file of --sensors, which has a thermometer",
+        "--thermometer = 'external': contradicts the file of --sensors, which contains a therm",
     f"{SENSED} --pump external {DRIVE}":
         "--pump = 'external': leaves the pump to someone else's node",
     "run --pump external --pump-min-on 60": "minimum on and off times: must be set in the pump",

@@ -120,7 +120,7 @@ def test_a_site_is_kept_up_and_systemd_told(
     assert lost["since"] < lost["ended"] and not lost["follows"]
     assert (lost["code"], consequence["level"]) == ("forecast_missing", "warn")
     printed = process.stderr()
-    assert "all nodes are here" in printed
+    assert "all nodes have joined" in printed
     # Nothing for a normal start, nor for a return, although its inputs first have to recover.
     assert len(alarms) == 2
     assert printed.endswith("are stopped\ndone, with 1 alarm\n")

@@ -198,7 +198,7 @@ class ControllerCheck(NodeCheck):
             last: the topic that comes last; empty for the usual order.
 
         Raises:
-            BrokenRuleError: there is no answer, or one before the last input.
+            BrokenRuleError: if there is no answer, or one before the last input.
         """
         self.count_answers(0)
         self.start_tick()

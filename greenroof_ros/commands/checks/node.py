@@ -116,8 +116,8 @@ class NodeCheck(ABC):
         """Run all checks, and return a result for each; only the first if the topics do not fit.
 
         Raises:
-            ConfigurationError: there is no such node.
-            OccupiedError: a graph already uses it.
+            ConfigurationError: if there is no such node.
+            OccupiedError: if a graph already uses it.
         """
         self._wait_for_node()
         unfit = self._unfit()
@@ -257,7 +257,7 @@ class NodeCheck(ABC):
         """Publish the time of the next tick.
 
         Raises:
-            BrokenRuleError: no more ticks are tried.
+            BrokenRuleError: if no more ticks are tried.
         """
         require(not self.hindered, self.hindered)
         self._lines.update(self._current_check)
@@ -318,8 +318,8 @@ def check_node(
             tested node's name without it.
 
     Raises:
-        ConfigurationError: there is no such node.
-        OccupiedError: a graph already uses it.
+        ConfigurationError: if there is no such node.
+        OccupiedError: if a graph already uses it.
     """
     choose_transport()
     namespace, _, tested_name = tested.rpartition("/")

@@ -216,7 +216,7 @@ class PumpCheck(NodeCheck):
         """Repeat a tick until the flow is 0, then ten times more; note how long the stop took.
 
         Raises:
-            BrokenRuleError: the flow is not 0 within the limit, or does not stay 0.
+            BrokenRuleError: if the flow is not 0 within the limit, or does not stay 0.
         """
         began = time.monotonic()
         before = flow = self._answer(overrides)
@@ -240,7 +240,7 @@ class PumpCheck(NodeCheck):
         """Repeat a command until the flow is steady and above 0, and return it (m3/s).
 
         Raises:
-            BrokenRuleError: this does not happen within the limit.
+            BrokenRuleError: if this does not happen within the limit.
         """
         until = time.monotonic() + START_S
         flows: list[float] = []

@@ -19,7 +19,7 @@ from greenroof_ros.live.devices.drive_file import (
 from greenroof_ros.live.devices.modbus_line import Address, DriveError, decode, limits
 from greenroof_ros.model.pump_speed import STANDSTILL
 
-# Time between two checks whether a drive has reached a state (s).
+# Time between two checks of whether a drive has reached a state (s).
 _POLL_S = 0.05
 _LOCAL = "; it is in local control: switch it to bus control at its panel"
 
@@ -29,15 +29,15 @@ class DriveStatus:
     """What a drive reports about itself.
 
     Attributes:
-        ready: no fault and no interlock; it would start.
-        running: the motor is energized.
-        fault: in words; empty for none. Turning backwards is a fault, too.
-        warning: in words; empty for none.
-        speed: share of rated speed; below 0 only if the pump turns backwards.
-        flow: m3/s; None if the drive does not measure it.
-        remote: it obeys the bus.
-        timed_out: its only fault is that its own communication timeout has expired.
-        runs_on: the fault is that its speed does not fall after *stop*.
+        ready: whether the drive would start: it has no fault and no interlock.
+        running: whether the motor is energized.
+        fault: its fault, in words; empty for none. Turning backwards is a fault, too.
+        warning: its warning, in words; empty for none.
+        speed: speed, share of the rated speed; below 0 only if the pump turns backwards.
+        flow: flow (m3/s); None if the drive does not measure it.
+        remote: whether it obeys the bus.
+        timed_out: whether its only fault is that its own communication timeout has expired.
+        runs_on: whether the fault is that its speed does not fall after *stop*.
     """
 
     ready: bool
@@ -77,7 +77,7 @@ class Drive:
 
         Args:
             file: the drive file.
-            address: of the drive.
+            address: address of the drive.
             timeout_s: longest wait for a connection, and for each answer (s).
         """
         self.file, self.line = file, file.line(address, timeout_s)
@@ -101,7 +101,7 @@ class Drive:
         """Return make, model and nameplate as text.
 
         Raises:
-            DriveError: it cannot be read.
+            DriveError: if it cannot be read.
         """
         parts = []
         for plate in self.file.nameplate:
@@ -111,13 +111,13 @@ class Drive:
         return f"{self.file.make} {self.file.model} ({'; '.join(parts)})"
 
     def timeout(self) -> tuple[float | None, str]:
-        """Return its own communication timeout on this connection (s); if off, None and the reason.
+        """Return its own communication timeout on this connection (s), or None and why it is off.
 
         A timeout that would not stop the drive is treated as off. The full-scale registers are read
         again when they are next needed.
 
         Raises:
-            DriveError: it cannot be read, or the drive file has no timeout for this interface.
+            DriveError: if it cannot be read, or the drive file has no timeout for this interface.
         """
         self._full_scale.clear()
         timeout = self._timeout
@@ -147,7 +147,7 @@ class Drive:
         """Return what the drive reports about itself.
 
         Raises:
-            DriveError: it cannot be read, or reports an impossible value.
+            DriveError: if it cannot be read or reports an impossible value.
         """
         status, values = self.file.status, dict[str, int]()
         fault, warning, timed_out = "", "", False
@@ -172,30 +172,31 @@ class Drive:
         )
 
     def local(self, values: dict[str, int] | None = None) -> bool:
-        """Return whether it is in local control; False if the drive file has no condition for that.
+        """Return whether it is in local control; False if the drive file has no condition for this.
 
         Args:
             values: raw values just read.
 
         Raises:
-            DriveError: it cannot be read.
+            DriveError: if it cannot be read.
         """
         remote = self.file.status.remote
         return remote is not None and not self._fulfils(remote, {} if values is None else values)
 
     def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
-        """Make the drive ready if needed, then write speed and control word.
+        """Make the drive ready if needed, then write the speed and the control word.
 
-        The caller repeats this while the pump must run: many drives stop automatically unless they
-        are written to.
+        The caller repeats this while the pump must run: many drives stop by themselves if nothing
+        is written to them.
 
         Args:
-            speed: share of rated speed, 0 to 1.
-            may_continue: called before each step and while waiting; the sequence ends on False.
+            speed: speed, share of the rated speed, 0 to 1.
+            may_continue: function called before each step and while waiting; the sequence ends if
+                it returns False.
 
         Raises:
-            DriveError: no answer or a wrong one; a fault is active; a state was not reached in
-                time.
+            DriveError: if there is no answer or a wrong one, a fault is active, or a state was not
+                reached in time.
         """
         values: dict[str, int] = {}
         if self._fulfils(self.file.status.fault, values):
@@ -210,12 +211,13 @@ class Drive:
     def stop(self) -> None:
         """Ramp down and switch off. The caller repeats this while the pump must be off.
 
-        If the drive refuses a step, the later steps are still written: a speed of 0 may get through
-        although the control word does not. The drive must then answer a reading of its status: the
-        answer to a write equals the request, so it may be the request itself, returned by the line.
+        If the drive refuses a step, the later steps are still written, since a speed of 0 may get
+        through even if the control word does not. The drive's status is then read, and it must
+        answer. The answer to a write does not suffice: it equals the request, so it may be the
+        request itself, echoed by the line.
 
         Raises:
-            DriveError: no answer or a wrong one.
+            DriveError: if there is no answer or a wrong one.
         """
         self.stopped = False
         refused: DriveError | None = None
@@ -235,21 +237,21 @@ class Drive:
         """Stop, and acknowledge a fault.
 
         Raises:
-            DriveError: no answer or a wrong one; the fault remains.
+            DriveError: if there is no answer or a wrong one; the fault remains.
         """
         self.stop()
         self._prepared = False
         self._perform(self.file.sequences.reset)
 
     def second_master(self) -> Diagnosis | None:
-        """Return that the control word is not the one last written; None if it is, or if unknown.
+        """Return a diagnosis if the control word is known not to be the one last written.
 
         Only the bits that the drive file uses are compared, and only on a connection on which the
-        drive has returned a word that was written: the control word of some drives cannot be read,
-        or reads as something else.
+        drive has returned a word that was written, because the control word of some drives cannot
+        be read, or reads as something else.
 
         Raises:
-            DriveError: the connection is lost.
+            DriveError: if the connection is lost.
         """
         if self._word is None:
             return None
@@ -279,10 +281,11 @@ class Drive:
         """Carry out the steps; return whether all were done.
 
         Args:
-            steps: in order.
-            may_continue: called before each step and while waiting; the rest is omitted on False.
-            speed: written by the step that writes the speed.
-            values: raw values just read; a condition that they already fulfil is not waited for.
+            steps: the steps, in order.
+            may_continue: function called before each step and while waiting; if it returns False,
+                the rest is omitted.
+            speed: speed, share of the rated speed, for the step that writes it.
+            values: raw values just read; there is no wait for a condition that they already fulfil.
         """
         for step in steps:
             if not may_continue():
@@ -339,7 +342,7 @@ class Drive:
     def _cause(self, codes: Codes | None) -> tuple[int, str]:
         """Return the code, or bits, of the present fault or warning, and its text."""
         raw = 0 if codes is None else self._read_number(codes.register)
-        return raw, (codes and codes.text(raw)) or "the drive gives no cause"
+        return raw, (codes and codes.text(raw)) or "the drive states no cause"
 
     def _read_number(self, name: str) -> int:
         raw = self._read_raw(name)
@@ -350,7 +353,7 @@ class Drive:
         """Return a register's value in its unit; None if the drive marks it as not available.
 
         Raises:
-            DriveError: the value is not believable.
+            DriveError: if the value is not believable.
         """
         register = self.file.registers[name]
         assert not isinstance(raw, str)
@@ -389,7 +392,7 @@ class Drive:
         if not low <= raw <= high:
             raise self.line.error(
                 "drive",
-                f"a speed of {value:.1%} would be {raw} in {self._named(name)}, which holds "
+                f"a speed of {value:.1%} would be {raw} in {self._named(name)}, whose range is "
                 f"{low:g} to {high:g}",
             )
         return raw & 0xFFFF
@@ -405,7 +408,7 @@ class DriveEndpoint:
 
     Attributes:
         file: the drive file.
-        address: of the drive.
+        address: address of the drive.
     """
 
     file: DriveFile
@@ -425,10 +428,11 @@ class DriveEndpoint:
     def lock_name(self) -> str:
         """Return the name of its lock, which is the same however the address is written.
 
-        It is the drive's, or its whole serial line's. May block while the host name is resolved.
+        It names the drive, or its whole serial line. The call may block while the host name is
+        resolved.
 
         Raises:
-            OSError: there is no such host, or no name server answers.
+            OSError: if there is no such host or no name server answers.
         """
         place = self.address.canonical_name(self.file.tcp.port).strip("/")
         return place if self.address.line else f"{place}-{self.file.device_id_at(self.address)}"
@@ -440,6 +444,6 @@ class DriveEndpoint:
             timeout_s: longest wait for a connection, and for each answer (s).
 
         Raises:
-            ConfigurationError: there is no Modbus library.
+            ConfigurationError: if the Modbus library is not installed.
         """
         return Drive(self.file, self.address, timeout_s)

@@ -23,17 +23,17 @@ from greenroof_ros.live.devices.modbus_line import (
 UNITS = ("", "share", "s", "m3/s")
 SPEED = "speed"
 # Longest ramp down that a drive may have (s), after *stop* or after its own timeout; drive files do
-# not give the ramp. A pump that cannot be read may turn for this long. A pump that turns longer
-# after it was forbidden to run does not obey.
+# not state the ramp. A pump whose speed cannot be read may turn for this long. If it turns for
+# longer after it was forbidden to run, it does not obey.
 MAX_RAMP_S = 30.0
 
 
 @dataclass(frozen=True)
 class Source:
-    """A document that the file was made from."""
+    """A document from which the file was made."""
 
-    title: str = entry("its title")
-    document: str = entry("its number and revision, as on its title page")
+    title: str = entry("title")
+    document: str = entry("number and revision, as on its title page")
     where: str = entry("where it was read")
 
 
@@ -49,8 +49,8 @@ class Numbering:
 class Tcp:
     """Modbus TCP."""
 
-    port: int = entry("TCP port, also of a gateway", 1, 65535)
-    device_id: int = entry("unit identifier; behind a gateway see `serial`", 0, 255)
+    port: int = entry("TCP port, which also applies to a gateway", 1, 65535)
+    device_id: int = entry("unit identifier; for a drive behind a gateway see `serial`", 0, 255)
 
 
 @dataclass(frozen=True)
@@ -61,14 +61,14 @@ class Register:
     also divided by that register's value.
     """
 
-    address: int = entry("on the wire, the first register is 0", 0, 65535)
-    manual: int = entry("the manual's number for it; address + numbering.offset", 0)
+    address: int = entry("address on the wire, where the first register is 0", 0, 65535)
+    manual: int = entry("the manual's number for it: address + numbering.offset", 0)
     type: str = entry("how it is coded", choices=(*WIDTHS, "text"))
     meaning: str = entry("what its value means")
     source: str = entry("page or table of one of the sources, or 'none'")
-    word_order: str = entry("which word of several comes first", choices=WORD_ORDERS, default="")
+    word_order: str = entry("which of several words comes first", choices=WORD_ORDERS, default="")
     length: int = entry("text only: number of registers, two characters each", 0, 64, default=0)
-    unit: str = entry("unit of the scaled value; empty: a plain word", choices=UNITS, default="")
+    unit: str = entry("unit of the scaled value; empty for a plain word", choices=UNITS, default="")
     scale: float = entry("value = scale x raw", default=1.0)
     full_scale: str = entry(
         "register whose value divides this one; read on connecting", default=""
@@ -79,13 +79,13 @@ class Register:
 
     @property
     def width(self) -> int:
-        """How many registers the value takes."""
+        """The number of registers that the value takes."""
         return WIDTHS.get(self.type, self.length)
 
 
 @dataclass(frozen=True)
 class RegisterCondition:
-    """True if register & mask == value."""
+    """A condition that is true if register & mask == value."""
 
     mask: Word = entry("bits that count", 1, 0xFFFFFFFF)
     value: Word = entry("what they must be", 0, 0xFFFFFFFF)
@@ -98,11 +98,11 @@ class RegisterCondition:
 
 @dataclass(frozen=True)
 class Step:
-    """One write, and what the drive must report before the next step."""
+    """One write, and what the drive must report before the next step is taken."""
 
     write: str = entry("name of the register that is written")
     value: Word | str = entry(
-        "the word, or 'speed' for the requested speed", 0, 0xFFFF, choices=(SPEED,)
+        "the word to write, or 'speed' for the requested speed", 0, 0xFFFF, choices=(SPEED,)
     )
     until: RegisterCondition | None = entry("what must be true before the next step", default=None)
     within_s: float = entry("how long that may take (s)", 0.05, 60, default=1.0)
@@ -113,10 +113,10 @@ class Sequences:
     """The writes, in order, that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
-        "from any state without fault (power-up, reset, local control) to one in which `run` works"
+        "from any state but a fault (power-up, reset, local control) to one in which `run` works"
     )
     run: tuple[Step, ...] = entry("speed and run; written again in every cycle while it runs")
-    stop: tuple[Step, ...] = entry("ramp down and off; written again in every cycle while off")
+    stop: tuple[Step, ...] = entry("ramp down, then off; written again in every cycle while off")
     reset: tuple[Step, ...] = entry("acknowledge a fault; leaves the drive off")
 
 
@@ -124,14 +124,14 @@ class Sequences:
 class StatusWord:
     """The meaning of the status word."""
 
-    enabled: RegisterCondition = entry("`run` works without `ready` before it")
-    ready: RegisterCondition = entry("no fault, no interlock: it would start")
+    enabled: RegisterCondition = entry("`run` works without a preceding `ready`")
+    ready: RegisterCondition = entry("the drive would start: it has no fault and no interlock")
     running: RegisterCondition = entry("the motor is energized")
     fault: RegisterCondition = entry("a fault keeps it off")
     warning: RegisterCondition | None = entry("a warning is active", default=None)
     remote: RegisterCondition | None = entry("it obeys the bus", default=None)
     bits: dict[int, str] = entry(
-        "texts of the status word's bits, 0 the least significant", 0, 31, factory=dict
+        "texts for the status word's bits; 0 is the least significant", 0, 31, factory=dict
     )
 
 
@@ -139,20 +139,20 @@ class StatusWord:
 class Codes:
     """A register of faults or warnings, and the texts of its values."""
 
-    register: str = entry("its name")
-    kind: str = entry("one code, or a bit for each", choices=("code", "bits"))
+    register: str = entry("name of the register")
+    kind: str = entry("one code, or a bit for each fault", choices=("code", "bits"))
     texts: dict[Word, str] = entry(
-        "text of each code, or of each bit (0 the least significant)", 0, 0xFFFFFFFF, factory=dict
+        "text for each code, or each bit (0 is the least significant)", 0, 0xFFFFFFFF, factory=dict
     )
 
     def only(self, raw: int, among: tuple[Word, ...]) -> bool:
-        """Return whether a raw value reports something, and nothing beyond these codes or bits."""
+        """Return whether a raw value reports something, but nothing except these codes or bits."""
         if self.kind == "code":
             return raw in among
         return raw != 0 and raw & ~sum(1 << bit for bit in among) == 0
 
     def text(self, raw: int) -> str:
-        """Return the text of a raw value; empty for no fault or warning."""
+        """Return the text for a raw value; empty if there is no fault or warning."""
         if raw == 0:
             return ""
         if self.kind == "code":
@@ -165,10 +165,10 @@ class Codes:
 class Action:
     """A setting that decides whether the communication timeout stops the pump."""
 
-    register: str = entry("its name")
+    register: str = entry("name of the register")
     stops: dict[int, str] = entry("values with which it stops the pump, and their names", 0)
     runs_on: dict[int, str] = entry(
-        "values with which it does not, or not for certain, or only until someone resets it: the "
+        "values with which it does not, may not, or does so only until someone resets it: the "
         "timeout is treated as off", 0,
     )
 
@@ -177,34 +177,34 @@ class Action:
 class Timeout:
     """The communication timeout of one of the drive's interfaces."""
 
-    register: str = entry("name of the register of the time")
+    register: str = entry("name of the register that holds the time")
     kept_alive_by: str = entry("which messages restart it")
-    how_to_set: str = entry("for people: where to set it, and to what")
+    how_to_set: str = entry("for people: where to set it, and to which value")
     off_values: tuple[Word, ...] = entry("raw times that mean off", default=())
     action: Action | None = entry("setting that selects what it does when it expires", default=None)
     mode: Action | None = entry(
         "setting that selects which messages restart it, if there is a choice", default=None
     )
     trips: tuple[Word, ...] = entry(
-        "codes (or bits) of `faults` that report that it has expired", 0, default=()
+        "codes (or bits) of `faults` that report its expiry", 0, default=()
     )
     unguarded_after_power_up_s: float = entry(
-        "how long after power-up it is not effective (s); the pump is kept off for this long after "
-        "each connection, since the drive may have just been switched on", 0, 600, default=0.0,
+        "how long it is not effective after power-up (s); the pump is kept off for as long after "
+        "every connection, since the drive may have just been switched on", 0, 600, default=0.0,
     )
     local_settings_decide: bool = entry(
-        "what the pump does after the timeout is set in the drive and cannot be read: a person "
-        "must confirm that it stops (`local_settings_stop_the_pump`)", default=False,
+        "whether what the pump does after it is set in the drive and cannot be read: a person "
+        "must then confirm that it stops (`local_settings_stop_the_pump`)", default=False,
     )
-    traps: str = entry("when it is not effective", default="")
+    traps: str = entry("cases in which it is not effective", default="")
 
 
 @dataclass(frozen=True)
 class Timeouts:
-    """The drive's own communication timeouts: one per interface, which guards only that one."""
+    """The drive's own communication timeouts, each of which guards one interface only."""
 
     serial: Timeout | None = entry("for its serial port, over a line or a gateway", default=None)
-    tcp: Timeout | None = entry("for its own Ethernet port, or its adapter's", default=None)
+    tcp: Timeout | None = entry("for its own Ethernet port, or that of its adapter", default=None)
 
     @property
     def by_interface(self) -> dict[str, Timeout]:
@@ -220,7 +220,7 @@ class Timeouts:
 class Nameplate:
     """A register that tells people which drive this is."""
 
-    register: str = entry("its name")
+    register: str = entry("name of the register")
     texts: dict[int, str] = entry("names of its values", factory=dict)
 
 
@@ -240,21 +240,21 @@ class DriveFile:
     registers: dict[str, Register] = entry(
         "by name; `control`, `reference`, `status` and `speed` are required"
     )
-    sequences: Sequences = entry("control words")
+    sequences: Sequences = entry("sequences of control words")
     status: StatusWord = entry("the status word")
     faults: Codes = entry("fault codes")
     timeout: Timeouts = entry("the drive's own communication timeouts")
     nameplate: tuple[Nameplate, ...] = entry("read on connecting")
-    min_speed: float = entry("share of rated speed below which it is not run", 0, 1)
-    set_up: tuple[str, ...] = entry("for people: what must be set in the drive")
+    min_speed: float = entry("share of the rated speed below which it is not run", 0, 1)
+    set_up: tuple[str, ...] = entry("for people: what to set in the drive")
     warnings: Codes | None = entry("warning codes", default=None)
     path: Path = Path()
 
     def device_id_at(self, address: Address) -> int:
         """Return the drive's unit identifier or slave address at an address.
 
-        The address's own comes first. Otherwise it is the file's for the interface that is reached;
-        behind a gateway that is the slave address.
+        An identifier in the address comes first. Otherwise it is the one in the file for the
+        interface that is reached, which is the slave address behind a gateway.
         """
         if address.device_id is not None:
             return address.device_id
@@ -264,7 +264,7 @@ class DriveFile:
         """Return a connection to the drive, not yet opened.
 
         Args:
-            address: of the drive.
+            address: address of the drive.
             timeout_s: longest wait for a connection, and for each answer (s).
         """
         return ModbusLine(
@@ -274,7 +274,7 @@ class DriveFile:
 
     @property
     def unverified_and_vital(self) -> tuple[str, ...]:
-        """The unverified keys that, if wrong, could let a pump run when it must not."""
+        """The unverified keys that could let a pump run when it must not, if they were wrong."""
         parts = ("sequences.ready.", "sequences.run.", "sequences.stop.", "timeout.")
         vital = ["numbering.", "sequences.", "timeout.", "registers.status."]
         vital += [
@@ -290,7 +290,7 @@ def find_drive_file(name: str) -> Path:
         name: a path, or the name of a file in ``config/drives/`` without its ending.
 
     Raises:
-        ConfigurationError: there is no such file.
+        ConfigurationError: if there is no such file.
     """
     shipped = shared_directory() / "config" / "drives"
     names = sorted(path.stem for path in shipped.glob("*.yaml"))
@@ -308,18 +308,17 @@ def read_drive_file(path: Path) -> DriveFile:
     """Read and check a drive file.
 
     Raises:
-        ConfigurationError: something in it is missing, unknown or impossible, or contradicts
-            something else in it.
+        ConfigurationError: if something in it is missing, unknown, impossible or contradictory.
     """
     return replace(read_record(DriveFile, path, _mistakes), path=path)
 
 
-# What a register must be if a key names it, besides its unit.
+# What a register must be if a key names it, apart from its unit.
 _BITS, _WORD, _ANY = "bits", "word", "any"
 
 
 def _parts(part: Any, key: str) -> Iterator[tuple[str, Any]]:
-    """Yield each record in a part of a drive file, with its key."""
+    """Yield every record in a part of a drive file, with its key."""
     below: dict[Any, Any] = {}
     if is_dataclass(part):
         yield key, part
@@ -333,7 +332,7 @@ def _parts(part: Any, key: str) -> Iterator[tuple[str, Any]]:
 
 
 def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
-    """Yield each key that names a register, the name, and what that register must be."""
+    """Yield every key that names a register, the name, and what that register must be."""
     for name, unit in {"control": "", "reference": "share", "status": "", "speed": "share"}.items():
         yield "registers", name, unit
     if "flow" in drive.registers:
@@ -353,7 +352,7 @@ def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
 
 
 def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str]]:
-    """Yield each key with a mistake, and the reason; later checks rely on the earlier ones."""
+    """Yield every key with a mistake, and the reason; later checks rely on the earlier ones."""
     registers = drive.registers
     for name, register in registers.items():
         for key, why in _register_mistakes(register, drive.numbering.offset):
@@ -378,12 +377,12 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
             full = registers[register.full_scale]
             if full.low <= 0 or math.isinf(full.high) or full.full_scale:
                 yield f"registers.{register.full_scale}", (
-                    f"must have low, above 0, and high, and no full_scale: {name} is divided by it"
+                    f"must have high, low above 0 and no full_scale, since {name} is divided by it"
                 )
     for key, part in _parts(drive, ""):
         if isinstance(part, RegisterCondition) and part.value & ~part.mask:
             yield f"{key}.value", (
-                f"has bits outside the mask 0x{part.mask:04X}: it could never be true"
+                f"has bits outside the mask 0x{part.mask:04X}, so it could never be true"
             )
         elif isinstance(part, Action):
             for value in part.stops.keys() & part.runs_on.keys():
@@ -423,7 +422,7 @@ def _sequence_mistakes(drive: DriveFile) -> Iterator[tuple[str, str]]:
             share = drive.registers[step.write].unit == "share"
             if step.value == SPEED and not (name == "run" and share):
                 yield f"sequences.{name}.{number}.value", (
-                    "can be written in sequences.run only, to a register whose unit is share"
+                    "can only be written in sequences.run, to a register whose unit is share"
                 )
         written = [step.write for step in steps]
         if name != "ready" and "control" not in written:

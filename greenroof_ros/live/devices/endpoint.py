@@ -1,4 +1,4 @@
-"""A drive and its address, of either kind: a drive on Modbus, or a relay on MQTT."""
+"""A drive of either kind, a drive on Modbus or a relay on MQTT, and its address."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ Connection: TypeAlias = Drive | Relay
 def read_endpoint(
     file: Path, at: str, key: str, login: str = "", authority: str = ""
 ) -> Endpoint:
-    """Read a drive file, or with the key ``protocol`` a relay file, and return it with its address.
+    """Read a drive file, or a relay file (which has the key ``protocol``), and add its address.
 
     Args:
         file: the drive file or relay file.
-        at: its address. For a relay ``mqtt://HOST[:PORT]/DEVICE``, ``mqtts`` over TLS; else see
-            :func:`greenroof_ros.live.devices.modbus_line.parse_drive_address`.
-        key: the name of the address in error messages.
+        at: its address. For a relay, this is ``mqtt://HOST[:PORT]/DEVICE``, or ``mqtts`` over TLS;
+            otherwise see :func:`greenroof_ros.live.devices.modbus_line.parse_drive_address`.
+        key: name of the address in error messages.
         login: for a relay's broker: file with ``username`` and ``password``; empty for none.
         authority: for a relay's broker: file of trusted certificates (PEM); empty for the system's.
 
     Raises:
-        ConfigurationError: the file or the address is wrong.
+        ConfigurationError: if the file or the address is wrong.
     """
     if "protocol" in read_yaml(file):
         return RelayEndpoint(read_relay_file(file), *parse_topic(at, key, login, authority))

@@ -31,25 +31,25 @@ FIRST_WAIT_S, MAX_WAIT_S = 0.25, 5.0
 # A drive being stopped must not keep its speed for longer than this (s), or it is
 # treated as one that does not stop.
 STEADY_S = 3.0
-# A drive whose speed cannot be read may still get orders for this long (s); then follows the
-# silence in which its own timeout can pass.
+# A drive whose speed cannot be read may still receive orders for this long (s); after that, a
+# silence follows in which its own timeout can expire.
 UNREAD_S = RUNS_ON_S + MAX_WAIT_S
-# Longest time that driver and supervisor each wait for a drive to come to rest (s): its ramp, and
-# the requests. It must fit into the 40 s in which bringup lets the pump node end. Twice, one after
-# the other, it must fit into the 120 s of examples/greenroof.service.
+# Longest time for which driver and supervisor each wait for a drive to come to rest (s): its ramp
+# and the requests. It must fit into the 40 s that bringup gives the pump node to end. Both waits,
+# one after the other, must fit into the 120 s of examples/greenroof.service.
 REST_LIMIT_S = MAX_RAMP_S + 3.0
-# How long a drive that failed to start is left off before the next attempt (s).
+# For how long a drive that failed to start is left off before the next attempt (s).
 PAUSE_S = 2.0
 # The same after the last sign of another writer (s): longer than a slow writer's period.
 SECOND_MASTER_PAUSE_S = 10.0
-# Within this time the drive must acknowledge its fault; after it the fault counts again (s).
+# Time in which the drive must acknowledge its fault (s); after that, the fault counts again.
 RESET_S = 5.0
-# Maximum age of the drive's status (s). During a start none comes for some seconds; a lost
+# Maximum age of the drive's status (s). During a start, no status arrives for some seconds; a lost
 # connection is noticed sooner.
 STATUS_AGE_S = 10.0
 # Interval at which the drive's safety-relevant settings are read again (s).
 SETTINGS_S = 30.0
-# A silence is longer than the drive's own communication timeout by this much (s).
+# A silence lasts longer than the drive's own communication timeout by this much (s).
 SILENCE_MARGIN_S = 1.0
 # Wait before a new attempt to acquire the lock of the drive (s).
 LOCK_WAIT_S = 1.0
@@ -72,19 +72,21 @@ class DriveSnapshot(DeviceSnapshot):
     """What is known about a drive at one moment.
 
     Attributes:
-        read_at: time of its last answer (s, `boot_time`: one from before a suspend is old).
-        state: of the exchange; after `close` there is no connection any more.
-        status: its last report; None without a connection. After `close`: its report when it was
-            released, at which it may not be stopped; None if it could not be read.
+        read_at: time of its last answer (s, `boot_time`, so an answer from before a suspension is
+            old).
+        state: state of the exchange; after `close` there is no connection any more.
+        status: its last report; None without a connection. After `close`, it is the report at its
+            release, when it may not have been stopped; None if it could not be read.
         identity: its nameplate; empty until read.
         timeout_s: its own communication timeout (s); None for off.
-        timeout_known: the timeout could be read.
-        timeout_note: why it is treated as off, or could not be read.
-        unguarded: that the connected drive is kept off because its own timeout may not guard yet;
-            None if it guards.
-        second_master: that someone else writes to the drive, which is therefore kept off; None
-            if no one does.
-        start_failed: why it was stopped although it was to run; None once *off* is requested.
+        timeout_known: whether the timeout could be read.
+        timeout_note: why the timeout is treated as off or could not be read.
+        unguarded: diagnosis that the connected drive is kept off because its own timeout may not
+            guard it yet; None if it does.
+        second_master: diagnosis that someone else writes to the drive, which is therefore kept off;
+            None if no one does.
+        start_failed: why it was stopped although it was supposed to run; None once *off* is
+            requested.
         errors: number of failures so far.
     """
 
@@ -118,10 +120,10 @@ class DriveSnapshot(DeviceSnapshot):
 
 
 class DriveExchange(DeviceThread[DriveSnapshot]):
-    """Keeps a drive at the speed requested last, or off, from its own thread.
+    """Keeps a drive at the last requested speed, or off, from its own thread.
 
-    Every period it writes the control word and reads the status, which keeps the drive's own
-    communication timeout from passing; if this thread dies, that timeout stops the drive:
+    Every period, it writes the control word and reads the status, which keeps the drive's own
+    communication timeout from expiring. If this thread dies, that timeout stops the drive:
 
     .. code-block:: text
 
@@ -136,16 +138,17 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
           +-------------- SILENT                    *stop* is refused on two connections, or the
                                                     speed does not fall, or is unknown
 
-    From CONNECTING a stopped drive becomes STOPPED at once.
+    From CONNECTING, a stopped drive becomes STOPPED directly.
 
-    Each connection begins with *stop*. RUNNING ends if off is requested, `request_speed` is late,
-    the drive fails to start, or someone else writes to it. After a failed start, or a connection
-    lost while a speed was requested, the drive stays off until `request_speed` requests off: the
-    caller, which counts starts and waits between them, decides on the next. During a silence
-    nothing is sent for longer than the drive's own timeout, which then stops it: it may count any
-    order as a sign of life. A timeout above the limit is not relied on, and `stop` ends a silence
-    early. `close` works in every state and leaves the drive stopped. From the first connection to
-    `close` no other program on this machine can use the drive.
+    Every connection begins with *stop*. RUNNING ends if off is requested, `request_speed` is late,
+    the drive fails to start, or someone else writes to it. After a failed start, or if the
+    connection is lost while a speed is requested, the drive stays off until `request_speed`
+    requests off: the caller, which counts starts and waits between them, decides on the next one.
+    During a silence, nothing is sent for longer than the drive's own timeout, which then stops the
+    drive; any order might count as a sign of life and restart that timeout. A timeout above the
+    limit is not relied on, and `stop` ends a silence early. `close` works in every state and leaves
+    the drive stopped. From the first connection to `close` no other program on this machine can use
+    the drive.
 
     Attributes:
         endpoint: the drive.
@@ -166,16 +169,16 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
         Args:
             endpoint: the drive.
-            period_s: between two rounds of requests (s); a relay's file may set a longer one.
-            dead_man_s: the drive is stopped if `request_speed` has not been called for this (s).
+            period_s: time between two rounds of requests (s); a relay's file may set a longer one.
+            dead_man_s: time without a call of `request_speed` after which the drive is stopped (s).
             timeout_s: longest wait for each answer (s).
             timeout_limit_s: longest usable communication timeout of the drive (s). A silence lasts
-                this long if the timeout is longer, unknown or off.
+                for this long if the timeout is longer, unknown or off.
             stops_locally: whether someone has confirmed that the drive's own settings stop the
                 pump, if they cannot be read.
 
         Raises:
-            ConfigurationError: its library is missing, or a file for the login is wrong.
+            ConfigurationError: if its library is not installed or a file for the login is wrong.
         """
         super().__init__("talking to the drive", DriveSnapshot())
         self.endpoint, self.disbelieved = endpoint, False
@@ -187,10 +190,10 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._timeout_limit_s, self._stops_locally = timeout_limit_s, stops_locally
         # Read and written as a whole, so no lock is needed.
         self._requested: tuple[float | None, float] = (None, -math.inf)
-        # Until this time a fault may be acknowledged.
+        # Time until which a fault may be acknowledged.
         self._reset_until = -math.inf
         self._rest_deadline = math.inf
-        # When to connect next, how long to wait after that, and whether it is the last attempt.
+        # When to connect next, how long to wait after that attempt, and whether it is the last one.
         self._connect_at, self._wait_s = -math.inf, FIRST_WAIT_S
         self._last_attempt = False
         self._stop_requested = False
@@ -204,10 +207,10 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._guarded_from = -math.inf
 
     def close(self) -> None:
-        """Stop the drive, read back that it is stopped, and release it; `snapshot` has the result.
+        """Stop the drive, read that it is stopped, and release it; `snapshot` contains the result.
 
-        It waits as long as the speed falls, `REST_LIMIT_S` at most. If the speed does not fall, or
-        the drive does not answer, it is released after a few seconds.
+        It waits while the speed falls, but for `REST_LIMIT_S` at most. If the speed does not fall,
+        or the drive does not answer, it is released after a few seconds.
         """
         self._requested = (None, -math.inf)
         self._rest_deadline = time.monotonic() + REST_LIMIT_S
@@ -219,7 +222,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         """Return, after `close`, how the drive was released.
 
         Raises:
-            OSError: it did not answer at the end, or is not stopped.
+            OSError: if it did not answer at the end or is not stopped.
         """
         snapshot = self.snapshot
         status = snapshot.status
@@ -237,7 +240,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         raise OSError(f"{problem}; {ending}")
 
     def timeout_problem(self, snapshot: DriveSnapshot) -> Diagnosis | None:
-        """Return what is wrong with the drive's own communication timeout; None if nothing is."""
+        """Return what is wrong with the drive's own communication timeout, or None."""
         guard, seconds, limit_s = self.endpoint.guard, snapshot.timeout_s, self._timeout_limit_s
         values: dict[str, float | str] = {}
         if not snapshot.timeout_known:
@@ -255,12 +258,12 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         return Diagnosis.of("drive_timeout", case, *cases, **values, **more)
 
     def request_speed(self, speed: float | None) -> None:
-        """Request a speed (share of rated speed), or off (None); valid for `dead_man_s`.
+        """Request a speed (share of the rated speed), or off (None); it is valid for `dead_man_s`.
 
-        Anything but a number from 0 to 1 is refused, reported as a problem, and means off.
+        Anything but a number from 0 to 1 is rejected, reported as a problem, and treated as off.
         """
         if speed is not None and not 0 <= speed <= 1:
-            self._fail(f"refused: {speed} is not a share of rated speed (0 to 1)")
+            self._fail(f"rejected: {speed} is not a share of the rated speed (0 to 1)")
             speed = None
         before = self._requested[0]
         self._requested = (speed, boot_time())
@@ -268,16 +271,16 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._wake.set()
 
     def stop(self) -> None:
-        """Try to stop the drive now, also during a silence, in which `request_speed` has no effect.
+        """Try to stop the drive now, even during a silence, when `request_speed` has no effect.
 
-        For a person's request to stop; the requested speed must be off, too. An attempt that fails
+        This is for a person's request to stop; off must also be requested. An attempt that fails
         during a silence begins another silence.
         """
         self._stop_requested = True
         self._wake.set()
 
     def reset(self) -> None:
-        """Have a fault acknowledged; this stops the drive first.
+        """Have a fault acknowledged, which stops the drive first.
 
         Only a present fault is acknowledged: the request is dropped if there is no connection, or
         if it could not be carried out within `RESET_S`.
@@ -297,7 +300,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
     def _target_speed(self) -> float | None:
         speed, at = self._requested
-        fresh = boot_time() - at <= self._dead_man_s  # a suspend counts
+        fresh = boot_time() - at <= self._dead_man_s  # a suspension counts
         return speed if fresh and not self._closing and self._unguarded() is None else None
 
     def _unguarded(self) -> Diagnosis | None:
@@ -321,7 +324,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._run_cycle()
 
     def _handle_failure(self, error: Exception, problem: str) -> None:
-        """Close the connection; then stay silent, connect again after a while, or end."""
+        """Close the connection; then stay silent, connect again after a while, or finish."""
         now, drive = time.monotonic(), self._drive
         if self._requested[0] is not None:
             self._update(start_failed=Diagnosis.of("start_failed", "lost", problem=problem))
@@ -330,8 +333,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             why = ""  # the error already gives the reason
         self._done = self._last_attempt
         if why is None or self._done:
-            # A drive that closes its connections gets as much time as one that does not answer: two
-            # closed connections in quick succession must not lead to silence.
+            # A drive that closes its connections is given as much time as one that does not answer:
+            # two closed connections in quick succession must not lead to a silence.
             closes = drive.stopped is False and not drive.line.connected
             self._connect_at = now + self._wait_s + (self._timeout_s if closes else 0.0)
             self._wait_s = min(2 * self._wait_s, MAX_WAIT_S)
@@ -351,18 +354,18 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     def _silence(self) -> tuple[float, str]:
         """Return the length of a silence (s), and the drive's own timeout in words.
 
-        A timeout above the limit cannot be waited for: it was misread, or the drive runs on. It
-        counts like an unknown timeout. No silence is longer than the limit.
+        A timeout above the limit is not waited for, since it was misread or the drive would run on.
+        It is treated like an unknown timeout. No silence is longer than the limit.
         """
         limit_s, own_s = self._timeout_limit_s, self._snapshot.timeout_s
         if own_s is None:
             return limit_s, f"assumed to be at most {limit_s:g} s"
         if own_s > limit_s:
-            return limit_s, f"{own_s:g} s was read, which is not relied on: above {limit_s:g} s"
+            return limit_s, f"read as {own_s:g} s, which is above {limit_s:g} s and not relied on"
         return min(own_s + SILENCE_MARGIN_S, limit_s), f"{own_s:g} s"
 
     def _disconnect(self) -> None:
-        """Close the connection; at the end also release the lock."""
+        """Close the connection; at the end, release the lock, too."""
         try:
             self._drive.line.close()
         finally:
@@ -370,7 +373,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
                 self._drive_lock.close()
 
     def _connect(self) -> None:
-        """Stop the drive first; then read what it is and whether its own timeout would stop it."""
+        """Stop the drive; then read what it is and whether its own timeout would stop it."""
         self._pause_until(self._connect_at)
         self._stop_requested = False
         if self._drive_lock is None:
@@ -382,11 +385,12 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._guarded_from = time.monotonic() + self._unguarded_s
         try:
             self._stop()
-            # Learn whether the control word reads back: no other master has had time to write yet.
+            # Learn whether the control word can be read back: no other master has had time to write
+            # yet.
             drive.second_master()
             status = self._stop_monitor.check(self._read(), time.monotonic())
         except DriveError as error:
-            # Still try to read the timeout: it decides how long a silence must be.
+            # Still try to read the timeout, which decides how long a silence must be.
             if error.kind != "connection" and not self._snapshot.timeout_known:
                 self._read_settings()
             raise
@@ -443,7 +447,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             if self._unanswered >= LOST_AFTER or not self._drive.line.connected:
                 raise
             self._fail(str(error))
-            # The rest of a late answer must not be read as the next answer.
+            # The remainder of a late answer must not be read as the next answer.
             time.sleep(self._period_s)
             return
         self._unanswered = 0
@@ -468,13 +472,14 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     def _read(self) -> DriveStatus:
         """Return the drive's report; first acknowledge a trip of its communication timeout.
 
-        That trip is the consequence of a lost connection, and is over when the connection is back.
+        That trip results from a lost connection, and is no longer relevant when the connection is
+        back.
         """
         drive = self._drive
         try:
             status = drive.read()
         except DriveError as error:
-            # In local control a person at the panel sees whether it turns.
+            # In local control, a person at the panel sees whether it turns.
             if error.kind != "connection" and drive.local():
                 self._stop_monitor.speed_read()
             raise
@@ -543,7 +548,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
     """Stop a drive; return its report when it is stopped, or when its speed does not fall.
 
-    Drive files do not give the length of the ramp, so it waits for as long as the speed falls.
+    Drive files do not state the length of the ramp, so it waits while the speed falls.
     """
     fall = Deceleration()
     while True:
@@ -555,10 +560,10 @@ def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
 
 
 def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
-    """Stop a drive after its driver has died; blocks for `REST_LIMIT_S` at most.
+    """Stop a drive after its driver has died; this blocks for `REST_LIMIT_S` at most.
 
-    The lock keeps other drivers off meanwhile. It is not required: a hung driver still holds it,
-    and stopping is safe if it cannot be acquired or its holder is unknown.
+    The lock keeps other drivers away meanwhile. It is not required, since a hung driver still holds
+    it, and stopping is safe even if it cannot be acquired or its holder is unknown.
 
     Args:
         endpoint: the drive.
@@ -568,8 +573,8 @@ def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
         The drive's report after *stop*; it may not be stopped.
 
     Raises:
-        DriveInUseError: another process runs it, and nothing was sent.
-        DriveError: three attempts to write *stop* and read the drive failed; the message states
+        DriveInUseError: if another process runs the drive; nothing was sent.
+        DriveError: if three attempts to write *stop* and read the drive failed; the message states
             why.
     """
     with ExitStack() as lock:

@@ -1,4 +1,4 @@
-"""A lock: only one program on this machine may drive a drive at a time."""
+"""A lock, so that only one program at a time on this machine controls a drive."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from greenroof_ros.live.devices.modbus_line import DriveError
 
 
 class DriveInUseError(DriveError):
-    """Another process has the lock.
+    """Another process holds the lock.
 
     Attributes:
         holder: its process id; None if it is unknown.
@@ -22,21 +22,21 @@ class DriveInUseError(DriveError):
 
 
 def acquire_drive_lock(drive: Endpoint) -> socket.socket:
-    """Return the lock of a drive, which is held until it is closed; may resolve a host name.
+    """Return the lock of a drive, which is held until it is closed; this may resolve a host name.
 
-    One process at a time holds it, among all users of this machine. A serial line is locked as a
-    whole, with all devices on it. The lock does not keep off a driver on another computer, or in a
-    container with its own network.
+    Only one process at a time can hold it, among those of all users of this machine. A serial line
+    is locked as a whole, with all devices on it. The lock does not keep away a driver on another
+    computer, or in a container with its own network.
 
     Raises:
-        DriveInUseError: another process has it.
-        DriveError: the system refuses the lock, or the host is unknown.
+        DriveInUseError: if another process holds it.
+        DriveError: if the system refuses the lock or the host is unknown.
     """
     try:
         name = drive.lock_name()
     except OSError as error:
         raise DriveError(
-            "connection", f"{drive}: cannot connect: the host is not found ({error.strerror})"
+            "connection", f"{drive}: cannot connect: the host was not found ({error.strerror})"
         ) from error
     try:
         return acquire_name_lock(f"drive-{name}")

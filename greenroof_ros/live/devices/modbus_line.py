@@ -1,9 +1,9 @@
-"""A connection to one device on Modbus TCP or RTU: its address, the requests and their answers.
+"""A connection to one device on Modbus TCP or RTU: its address, requests and answers.
 
 Every answer is checked, and every failure is named. The function codes are 03 and 04 (read holding
 registers, input registers) and 06 (write single register) of the Modbus Application Protocol
-V1.1b3. No request is sent twice: the caller decides what a lost one
-means. The module also codes the values of registers, and has a thread that serves one device.
+V1.1b3. No request is sent twice: the caller decides what a lost one means. The module also encodes
+and decodes the values of registers, and contains a thread that serves one device.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ if TYPE_CHECKING:
     from pymodbus.client import ModbusSerialClient, ModbusTcpClient
     from pymodbus.pdu import ModbusPDU
 
-# The number of registers that a value takes.
+# The number of registers that a value of each type takes.
 WIDTHS = {
     "uint16": 1, "int16": 1, "uint32": 2, "int32": 2, "float32": 2, "uint64": 4, "int64": 4,
     "float64": 4,
 }
 WORD_ORDERS = ("", "high first", "low first")
 
-# Its messages repeat ours; without a handler they would go to the terminal.
+# Its messages repeat ours, and without a handler they would go to the terminal.
 logging.getLogger("pymodbus").addHandler(logging.NullHandler())
 
-# The function that writes a single register.
+# The code of the function that writes a single register.
 _WRITE = 6
 # Section 7 of the specification.
 _EXCEPTIONS = {
     1: "illegal function",
-    2: "illegal data address: it has no such register",
+    2: "illegal data address: there is no such register",
     3: "illegal data value",
     4: "server device failure",
     5: "acknowledged, not yet done",
@@ -63,7 +63,7 @@ _EXCEPTIONS = {
 
 @dataclass(frozen=True)
 class Serial:
-    """Modbus RTU, 8 data bits."""
+    """Settings of Modbus RTU with 8 data bits."""
 
     baud_rate: int = entry("bits per second", 1200, 1_000_000)
     parity: str = entry("parity bit", choices=("even", "odd", "none"))
@@ -71,7 +71,7 @@ class Serial:
     device_id: int = entry("slave address", 1, 247)
 
     def parity_letter(self, line: str) -> str:
-        """Return E, O or N for a line; a pseudo-terminal has no parity and refuses one."""
+        """Return E, O or N for a line; a pseudo-terminal has no parity and rejects one."""
         pseudo = Path(line).resolve().is_relative_to("/dev/pts")
         return "N" if pseudo else self.parity[0].upper()
 
@@ -81,10 +81,10 @@ class Address:
     """The address of a device.
 
     Attributes:
-        host: for Modbus TCP; empty for a serial line.
-        port: for Modbus TCP; None for the port in the device's file.
+        host: host for Modbus TCP; empty for a serial line.
+        port: port for Modbus TCP; None for the port in the device's file.
         line: the serial line's device, such as ``/dev/ttyUSB0``; empty for TCP.
-        gateway: host and port belong to a gateway to the device's serial port.
+        gateway: whether host and port belong to a gateway to the device's serial port.
         device_id: unit identifier or slave address; None for the one in the device's file.
     """
 
@@ -106,13 +106,14 @@ class Address:
     def interface(self) -> str:
         """Return which interface of the device is reached.
 
-        ``tcp`` is its own Ethernet port; ``serial`` is its serial port, also through a gateway. A
-        drive has a communication timeout for each, and only the timeout of the one in use guards.
+        ``tcp`` is its own Ethernet port; ``serial`` is its serial port, reached directly or through
+        a gateway. A drive has a communication timeout for each, and only that of the interface in
+        use guards the pump.
         """
         return "serial" if self.line or self.gateway else "tcp"
 
     def shares_line(self, other: Address) -> bool:
-        """Whether both are on one serial line, under any name; only one program can open it."""
+        """Whether both are on one serial line, under any name, which only one program can open."""
         return bool(self.line and other.line) and (
             self.canonical_name(0) == other.canonical_name(0)
         )
@@ -120,14 +121,15 @@ class Address:
     def canonical_name(self, port: int) -> str:
         """Return a name for the host or line that is the same however the address is written.
 
-        It does not include the device id. A serial line is its device's number; all addresses of
-        this machine are one host. May block while the host name is resolved.
+        It does not include the device id. A serial line is named after its device number, and all
+        addresses of this machine count as one host. The call may block while the host name is
+        resolved.
 
         Args:
             port: the TCP port, unless the address has one.
 
         Raises:
-            OSError: there is no such host, or no name server answers.
+            OSError: if there is no such host or no name server answers.
         """
         if self.line:
             path = Path(self.line).resolve()
@@ -140,7 +142,7 @@ class Address:
 
 
 def _is_here(family: socket.AddressFamily, place: tuple[Any, ...]) -> bool:
-    """Return whether an address, with port 0, is one of this machine."""
+    """Return whether an address, with port 0, belongs to this machine."""
     with socket.socket(family, socket.SOCK_DGRAM) as plug:
         try:
             plug.bind(place)
@@ -150,7 +152,7 @@ def _is_here(family: socket.AddressFamily, place: tuple[Any, ...]) -> bool:
 
 
 def parse_address(text: str, key: str = "address") -> Address:
-    """Return the address that a user wrote.
+    """Return the address that a user specified.
 
     Args:
         text: ``tcp://HOST``, ``tcp://HOST:PORT``, ``gateway://HOST:PORT`` or the path of a serial
@@ -158,7 +160,7 @@ def parse_address(text: str, key: str = "address") -> Address:
         key: the option or parameter, for messages.
 
     Raises:
-        ConfigurationError: it is none of these.
+        ConfigurationError: if it is none of these.
     """
     scheme, host, port = parse_host(text) or ("", "", None)
     if scheme in ("tcp", "gateway"):
@@ -173,7 +175,7 @@ def parse_address(text: str, key: str = "address") -> Address:
 
 
 def parse_drive_address(text: str, key: str) -> Address:
-    """Return the address of a drive that a user wrote, which may include its device id.
+    """Return the address of a drive that a user specified, which may include its device id.
 
     Args:
         text: see `parse_address`; a comma and the unit identifier or slave address may follow, if
@@ -181,7 +183,7 @@ def parse_drive_address(text: str, key: str) -> Address:
         key: the option or parameter, for messages.
 
     Raises:
-        ConfigurationError: it is none of these.
+        ConfigurationError: if it is none of these.
     """
     canonical_name, comma, device_id = text.rpartition(",")
     if not comma:
@@ -199,11 +201,11 @@ def parse_drive_address(text: str, key: str) -> Address:
 
 
 class DriveError(Exception):
-    """A failure of a drive, or another device on Modbus; the message states what and where.
+    """A failure of a drive or another device; the message states what and where.
 
     Attributes:
-        kind: ``connection`` (there is none, or no answer came), ``answer`` (the answer is invalid
-            or a refusal) or ``drive`` (communication works, but the drive does not run).
+        kind: ``connection`` (there is none, or no answer arrived), ``answer`` (the answer is
+            invalid or a refusal) or ``drive`` (communication works, but the drive does not run).
     """
 
     def __init__(self, kind: str, message: str) -> None:
@@ -215,7 +217,7 @@ def check_installed() -> None:
     """Check that the Modbus library is installed.
 
     Raises:
-        ConfigurationError: it is not.
+        ConfigurationError: if it is not.
     """
     with require_extra("pump"):
         import pymodbus.client  # noqa: F401 - only to see if it is there
@@ -223,12 +225,12 @@ def check_installed() -> None:
 
 @dataclass
 class _Request:
-    """A request, and the bytes received since.
+    """A request and the bytes received since it was sent.
 
     Attributes:
         copies: how often its bytes may be received.
-        sent: its bytes.
-        received: all bytes since it was sent.
+        sent: bytes of the request.
+        received: all bytes received since then.
     """
 
     copies: int
@@ -251,20 +253,20 @@ class ModbusLine:
         """Prepare the connection without opening it.
 
         Args:
-            address: of the device.
+            address: address of the device.
             port: the TCP port, unless the address has one.
             device_id: unit identifier or slave address.
             serial: settings of a serial line; not needed over TCP.
             timeout_s: longest wait for a connection, and for each answer (s).
 
         Raises:
-            ConfigurationError: there is no Modbus library.
+            ConfigurationError: if the Modbus library is not installed.
         """
         check_installed()
         from pymodbus.client import ModbusTcpClient
 
         self._address, self._device_id, self._timeout_s = address, device_id, timeout_s
-        # The last two requests: the second copy of a write may come after the next request.
+        # The last two requests, since the second copy of a write may arrive after the next request.
         self._recent: deque[_Request] = deque(maxlen=2)
         self._client: ModbusTcpClient | ModbusSerialClient
         if address.line:
@@ -297,7 +299,7 @@ class ModbusLine:
         """Open the connection.
 
         Raises:
-            DriveError: it cannot be opened.
+            DriveError: if it cannot be opened.
         """
         self._recent.clear()
         if not self._client.connect():
@@ -306,8 +308,9 @@ class ModbusLine:
     def close(self) -> None:
         """Close the connection.
 
-        If a request went unanswered, the connection is reset instead of closed normally: a device
-        with only one or two sockets then has one free at once, and a late request cannot arrive.
+        If a request went unanswered, the connection is reset instead of being closed normally. A
+        device with only one or two sockets then has one free immediately, and no late request can
+        arrive.
         """
         self._client.close()  # type: ignore[no-untyped-call]
 
@@ -315,7 +318,7 @@ class ModbusLine:
         """Read holding registers, or input registers.
 
         Raises:
-            DriveError: no answer or a wrong one.
+            DriveError: if there is no answer or a wrong one.
         """
         action = f"reading register {address}"
         client = self._client
@@ -330,7 +333,7 @@ class ModbusLine:
         """Write one holding register.
 
         Raises:
-            DriveError: no answer, or one that does not confirm the write.
+            DriveError: if there is no answer, or one that does not confirm the write.
         """
         action = f"writing 0x{word:04X} to register {address}"
         answer = self._request(action, _WRITE, self._client.write_register, address, word)
@@ -344,7 +347,7 @@ class ModbusLine:
         self, action: str, function: int, request: Callable[..., ModbusPDU], *values: int,
         **options: int,
     ) -> ModbusPDU:
-        """Return the answer to a request if its function is right and it is no exception."""
+        """Return the answer to a request if its function is right and it is not an exception."""
         from pymodbus.exceptions import ModbusException
 
         if not self.connected:
@@ -359,7 +362,7 @@ class ModbusLine:
         if answer.isError():
             code = answer.exception_code
             name = _EXCEPTIONS.get(code, "unknown")
-            raise self.error("answer", f"{action}: refused with exception {code}, {name}")
+            raise self.error("answer", f"{action}: rejected with exception {code}, {name}")
         if answer.function_code != function:
             raise self.error(
                 "answer",
@@ -373,17 +376,17 @@ class ModbusLine:
         return data
 
     def _receive(self, receive: Callable[[int | None], bytes], size: int | None) -> bytes:
-        """Record each byte received: an echo may come in pieces, or behind noise."""
+        """Record every received byte, since an echo may arrive in pieces or after noise."""
         data = receive(size)
         for request in self._recent:
             request.received += data
         return data
 
     def _refuse_echo(self, action: str) -> None:
-        """Raise if a request has come back; only the answer to a write may equal its request.
+        """Raise if a request was echoed; only the answer to a write may equal its request.
 
         Raises:
-            DriveError: the line returns what is sent.
+            DriveError: if the line returns what is sent.
         """
         if any(request.echoed for request in self._recent):
             raise self.error(
@@ -417,7 +420,8 @@ def _serial_client(
         def recv(self, size: int | None) -> bytes:
             """Return what arrives; pyserial does the waiting.
 
-            Pymodbus waits by the wall clock: set back by an hour, it would wait an hour longer.
+            Pymodbus measures the wait with the wall clock: if that is set back by an hour, it waits
+            an hour longer.
             """
             assert self.socket is not None
             try:
@@ -437,7 +441,7 @@ def _serial_client(
 
 
 def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
-    """Yield a mistake in ``word_order``: missing for several words, or given for another type."""
+    """Yield a mistake in ``word_order``: missing for several words, or set for another type."""
     if WIDTHS.get(kind, 1) > 1 and not word_order:
         yield "word_order", "must be 'high first' or 'low first'"
     elif word_order and WIDTHS.get(kind, 1) == 1:
@@ -453,7 +457,7 @@ def limits(kind: str) -> tuple[float, float]:
 
 
 def decode(registers: Sequence[int], kind: str, word_order: str = "") -> int | float | str:
-    """Return the value of some registers: text for the type ``text``, otherwise a number."""
+    """Return the value of some registers as text for the type ``text``, otherwise as a number."""
     from pymodbus.client.mixin import ModbusClientMixin
 
     types = ModbusClientMixin.DATATYPE
@@ -500,16 +504,16 @@ S = TypeVar("S", bound=DeviceSnapshot)
 class DeviceThread(ABC, Generic[S]):
     """Carries out steps with a device, one after another, until it is closed.
 
-    A failed step does not end the thread. Nothing here raises into the caller: `snapshot` has the
-    problem.
+    A failed step does not end the thread. Nothing here raises an error in the caller: `snapshot`
+    contains the problem.
     """
 
     def __init__(self, name: str, snapshot: S) -> None:
         """Prepare the thread.
 
         Args:
-            name: of its task, for messages.
-            snapshot: what is known at first.
+            name: name of its task, for messages.
+            snapshot: what is known initially.
         """
         self._name, self._snapshot, self._lock = name, snapshot, threading.Lock()
         self._closing = self._done = False
@@ -527,7 +531,7 @@ class DeviceThread(ABC, Generic[S]):
         return self._thread.ident is not None
 
     def start(self) -> None:
-        """Start the thread, unless it was started."""
+        """Start the thread, unless it has been started."""
         if not self.started:
             self._thread.start()
 
@@ -546,7 +550,7 @@ class DeviceThread(ABC, Generic[S]):
         """Do what is due now, and wait until the next step is due.
 
         Raises:
-            DriveError: it failed.
+            DriveError: if the step failed.
         """
 
     @abstractmethod
@@ -560,7 +564,7 @@ class DeviceThread(ABC, Generic[S]):
                     self._step()
                 except DriveError as error:
                     self._handle_failure(error, str(error))
-                except Exception as error:  # any error: the next step follows
+                except Exception as error:  # whatever the error, the next step follows
                     logging.getLogger(__name__).exception("%s failed", self._name)
                     self._handle_failure(error, f"{self._name} failed: {error!r}")
             except Exception as error:
@@ -571,7 +575,7 @@ class DeviceThread(ABC, Generic[S]):
             self._snapshot = replace(self._snapshot, **changes)
 
     def _pause(self, seconds: float) -> None:
-        """Wait for this long (s), or until woken."""
+        """Wait for this long (s), or until the thread is woken."""
         self._wake.wait(max(0.0, seconds))
         self._wake.clear()
 

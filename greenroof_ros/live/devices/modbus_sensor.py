@@ -1,4 +1,4 @@
-"""Reads sensors on Modbus: a thread for each serial line or TCP port reads its sensors in turn."""
+"""Reads sensors on Modbus: one thread per serial line or TCP port reads its sensors in turn."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from greenroof_ros.live.devices.sensor_file import ModbusSensor
 
 # Longest wait for a connection, and for each answer (s).
 _TIMEOUT_S = 0.5
-# The timeouts that a reading takes at most: one to connect, two for an answer that comes in pieces.
-# A failed one takes that long if another sensor follows: an answer on its way is then dropped.
+# Maximum number of timeouts that a reading takes: one to connect, two for an answer that arrives in
+# pieces. A failed reading takes this long if another sensor follows, so that an answer still on its
+# way is dropped.
 _TIMEOUTS = 3
 
 
 class SensorLine(DeviceThread[DeviceSnapshot]):
-    """Reads the sensors on one line, each once per period; the one that has waited longest first.
+    """Reads the sensors on one line once per period; the one that has waited longest comes first.
 
-    It connects if needed, and again after every failure; with several sensors only three timeouts
-    after the failed reading began: a gateway may give a late answer the number of the next request,
-    and it would be the value of the register that is read then. A sensor that is absent, hangs or
-    sends nonsense delays each of the others by three timeouts per reading. The timeout is 0.5 s,
-    but so short that reading all n sensors of the line takes at most half of the maximum age A of a
-    value: 3 n timeouts <= A / 2. A period is at most A / 2. So the readings of a good sensor are
-    never further apart than A, regardless of what the others do: at 5 s, two sensors have 0.42 s to
-    answer.
+    It connects if needed, and again after every failure. If the line has several sensors, it waits
+    until three timeouts after the failed reading began, because a gateway may label a late answer
+    with the number of the next request, and that answer would be taken for the value of the next
+    register. A sensor that is absent, hangs or sends nonsense delays each of the others by three
+    timeouts per reading. The timeout is 0.5 s, or shorter if needed so that reading all n sensors
+    of the line takes at most half of the maximum age A of a value: 3 n timeouts <= A / 2. A period
+    is at most A / 2. The readings of a good sensor are therefore never further apart than A,
+    whatever the others do. At A = 5 s, two sensors have 0.42 s each to answer.
     """
 
     def __init__(self, name: str) -> None:
@@ -49,7 +50,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
         """Start the thread, unless it has been started.
 
         Raises:
-            ConfigurationError: there is no Modbus library.
+            ConfigurationError: if the Modbus library is not installed.
         """
         if not self.started:
             age = min(reader.max_age for reader in self.readers)
@@ -58,7 +59,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
             super().start()
 
     def close(self) -> None:
-        """End the thread; wait up to four timeouts for it to close the connection."""
+        """End the thread, and wait up to four timeouts for it to close the connection."""
         self._stop_thread(4 * _TIMEOUT_S)
 
     # --- in the thread ----------------------------------------------------------------------------
@@ -75,7 +76,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
             reader.read(self._line.for_device(reader.sensor.device_id))
         finally:
             # Missed readings are not made up for: a sensor that takes longer than its period is
-            # read again after the others that wait.
+            # read again after the others that are waiting.
             if not self._line.connected and len(self.readers) > 1:
                 self._quiet_until = began + _TIMEOUTS * self._timeout_s
             now, period = max(time.monotonic(), self._quiet_until), reader.sensor.period
@@ -88,10 +89,10 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
 
 
 class ModbusReader(SensorReader):
-    """A sensor on a line, and what is known about its quantity.
+    """A sensor on a line and what is known about its quantity.
 
     Attributes:
-        sensor: what is read.
+        sensor: the sensor to read.
         max_age: age beyond which its quantity is not used (s).
         due: when it is read next (s, `time.monotonic`).
     """
@@ -103,9 +104,9 @@ class ModbusReader(SensorReader):
         """Add a sensor to a line that has not been started.
 
         Args:
-            sensor: what to read.
-            unit: of the quantity, for messages.
-            line: reads it.
+            sensor: the sensor to read.
+            unit: unit of the quantity, for messages.
+            line: the line that reads it.
             max_age: age beyond which its quantity is not used (s).
             spread_s: longest time over which a rise of a total is spread (s).
         """
@@ -119,7 +120,7 @@ class ModbusReader(SensorReader):
         self._line.start()
 
     def close(self) -> None:
-        """Close its line, which ends the reading of the other sensors, too."""
+        """Close its line, which also ends the reading of the other sensors on it."""
         self._line.close()
 
     # --- in the line's thread ---------------------------------------------------------------------
@@ -128,7 +129,7 @@ class ModbusReader(SensorReader):
         """Read once more.
 
         Raises:
-            DriveError: no answer, a wrong one, or a value out of range.
+            DriveError: if there is no answer, a wrong one, or a value out of range.
         """
         self._readings.clear_after_suspend()
         value = self._read_quantity(line)

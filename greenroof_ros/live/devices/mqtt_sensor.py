@@ -14,8 +14,8 @@ from greenroof_ros.live.devices.sensor_file import MqttSensor
 
 # Longest message of a sensor that is accepted (bytes).
 _MAX_BYTES = 65_536
-# Messages are refused for this long from the first one after a silence (s): they may have been
-# waiting, or be what another broker had retained.
+# Messages are rejected for this long from the first one after a silence (s), since they may have
+# been waiting or retained by another broker.
 _IGNORING_S = 1.0
 # A number as text, which need not be JSON: "317.3988", 00317.3988, +5.0 or .5.
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", re.ASCII | re.IGNORECASE)
@@ -26,14 +26,14 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
     """Return the number in a message; a whole number stays one, however long.
 
     Args:
-        payload: JSON, or a plain number.
+        payload: the message, which is JSON or a plain number.
         sensor: its description, which states where the number is.
 
     Raises:
-        ValueError: there is no number.
+        ValueError: if there is no number.
     """
     if len(payload) > _MAX_BYTES:
-        raise ValueError(f"a message of {len(payload)} bytes, which is more than {_MAX_BYTES}")
+        raise ValueError(f"a message has {len(payload)} bytes, which is more than {_MAX_BYTES}")
     value: object = payload.decode(errors="replace")
     if sensor.value or not _NUMBER.fullmatch(str(value)):
         try:
@@ -43,7 +43,7 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
     try:
         value = value_at(value, sensor.value)
     except LookupError as error:
-        raise ValueError(f"reports {payload[:80]!r}, which has no {sensor.value}") from error
+        raise ValueError(f"reports {payload[:80]!r}, without {sensor.value}") from error
     text = str(value)
     if isinstance(value, bool) or not (isinstance(value, float) or _NUMBER.fullmatch(text)):
         raise ValueError(f"reports {text[:40]!r}, which is not a number")
@@ -54,10 +54,10 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
 
 
 class MqttReader(SensorReader):
-    """Receives what a sensor publishes. The client reconnects automatically after each failure.
+    """Receives what a sensor publishes. The client reconnects automatically after every failure.
 
-    A message is a reading of the moment when it arrives. A retained message is no reading, nor are
-    the first ones after a silence or a loss: they may be of any age.
+    A message counts as a reading at the moment of its arrival. A retained message is not a reading,
+    nor are the first ones after a silence or a loss, since they may be of any age.
     """
 
     def __init__(
@@ -66,19 +66,20 @@ class MqttReader(SensorReader):
         """Prepare the reader without connecting.
 
         Args:
-            name: of the quantity, for the client id.
-            sensor: what to receive.
-            unit: of the quantity, for messages.
+            name: name of the quantity, for the client id.
+            sensor: the sensor to receive from.
+            unit: unit of the quantity, for messages.
             spread_s: longest time over which a rise of a total is spread (s).
 
         Raises:
-            ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+            ConfigurationError: if the MQTT library is not installed or a file for the login is
+                wrong.
         """
         broker, self._topic = sensor.broker_and_topic()
         self._sensor = sensor
         first = Reading(problem=f"{sensor.address}: not yet connected", code="broker_lost")
         super().__init__(sensor, unit, spread_s, first)
-        # When the last message arrived, and until when messages are refused (s).
+        # When the last message arrived, and until when messages are rejected (s).
         self._heard_at, self._ignoring_until = -math.inf, -math.inf
         self._client = make_client(
             broker, f"greenroof_{name}", self._on_connect, self._on_message, self._on_disconnect,
@@ -117,7 +118,7 @@ class MqttReader(SensorReader):
                 self._receive(payload, retained)
             except ValueError as error:
                 self._fail(str(error))
-            except Exception as error:  # any error: the next message is still read
+            except Exception as error:  # whatever the error, the next message is read
                 logging.getLogger(__name__).exception("%s failed", self._sensor.address)
                 self._fail(f"reading failed: {error!r}")
 

@@ -1,4 +1,4 @@
-"""The readings of a sensor as the quantity that it measures: scaled, checked, filtered."""
+"""Turns the readings of a sensor into the quantity that it measures: scaled, checked, filtered."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from greenroof_ros.live.devices.modbus_line import DeviceSnapshot
 from greenroof_ros.live.devices.sensor_file import Sensor
 from greenroof_ros.live.devices.total import Total
 
-# After a suspend longer than this (s), earlier readings are too old.
+# After a suspension longer than this (s), earlier readings are too old.
 _SUSPEND_S = 1.0
-# A sensor is unreliable if in a minute (s) at least this many of its readings, and more than this
-# share, were refused.
+# A sensor is unreliable if at least this many of its readings in a minute (s), and more than this
+# share of them, were rejected.
 _WINDOW_S, _MIN_REFUSED, _MAX_SHARE = 60.0, 5, 0.1
 
 
@@ -28,9 +28,9 @@ class Reading(DeviceSnapshot):
 
     Attributes:
         read_at: when the last attempt ended or the sensor was lost (s, `time.monotonic`).
-        value: in the unit of its topic; None after a failure, or after the first of two totals;
-            but a rise of a total is published to its end.
-        code: of the problem.
+        value: value in the unit of its topic; None after a failure or until there is a second
+            total, except that a rise of a total is still published to its end.
+        code: condition code of the problem.
     """
 
     value: float | None = None
@@ -38,21 +38,21 @@ class Reading(DeviceSnapshot):
 
 
 class RefusedShare:
-    """Counts the refused readings of each minute: between good ones, none lasts until an alarm.
+    """Counts the rejected readings of each minute, which are too brief to be alarms themselves.
 
-    What lasts that long is an alarm of its own, so it does not count.
+    A failure that lasts until it is an alarm of its own does not count.
     """
 
     def __init__(self) -> None:
         """Begin the first minute."""
         self._all = self._refused = 0
-        self._why = ""  # the last refusal
+        self._why = ""  # the reason for the last rejection
         self._began, self._refused_since = time.monotonic(), math.inf
         self._lasts = read_conditions()["sensor_lost"].lasts
         self._diagnosis: Diagnosis | None = None
 
     def count(self, why: str = "") -> None:
-        """Count a reading that was refused for a reason; a good one has none."""
+        """Count a reading and why it was rejected; the reason is empty for a good one."""
         now = time.monotonic()
         if why:
             self._refused_since, self._why = min(self._refused_since, now), why
@@ -77,7 +77,7 @@ class RefusedShare:
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """That too many were refused between good ones; None if that is not so."""
+        """A diagnosis if too many readings were rejected between good ones, otherwise None."""
         lost = time.monotonic() - self._refused_since > self._lasts
         return None if lost else self._diagnosis
 
@@ -85,20 +85,20 @@ class RefusedShare:
 class Readings:
     """The last readings of a sensor; the quantity is their median.
 
-    A median leaves single wrong readings out; a first-order filter would spread them over many
-    readings. It follows a steady movement of the level, late by half its readings, and keeps the
-    start of the movement sharp. Levels of tanks are slow enough for that delay.
+    A median leaves out single wrong readings, which a first-order filter would spread over many
+    readings. It follows a steady movement of the level with a delay of half its readings, and keeps
+    the start of the movement sharp. The levels of tanks are slow enough for that delay.
 
     Attributes:
-        share: how many of the readings were refused.
+        share: counter of the rejected readings.
     """
 
     def __init__(self, sensor: Sensor, unit: str, spread_s: float = math.inf) -> None:
         """Start without readings.
 
         Args:
-            sensor: how its readings are scaled, checked and filtered.
-            unit: of the quantity, for messages.
+            sensor: description of how its readings are scaled, checked and filtered.
+            unit: unit of the quantity, for messages.
             spread_s: longest time over which a rise of a total is spread (s).
         """
         self._sensor, self._unit = sensor, unit
@@ -108,9 +108,10 @@ class Readings:
         self.share = RefusedShare()
 
     def clear(self, why: str) -> None:
-        """Forget all readings for a reason: the next value then comes from new ones only.
+        """Forget all readings for a reason, so that the next value comes from new ones only.
 
-        A total is no such reading: its growth since then has come from the sky or through the pipe.
+        This does not apply to a total: its growth since then fell from the sky or went through the
+        pipe.
         """
         self.share.count(why)
         self._values.clear()
@@ -129,10 +130,11 @@ class Readings:
         """Add a reading; return the quantity, filtered with the earlier readings.
 
         Returns:
-            None for a total without an earlier one, or below it: the sensor has restarted.
+            The quantity; None for the first total, or for one below the last, as the sensor has
+            restarted.
 
         Raises:
-            ValueError: the reading is not a number, or out of range.
+            ValueError: if the reading is not a number or is out of range.
         """
         sensor = self._sensor
         value = sensor.convert(raw)
@@ -152,7 +154,7 @@ class Readings:
         return statistics.median_low(self._values)
 
     def current(self, reading: Reading) -> Reading:
-        """Return a reading with its present value: a total's changes between two readings, too."""
+        """Return a reading with its present value: a total's changes even between readings."""
         if self._total is None or (rate := self._total.rate()) == reading.value:
             return reading
         return replace(reading, value=rate)
@@ -161,18 +163,18 @@ class Readings:
 class SensorReader:
     """What is known about a sensor's quantity; a subclass reads the sensor.
 
-    A refused value, a failure, or a suspend of the machine empties the filter: the next value then
+    A rejected value, a failure or a suspension of the machine empties the filter, so the next value
     comes from new readings only. The rise of a total remains.
     """
 
     def __init__(self, sensor: Sensor, unit: str, spread_s: float, first: Reading) -> None:
-        """Start without readings; for the others see :class:`Readings`.
+        """Start without readings.
 
         Args:
-            sensor: see there.
-            unit: see there.
-            spread_s: see there.
-            first: what is known until a reading has come or failed.
+            sensor: see :class:`Readings`.
+            unit: see :class:`Readings`.
+            spread_s: see :class:`Readings`.
+            first: what is known until a reading has arrived or failed.
         """
         self._readings, self._reading = Readings(sensor, unit, spread_s), first
         self._lock = threading.RLock()
@@ -186,7 +188,7 @@ class SensorReader:
 
     @property
     def share(self) -> RefusedShare:
-        """How many of its readings were refused."""
+        """Counter of its rejected readings."""
         return self._readings.share
 
     def report_failure(self, problem: str, code: str = "sensor_lost") -> None:

@@ -1,9 +1,9 @@
 """One relay on MQTT, operated as its file describes; its own timer is its communication timeout.
 
-Each *on* ends with that timer, and is published again after at most a third of it, but only once
-the relay has answered the previous one. So at most one *on* waits in a stalled connection, followed
-by the *off* that is published when the connection is closed. Every message has quality of service 0
-and is not retained, so the broker does not keep it.
+Every *on* ends with that timer. It is published again after at most a third of the timer, but only
+once the relay has answered the previous one. At most one *on* can therefore wait in a stalled
+connection, followed by the *off* that is published when the connection is closed. Every message has
+quality of service 0 and is not retained, so the broker does not keep it.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from greenroof_ros.live.devices.relay_file import RelayFile, RelayMessage, Timer
 
 # Longest wait for the broker (s).
 _CONNECT_S = 3.0
-# How long the relay may take to be on after *on*, and the interval of the questions (s).
+# How long the relay may take to switch on after *on*, and the interval between questions (s).
 _ON_S, _POLL_S = 2.0, 0.1
 # An *on* is renewed after this share of the timer.
 _RENEWED = 1 / 3
-# Characters shown of an invalid answer, and the maximum number of messages that wait.
+# Number of characters of an invalid answer that are shown, and of messages that may wait.
 _SHOWN, _MAX_WAITING = 120, 1000
 
 
@@ -42,8 +42,8 @@ class RelayEndpoint:
 
     Attributes:
         file: the relay file.
-        broker: to which it is connected.
-        device: its own topic there.
+        broker: the broker to which it is connected.
+        device: its own topic at the broker.
     """
 
     file: RelayFile
@@ -66,10 +66,10 @@ class RelayEndpoint:
     def lock_name(self) -> str:
         """Return the name of its lock, which is the same however the address is written.
 
-        May block while the host name is resolved.
+        The call may block while the host name is resolved.
 
         Raises:
-            OSError: there is no such host, or no name server answers.
+            OSError: if there is no such host or no name server answers.
         """
         return f"{Address(self.broker.host).canonical_name(self.broker.port)}-{self.device}"
 
@@ -80,17 +80,18 @@ class RelayEndpoint:
             timeout_s: longest wait for an answer (s), unless its file sets a longer one.
 
         Raises:
-            ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+            ConfigurationError: if the MQTT library is not installed or a file for the login is
+                wrong.
         """
         return Relay(self, max(timeout_s, self.file.answer_within))
 
 
 class RelayLine:
-    """One connection to the broker, with questions to the relay over it.
+    """One connection to the broker, over which the relay is questioned.
 
     Attributes:
         where: the place of the relay, for messages.
-        last_message: the message to publish before the connection is closed; None for none.
+        last_message: message to publish before the connection is closed; None for none.
     """
 
     def __init__(self, relay: RelayEndpoint, timeout_s: float) -> None:
@@ -101,13 +102,13 @@ class RelayLine:
             timeout_s: longest wait for an answer (s).
 
         Raises:
-            ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+            ConfigurationError: if there is no MQTT library, or a file for the login is wrong.
         """
         self.where = str(relay)
         self.last_message: RelayMessage | None = None
         self._file, self._timeout_s = relay.file, timeout_s
-        # All connections use this name, so a broker can limit who may publish on it. If answers are
-        # numbered, an answer to another connection does not count.
+        # All connections use this name, so a broker can restrict who may publish under it. If
+        # answers are numbered, an answer to another connection does not count.
         self._placeholders = {"device": relay.device, "me": f"greenroof_ros-{relay.device}"}
         self._numbers = itertools.count(secrets.randbelow(10**9))
         self._awaited: Counter[str] = Counter()
@@ -120,14 +121,14 @@ class RelayLine:
 
     @property
     def connected(self) -> bool:
-        """Whether the broker has accepted the connection and it has not ended since."""
+        """Whether the broker has accepted the connection, and it has not ended since."""
         return self._connected and not self._closed_by
 
     def connect(self) -> None:
         """Connect to the broker.
 
         Raises:
-            DriveError: no one answers there, or the broker refuses the connection.
+            DriveError: if there is no answer or the broker refuses the connection.
         """
         self._client.loop_start()
         with self._changed:
@@ -149,19 +150,19 @@ class RelayLine:
         """Publish a message once.
 
         Args:
-            message: to the relay.
-            values: for the ``$`` names in it, besides the connection's values.
+            message: message to the relay.
+            values: values for the ``$`` names in it, in addition to those of the connection.
 
         Raises:
-            DriveError: there is no connection any more.
+            DriveError: if there is no connection any more.
         """
         self._publish(message.topic, message.payload, str(next(self._numbers)), values)
 
     def request(self, name: str) -> Any:
-        """Request the relay's answer to a question, and return it, parsed from JSON.
+        """Put a question to the relay, and return its answer, parsed from JSON.
 
         Raises:
-            DriveError: no answer in time, or none that can be understood.
+            DriveError: if no answer, or none that can be understood, arrives in time.
         """
         question, number = self._file.questions[name], str(next(self._numbers))
         if not self._awaited.total():
@@ -200,7 +201,7 @@ class RelayLine:
         return DriveError(kind, f"{self.where}: {problem}")
 
     def _receive(self, until: float) -> tuple[str, bytes] | None:
-        """Return the next message; None if none is received in time, or the connection ends."""
+        """Return the next message; None if none arrives in time or the connection ends."""
         with self._changed:
             self._changed.wait_for(
                 lambda: self._received or self._closed_by, max(0.0, until - time.monotonic())
@@ -254,15 +255,15 @@ class Relay:
             timeout_s: longest wait for an answer (s).
 
         Raises:
-            ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+            ConfigurationError: if there is no MQTT library, or a file for the login is wrong.
         """
         self.file, self.line = endpoint.file, RelayLine(endpoint, timeout_s)
         self.stopped: bool | None = None
-        # The state it was last switched to, None if unknown; and the state it has reported since
+        # The state that was last ordered, None if unknown; and the state that it has reported since
         # *on* was last published, None if it has not answered.
         self._ordered: bool | None = None
         self._is_on: bool | None = None
-        # Its timer as last read, None if it is not effective; and when *on* was published (s).
+        # Its timer as last read (s), None if it is not effective; and when *on* was published (s).
         self._timer_s: float | None = None
         self._on_at = 0.0
 
@@ -270,24 +271,24 @@ class Relay:
         """Return make, model and the relay's own name as text.
 
         Raises:
-            DriveError: it cannot be read.
+            DriveError: if it cannot be read.
         """
         return f"{self.file.make} {self.file.model} ({_text(self._value(self.file.name))})"
 
     def timeout(self) -> tuple[float | None, str]:
-        """Return its timer (s); if that is not effective, None and the reason.
+        """Return its timer (s), or None and the reason if that is not effective.
 
-        It is not effective if it is off or too short to be renewed in time, or if another setting
-        could switch the relay on unintentionally.
+        The timer is not effective if it is off or too short to be renewed in time, or if another
+        setting could switch the relay on unintentionally.
 
         Raises:
-            DriveError: it cannot be read.
+            DriveError: if it cannot be read.
         """
         answers = {
             setting.question: self.line.request(setting.question)
             for setting in (self.file.timer, *self.file.must)
         }
-        self._timer_s = None  # the earlier value was valid until now
+        self._timer_s = None  # the earlier value was valid only until now
         for setting in self.file.must:
             if (value := _text(self._value(setting, answers))) != setting.value:
                 return None, (
@@ -305,7 +306,7 @@ class Relay:
             return None, f"{timer.path} is {raw:g}: off"
         if seconds < self.file.min_timer:
             return None, (
-                f"{timer.path} is {raw:g}, which is {seconds:g} s: less than "
+                f"{timer.path} is {raw:g}, which is {seconds:g} s; one shorter than "
                 f"{self.file.min_timer:g} s cannot be renewed in time"
             )
         self._timer_s = seconds
@@ -315,7 +316,7 @@ class Relay:
         """Return the relay's report.
 
         Raises:
-            DriveError: it cannot be read, or reports an impossible value.
+            DriveError: if it cannot be read or reports an impossible value.
         """
         on = self._read()
         return DriveStatus(
@@ -323,31 +324,33 @@ class Relay:
         )
 
     def local(self) -> bool:
-        """Return False: local control of a relay cannot be seen."""
+        """Return False, since the local control of a relay cannot be detected."""
         return False
 
     def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
         """Switch it on, or keep it on. The caller repeats this while the relay must be on.
 
-        *On* is published again only after the relay has answered since the last *on*, and not if it
-        is off although it was switched on: see `second_master`.
+        *On* is published again only after the relay has answered the last *on*, and not if it is
+        off although it was switched on: see `second_master`.
 
         Args:
-            speed: share of rated speed, above 0; a relay always runs at 1.
-            may_continue: called before switching on and while waiting; False ends the call.
+            speed: speed, share of the rated speed, above 0; a relay always runs at 1.
+            may_continue: function called before switching on and while waiting; if it returns
+                False, the call ends.
 
         Raises:
-            DriveError: no answer or a wrong one; its timer is not effective; it does not switch on.
-            ValueError: the speed is out of range.
+            DriveError: if there is no answer or a wrong one, its timer is not effective, or it does
+                not switch on.
+            ValueError: if the speed is out of range.
         """
         if not 0 < speed <= 1:
-            raise ValueError(f"{speed} is not a speed at which a relay is on (above 0 to 1)")
+            raise ValueError(f"{speed} is not a speed at which a relay is on (above 0, at most 1)")
         timer_s = self._timer_s
         if timer_s is None:
             raise self.line.error("drive", "it is not switched on: its own timer is not effective")
         is_on = self._read() if self._is_on is None else self._is_on
         if self._ordered:
-            # Renew a period early: the next round might be too late.
+            # Renew it one period early, since the next round might be too late.
             due = self._on_at + _RENEWED * timer_s - self.file.period
             if is_on and time.monotonic() >= due:
                 self._switch_on(timer_s)
@@ -359,7 +362,7 @@ class Relay:
         """Switch it off. The caller repeats this while the relay must be off.
 
         Raises:
-            DriveError: there is no connection any more.
+            DriveError: if there is no connection any more.
         """
         self.stopped = False
         self.line.publish(self.file.switch_off)
@@ -367,20 +370,20 @@ class Relay:
         self.stopped = True
 
     def reset(self) -> None:
-        """Stop: a relay has no fault of its own.
+        """Stop the relay, which is all there is to do, as it has no faults of its own.
 
         Raises:
-            DriveError: there is no connection any more.
+            DriveError: if there is no connection any more.
         """
         self.stop()
 
     def second_master(self) -> Diagnosis | None:
-        """Return that its state is not the one last ordered; None if it is, or if unknown.
+        """Return a diagnosis if its state is known not to be the one last ordered.
 
         Its own timer, a power failure, a person or another program may have switched it.
 
         Raises:
-            DriveError: no answer or a wrong one.
+            DriveError: if there is no answer or a wrong one.
         """
         is_on = self._read()
         if self._ordered is None or is_on == self._ordered:
@@ -417,14 +420,14 @@ class Relay:
         self._ordered = True
 
     def _value(self, value: Value, answers: Mapping[str, Any] | None = None) -> Any:
-        """Return a value of an answer; without answers, request one first."""
+        """Return a value from the answers; without answers, put its question first."""
         answer = self.line.request(value.question) if answers is None else answers[value.question]
         try:
             return value_at(answer, value.path)
         except LookupError:
-            raise self.line.error("answer", f"its answer has no {value.path}: {answer}") from None
+            raise self.line.error("answer", f"its answer lacks {value.path}: {answer}") from None
 
 
 def _text(value: Any) -> str:
-    """Return a value as JSON text; a string without its quotes."""
+    """Return a value as JSON text, or a string without its quotes."""
     return value if isinstance(value, str) else json.dumps(value)

@@ -1,7 +1,8 @@
 """The description of a make of MQTT relay: a file in ``config/drives/``, as frozen dataclasses.
 
 Topics and payloads may contain ``$device``, the relay's own topic as in its address; ``$me``, the
-name of the client that asks; ``$id``, the number of a message; and ``$seconds``, the relay's timer.
+name of the client that asks; ``$id``, the number of a message; and ``$seconds``, the relay's timer
+in seconds.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class RelayMessage:
     """A message to the relay."""
 
     topic: str = entry("topic on which it is published")
-    payload: str = entry("what is published")
+    payload: str = entry("payload of the message")
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class Question:
 
     topic: str = entry("topic on which it is asked")
     answer: str = entry("topic of the answer, which is a JSON object")
-    known_by: str = entry("a path that this answer has, such as result.output")
-    payload: str = entry("what is published there", default="")
+    known_by: str = entry("a path that this answer contains, such as result.output")
+    payload: str = entry("payload of the question", default="")
 
 
 @dataclass(frozen=True)
@@ -50,13 +51,13 @@ class Value:
 class RelayState(Value):
     """The state of the relay, on or off."""
 
-    is_on: str = entry("the value, as in JSON, with which it is on", default="true")
-    is_off: str = entry("the value with which it is off", default="false")
+    is_on: str = entry("the value, as in JSON, if it is on", default="true")
+    is_off: str = entry("the value if it is off", default="false")
 
 
 @dataclass(frozen=True)
 class Setting(Value):
-    """A setting with a required value: else the relay may switch or stay on without a command."""
+    """A setting whose value is required, lest the relay switch or stay on without a command."""
 
     value: str = entry("what it must be, as in JSON")
     meaning: str = entry("what this setting does, for people")
@@ -69,18 +70,18 @@ class Scale:
     low: float = entry("minimum raw value of the range", 0)
     high: float = entry("maximum raw value of the range", 0)
     scale: float = entry("seconds = scale x raw + offset", 1e-6, 1e6, default=1.0)
-    offset: float = entry("in seconds", -1e6, 1e6, default=0.0)
+    offset: float = entry("offset in seconds", -1e6, 1e6, default=0.0)
 
 
 @dataclass(frozen=True)
 class Timer(Value):
     """The relay's own timer, which switches it off again: its communication timeout."""
 
-    scales: tuple[Scale, ...] = entry("to seconds; a raw value outside all ranges means off")
-    how_to_set: str = entry("for people: where to set it, and to what")
-    traps: str = entry("when it is not effective", default="")
+    scales: tuple[Scale, ...] = entry("conversion to seconds; a value outside all ranges means off")
+    how_to_set: str = entry("for people: where to set it, and to which value")
+    traps: str = entry("cases in which it is not effective", default="")
 
-    # Drives on Modbus may have these; no relay has.
+    # Drives on Modbus may have these, but no relay does.
     unguarded_after_power_up_s = 0.0
     local_settings_decide = False
 
@@ -96,23 +97,23 @@ class Timer(Value):
 class RelayFile:
     """A make of relay."""
 
-    protocol: str = entry("mqtt; marks the file as a relay's", choices=(MQTT,))
+    protocol: str = entry("mqtt, which marks the file as that of a relay", choices=(MQTT,))
     make: str = entry("maker")
     model: str = entry("the relay, and its firmware")
     sources: tuple[Source, ...] = entry("documents from which the file was made")
     unverified: tuple[str, ...] = entry(
         "keys of this file (such as timer) that could not be verified in the maker's documents"
     )
-    questions: dict[str, Question] = entry("by name")
+    questions: dict[str, Question] = entry("questions by name")
     state: RelayState = entry("whether it is on")
     timer: Timer = entry("the time after which it switches itself off")
-    must: tuple[Setting, ...] = entry("settings that are read with the timer")
+    must: tuple[Setting, ...] = entry("settings with required values, read with the timer")
     name: Value = entry("how it identifies itself, for people")
     switch_on: RelayMessage = entry("published to switch it on, and again to keep it on")
     switch_off: RelayMessage = entry("published repeatedly while it must be off")
-    set_up: tuple[str, ...] = entry("for people: what must be set in the relay")
+    set_up: tuple[str, ...] = entry("for people: what to set in the relay")
     number: str = entry(
-        "path of the question's $id in each answer; empty: answers have none, and come in order",
+        "path of the question's $id in each answer; empty: answers have none, but keep their order",
         default="",
     )
     period: float = entry("minimum time between two rounds of questions (s)", 0.05, 5, default=0.5)
@@ -129,7 +130,7 @@ class RelayFile:
 
     @property
     def unverified_and_vital(self) -> tuple[str, ...]:
-        """The unverified keys that, if wrong, could let a pump run when it must not: all."""
+        """The unverified keys that could let a pump run when it must not: all of them."""
         return self.unverified
 
 
@@ -137,8 +138,7 @@ def read_relay_file(path: Path) -> RelayFile:
     """Read and check a relay file.
 
     Raises:
-        ConfigurationError: something in it is missing, unknown or impossible, or contradicts
-            something else in it.
+        ConfigurationError: if something in it is missing, unknown, impossible or contradictory.
     """
     return replace(read_record(RelayFile, path, _mistakes), path=path)
 
@@ -163,7 +163,7 @@ def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str
         if key.endswith(".payload"):
             names += ["id", "seconds"] if key == "switch_on.payload" else ["id"]
         elif set(text) & set("#+"):
-            yield key, "must be one topic, without # and +"
+            yield key, "must be a single topic, without # and +"
         try:
             Template(text).substitute(dict.fromkeys(names, ""))
         except (KeyError, ValueError):

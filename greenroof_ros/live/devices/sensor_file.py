@@ -27,9 +27,9 @@ from greenroof_ros.live.devices.modbus_line import (
 
 TANKS = ("cistern", "roof")
 _MAX_FILTER_S = 30.0
-# A flow shown for 12 s (follow_time) while the pump is stopped is a fault.
+# A flow that is shown for 12 s (follow_time) while the pump is stopped is a fault.
 _MAX_AFTERFLOW_S = 10.0
-# A level further below 0 (m) is no noise: a tank would seem empty.
+# A level further below 0 (m) is not noise: a tank would seem empty.
 _LEVEL_NOISE = 0.1
 _MODBUS_PORT = 502
 _PATH = re.compile(r"([^.\[\]]+|\[\d+\])(\.[^.\[\]]+|\[\d+\])*")
@@ -40,7 +40,7 @@ class MeasuredQuantity(NamedTuple):
 
     Attributes:
         node: name of the node that publishes it.
-        topic_name: in the interface, which has its unit and range.
+        topic_name: name of its topic in the interface, which states its unit and range.
         spread_s: longest time over which a rise of its total is spread (s).
     """
 
@@ -55,13 +55,13 @@ class MeasuredQuantity(NamedTuple):
 
     @property
     def limit(self) -> str:
-        """The parameter for its maximum age."""
+        """The parameter that sets its maximum age."""
         age = self.topic.max_age
         assert age is not None
         return age.parameter
 
 
-# By section of the file.
+# The quantities, by section of the file.
 QUANTITIES = {
     "cistern": MeasuredQuantity("cistern_sensor", "/cistern/level"),
     "roof": MeasuredQuantity("roof_sensor", "/roof/level"),
@@ -73,17 +73,17 @@ QUANTITIES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """What all sensors have. The value is the median of converted readings."""
+    """The keys that all sensors share. The value is the median of converted readings."""
 
     scale: float = entry("value = scale x raw + offset, in the quantity's unit", -1e3, 1e3)
     low: float = entry(
         "lowest accepted value, in the quantity's unit; below 0 for the noise of a sensor at 0, "
         "which is treated as 0 (not for a temperature)", -100, 100,
     )
-    high: float = entry("highest accepted value, likewise", -100, 100)
-    offset: float = entry("value at raw 0, likewise", -1e3, 1e3, default=0.0)
+    high: float = entry("highest accepted value, in the same unit", -100, 100)
+    offset: float = entry("value at raw 0, in the same unit", -1e3, 1e3, default=0.0)
     median: int = entry(
-        "number of readings in the median, odd; 1: no filter", 1, 99, default=5
+        "number of readings in the median, which must be odd; 1 for no filter", 1, 99, default=5
     )
     counts: bool = entry(
         "scale x raw is a running total (m or m3), whose increase per second is the value; needs "
@@ -95,7 +95,7 @@ class Sensor:
     )
 
     def convert(self, raw: float) -> float:
-        """Return the quantity for a raw value; not of a total."""
+        """Return the quantity for a raw value; does not apply to totals."""
         return (self.scale * raw + self.offset) * (self.substrate_depth or 1.0)
 
     def raw_for(self, value: float) -> float:
@@ -109,12 +109,12 @@ class ModbusSensor(Sensor):
 
     address: str = entry("tcp://HOST:PORT, or a serial device such as /dev/ttyUSB0")
     device_id: int = entry("unit identifier or slave address", 0, 255)
-    register: int = entry("its address on the wire, the first register is 0", 0, 65535)
+    register: int = entry("its address on the wire, where the first register is 0", 0, 65535)
     kind: str = entry(
-        "input registers (function 4) or holding (3)", choices=("input", "holding")
+        "input registers (function 4) or holding registers (3)", choices=("input", "holding")
     )
-    type: str = entry("how the value is coded", choices=tuple(WIDTHS))
-    word_order: str = entry("which word of several comes first", choices=WORD_ORDERS, default="")
+    type: str = entry("how the value is encoded", choices=tuple(WIDTHS))
+    word_order: str = entry("which of several words comes first", choices=WORD_ORDERS, default="")
     missing: Word | None = entry("the raw value that means 'no reading'", default=None)
     period: float = entry(
         "time between two readings (s); at most half of the maximum age of the quantity", 0.05,
@@ -131,7 +131,7 @@ class ModbusSensor(Sensor):
 
     @property
     def connection(self) -> str:
-        """Its serial line or TCP port: equal for all sensors that one connection reaches."""
+        """Its serial line or TCP port, equal for all sensors that one connection reaches."""
         address = parse_address(self.address)
         if address.line:
             return str(Path(address.line).resolve())
@@ -139,7 +139,7 @@ class ModbusSensor(Sensor):
 
     @property
     def unique_key(self) -> tuple[object, ...]:
-        """Its register: no two sensors may have the same."""
+        """Its register, which no two sensors may share."""
         return self.connection, self.device_id, self.kind, self.register
 
     @property
@@ -149,7 +149,7 @@ class ModbusSensor(Sensor):
 
     @property
     def registers(self) -> int:
-        """How many registers the value takes."""
+        """The number of registers that the value takes."""
         return WIDTHS[self.type]
 
     def line(self, timeout_s: float) -> ModbusLine:
@@ -170,8 +170,8 @@ class MqttSensor(Sensor):
 
     address: str = entry("mqtt://HOST[:PORT]/TOPIC; mqtts:// over TLS")
     value: str = entry(
-        "where the number is in the JSON of a message, such as ANALOG.Range1 or "
-        "sensors[0].distance; left out: the message is the number", default="",
+        "where in a JSON message the number is, such as ANALOG.Range1 or "
+        "sensors[0].distance; leave it out if the message is the number", default="",
     )
     max_age: float = entry(
         "how long the sensor may be silent (s); at most the maximum age of the quantity",
@@ -182,7 +182,8 @@ class MqttSensor(Sensor):
         default="",
     )
     authority: str = entry(
-        "file of trusted certificates (PEM), an absolute path; left out: the system's", default="",
+        "file of trusted certificates (PEM), an absolute path; the system's if left out",
+        default="",
     )
 
     def __str__(self) -> str:
@@ -190,15 +191,15 @@ class MqttSensor(Sensor):
 
     @staticmethod
     def fits(section: Mapping[str, Any]) -> bool:
-        """Whether a section of the file describes such a sensor, by its address."""
+        """Whether a section of the file describes such a sensor, judging by its address."""
         return str(section.get("address")).startswith(("mqtt://", "mqtts://"))
 
     @property
     def unique_key(self) -> tuple[object, ...]:
-        """Its topic and the value's path: no two sensors may have the same."""
+        """Its topic and the path of the value, which no two sensors may share."""
         try:
             broker, topic = self.broker_and_topic()
-        except ConfigurationError:  # another check reports it
+        except ConfigurationError:  # another check reports this
             return (self.address,)
         return broker.host, broker.port, topic, self.value
 
@@ -206,7 +207,7 @@ class MqttSensor(Sensor):
         """Return where the broker is, and the topic.
 
         Raises:
-            ConfigurationError: the address is wrong.
+            ConfigurationError: if the address is wrong.
         """
         return parse_topic(self.address, "address", self.login, self.authority)
 
@@ -225,7 +226,7 @@ class Sensors:
 
     @property
     def by_section(self) -> dict[str, ModbusSensor | MqttSensor]:
-        """Return the sensors that exist."""
+        """The sensors that the site has, by section of the file."""
         return {name: sensor for name in QUANTITIES if (sensor := getattr(self, name)) is not None}
 
 
@@ -239,12 +240,11 @@ def read_sensors(path: Path, max_ages: Mapping[str, float] | None = None) -> Sen
 
     Args:
         path: the file.
-        max_ages: age beyond which a quantity is not used (s), if known, by the name of its
-            parameter. Two periods must fit into it, or one ``max_age``.
+        max_ages: ages beyond which quantities are not used (s), where known, by name of their
+            parameters. Two periods, or one ``max_age``, must fit into them.
 
     Raises:
-        ConfigurationError: something in it is missing, unknown or impossible, or contradicts
-            something else in it.
+        ConfigurationError: if something in it is missing, unknown, impossible or contradictory.
     """
     return read_record(Sensors, path, lambda sensors, _: _mistakes(sensors, max_ages or {}))
 
@@ -252,7 +252,7 @@ def read_sensors(path: Path, max_ages: Mapping[str, float] | None = None) -> Sen
 def _mistakes(
     sensors: Sensors, max_ages: Mapping[str, float]
 ) -> Iterator[tuple[str, str]]:
-    """Yield each key with a mistake, and the reason; later checks rely on the earlier ones."""
+    """Yield every key with a mistake, and the reason; later checks rely on the earlier ones."""
     for section, sensor in sensors.by_section.items():
         quantity = QUANTITIES[section]
         max_age = max_ages.get(quantity.limit, math.inf)
@@ -266,14 +266,14 @@ def _mistakes(
         of = first.replace("_", " ")
         if earlier.unique_key == later.unique_key:
             key = "register" if isinstance(later, ModbusSensor) else "address"
-            yield f"{second}.{key}", f"is also the {of}'s: both sensors would be the same"
+            yield f"{second}.{key}", f"is also that of the {of}: both sensors would be the same"
         if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and parse_address(
             later.address
         ).shares_line(parse_address(earlier.address)):
             if later.device_id == earlier.device_id:
                 yield f"{second}.device_id", (
-                    f"is also the {of}'s, on the same serial line: a late answer would be treated "
-                    "as the other's; give each sensor a slave address of its own"
+                    f"is also that of the {of} on the same serial line: a late answer would be "
+                    "taken for the other's; give each sensor a slave address of its own"
                 )
             for key in ("baud_rate", "parity", "stop_bits"):
                 if getattr(later, key) != (value := getattr(earlier, key)):
@@ -289,21 +289,21 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
     if section in TANKS and sensor.low < topic.low - _LEVEL_NOISE:
         yield "low", (
             f"must be at least {topic.low - _LEVEL_NOISE:g} {topic.unit}: a level further below "
-            f"{topic.low:g} is no noise of a sensor"
+            f"{topic.low:g} is not the noise of a sensor"
         )
     if sensor.high > topic.high:
         yield "high", f"must be at most {topic.high:g} {topic.unit}: higher values are not accepted"
     if sensor.median % 2 == 0:
         yield "median", "must be odd, so that the median is one of the readings"
     if sensor.substrate_depth is not None and section != "roof":
-        yield "substrate_depth", "is for the roof"
+        yield "substrate_depth", "is only for the roof"
     if sensor.substrate_depth is not None and sensor.high > sensor.substrate_depth:
         yield "high", (
             f"must be at most substrate_depth, {sensor.substrate_depth:g} m: the substrate cannot "
             "hold more water than its volume"
         )
     if sensor.counts and section not in ("flow_meter", "rain_gauge"):
-        yield "counts", "is for a flow meter or a rain gauge"
+        yield "counts", "is only for a flow meter or a rain gauge"
     if sensor.counts and sensor.median > 1:
         yield "counts", "needs median: 1, because a median removes occasional pulses"
 
@@ -316,7 +316,7 @@ def _period_mistakes(
     if quantity is QUANTITIES["flow_meter"] and shown > _MAX_AFTERFLOW_S:
         yield "median", (
             f"shows a flow for up to {shown:g} s after it has stopped, with {interval:g} s from "
-            f"one reading to the next; at most {_MAX_AFTERFLOW_S:g} s, or it looks like a "
+            f"one reading to the next; more than {_MAX_AFTERFLOW_S:g} s would look like a "
             "welded contact"
         )
     if late > _MAX_FILTER_S:
@@ -335,13 +335,13 @@ def _modbus_mistakes(
         yield "address", f"{error.expected}; or mqtt://HOST[:PORT]/TOPIC"
     yield from coding_mistakes(sensor.type, sensor.word_order)
     if sensor.register + sensor.registers > 65536:
-        yield "register", "leaves no room for all its registers"
+        yield "register", "leaves too little room for all its registers"
     ends = sorted(map(sensor.convert, limits(sensor.type)))
     step, unit = abs(sensor.scale) * (sensor.substrate_depth or 1.0), quantity.topic.unit
     if not sensor.counts and (ends[0] > sensor.low + step or ends[1] < sensor.high - step):
         yield "scale", (
-            f"cannot give {sensor.low:g} to {sensor.high:g} {unit}: {sensor.type} with offset "
-            f"{sensor.offset:g} gives {ends[0]:g} to {ends[1]:g} {unit}"
+            f"cannot yield {sensor.low:g} to {sensor.high:g} {unit}: {sensor.type} with offset "
+            f"{sensor.offset:g} yields {ends[0]:g} to {ends[1]:g} {unit}"
         )
     yield from _period_mistakes(sensor, quantity, sensor.period)
     if sensor.period > max_age / 2:

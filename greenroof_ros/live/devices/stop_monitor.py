@@ -1,4 +1,4 @@
-"""Whether a drive obeys *stop*: its speed must fall, regardless of its answers."""
+"""Monitors whether a drive obeys *stop*: its speed must fall, whatever it answers."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from greenroof_ros.live.devices.modbus_line import DriveError
 
 # The minimum decrease of the speed that counts (share of rated speed).
 SLOWER = 0.005
-# A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), longer
-# than a drive needs to begin its ramp. It is left in silence once the fault was visible for
-# VISIBLE_S (s), longer than the caller's tick, even if a connection breaks meanwhile. Together they
-# are not longer than pump control by default waits for a speed to follow beyond the ramp
-# (follow_time).
+# A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), which
+# is longer than a drive needs to begin its ramp. It is left in silence once the fault has been
+# visible for VISIBLE_S (s), which is longer than the caller's step, even if a connection breaks
+# meanwhile. Together they do not exceed the default time for which pump control waits for a speed
+# to follow beyond the ramp (follow_time).
 RUNS_ON_S, VISIBLE_S = 10.0, 2.0
-# Minimum time from a silence that did not help to the next (s): the fault may need a person.
+# Minimum time from a silence that did not help to the next one (s): the fault may need a person.
 RUNS_ON_AGAIN_S = 60.0
 
 
@@ -31,7 +31,7 @@ class Deceleration:
         self._lowest, self._fell_at = math.inf, -math.inf
 
     def update(self, status: DriveStatus, now: float) -> float:
-        """Update with a drive's report; return for how long its speed has not fallen (s)."""
+        """Update with a drive's report, and return for how long its speed has not fallen (s)."""
         if abs(status.speed) < self._lowest - SLOWER:
             self._lowest, self._fell_at = abs(status.speed), now
         return now - self._fell_at
@@ -40,8 +40,8 @@ class Deceleration:
 class StopMonitor:
     """Monitors whether a drive obeys *stop*, across connections that break.
 
-    A drive obeys if its speed falls, however slowly. A drive in local control is left to the
-    person at its panel. All times are of `time.monotonic` (s).
+    A drive obeys if its speed falls, however slowly. A drive in local control is left to the person
+    at its panel. All times are those of `time.monotonic` (s).
     """
 
     def __init__(self, where: str) -> None:
@@ -56,7 +56,7 @@ class StopMonitor:
         # For how long reports have shown that the speed does not fall, and the time of the last
         # such report on this connection.
         self._visible_s, self._reported_at = 0.0, math.inf
-        # Since when *stop* has been written without any speed being read.
+        # Time since which *stop* has been written without any speed being read.
         self._unread_from = math.inf
         # The number of consecutive connections on which the last *stop* could not be written.
         self._refusals = 0
@@ -85,10 +85,10 @@ class StopMonitor:
         Args:
             status: the report.
             now: the time.
-            disbelieved: whether the pump runs although the drive reports rest.
+            disbelieved: whether the pump runs although the drive reports that it is at rest.
 
         Raises:
-            RunsOnError: the fault has been visible for long enough, or is certain.
+            RunsOnError: if the fault has been visible for long enough or is certain.
         """
         fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
         if disbelieved and fall is not None and status.at_rest:
@@ -115,7 +115,8 @@ class StopMonitor:
             now: the time.
 
         Returns:
-            Why the drive must be left in silence, to be added to the problem; None if it need not.
+            Why the drive must be left in silence, to be added to the problem; None if it need not
+            be.
         """
         self._reported_at = math.inf
         if stopped is not None:

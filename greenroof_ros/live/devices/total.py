@@ -1,4 +1,4 @@
-"""A running total, as of a tipping bucket or a water meter, as the rate at which it grows."""
+"""Turns a running total, as from a tipping bucket or a water meter, into its rate of growth."""
 
 from __future__ import annotations
 
@@ -9,30 +9,31 @@ from collections import defaultdict, deque
 from greenroof_ros.common.times import boot_time
 from greenroof_ros.live.devices.sensor_file import Sensor
 
-# A message may be repeated or overtaken for this long (s).
+# A message may be repeated or overtaken within this time (s).
 _LATE_S = 2.0
-# A rise may exceed the maximum rate by what that rate brings in this time (s).
+# A rise may exceed the maximum rate by as much as that rate adds in this time (s).
 _BURST_S = 60.0
-# Shortest time over which a rise is spread (s): several of the node's calls.
+# Shortest time over which a rise is spread (s), which covers several calls by the node.
 _MIN_SPREAD_S = 0.5
-# Widths of the counters that roll over.
+# Widths of counters that roll over (bits).
 _BITS = (16, 32, 64)
 
 
 class Total:
     """Spreads each rise of a total over as long as it took, never faster than the maximum rate.
 
-    The integral of `rate` over time, each value held until the next call, is the rise of the total.
-    Each call counts what the previous value has brought; what is still due stays due through a lost
-    connection or a suspend. A copy of a message therefore changes nothing, nor does its delay.
+    The integral of `rate` over time, with each value held until the next call, is the rise of the
+    total. Each call counts what the previous value has added; what is still due stays due through a
+    lost connection or a suspension of the machine. Neither a copy of a message nor a delay
+    therefore changes anything.
     """
 
     def __init__(self, sensor: Sensor, unit: str, spread_s: float) -> None:
         """Start without a total.
 
         Args:
-            sensor: its scale and maximum rate.
-            unit: of the rate, for messages.
+            sensor: description of the sensor, with its scale and maximum rate.
+            unit: unit of the rate, for messages.
             spread_s: longest time over which a rise is spread (s).
         """
         self._sensor, self._unit, self._spread_s = sensor, unit, spread_s
@@ -41,7 +42,7 @@ class Total:
         self._last: float | None = None  # the last raw total
         self._received_at = 0.0  # when it was received (s, `boot_time`)
         self._former: float | None = None  # the total before a fall, until the next rise
-        self._odd: tuple[float, float] | None = None  # a refused total, and when it was received
+        self._odd: tuple[float, float] | None = None  # a rejected total, and when it was received
         self._rises: deque[tuple[float, float]] = deque()  # recent: when, and the total before
         self._growing = False  # whether the newest total continues an earlier one
         self._rates: defaultdict[float, float] = defaultdict(float)  # by their end (s)
@@ -49,7 +50,7 @@ class Total:
         self._updated_at = time.monotonic()
 
     def sensor_lost(self) -> None:
-        """Record that the sensor is lost: after the last total only what is due is known."""
+        """Record that the sensor is lost: beyond the last total, only what is due is known."""
         with self._lock:
             self._growing = False
 
@@ -65,7 +66,7 @@ class Total:
                 self._rate = 0.0
             else:
                 rate = sum(self._rates.values()) or self._rate
-                # What the maximum rate, or a late call, has left over.
+                # The remainder that the maximum rate or a late call has left.
                 behind = self._due - sum(
                     part * (end - now) for end, part in self._rates.items()
                 )
@@ -77,10 +78,10 @@ class Total:
         """Add a total.
 
         Args:
-            raw: as the sensor reports it; differences of whole numbers are exact.
+            raw: total as the sensor reports it; differences of whole numbers are exact.
 
         Raises:
-            ValueError: it rose faster than the maximum rate allows; it changes nothing.
+            ValueError: if it rose faster than the maximum rate allows; it then changes nothing.
         """
         with self._lock:
             now = boot_time()
@@ -100,20 +101,20 @@ class Total:
                 pass  # a late message: its water has been counted
             elif (wrapped := self._roll_over(raw, gap)) is not None:
                 self._rise(raw, wrapped, now)
-            else:  # the sensor has started again
+            else:  # the sensor has restarted
                 former = self._former or self._last
                 self._start(raw, now)
                 self._former = former
 
     def _allowed(self, gap: float) -> float:
-        """Return the maximum rise in a time (s)."""
+        """Return the maximum rise in a given time (s)."""
         return self._sensor.high * (self._burst_s + min(gap, self._spread_s))
 
     def _is_growth(self, before: float, raw: float, gap: float) -> bool:
         return 0 <= self._sensor.scale * (raw - before) <= self._allowed(gap)
 
     def _roll_over(self, raw: float, gap: float) -> float | None:
-        """Return the rise of a counter that may have passed its end; None if it did not."""
+        """Return the rise of a counter that may have rolled over; None if it has not."""
         if not (isinstance(raw, int) and isinstance(self._last, int)):
             return None
         rises = (self._sensor.scale * ((raw - self._last) % 2**bits) for bits in _BITS)
@@ -134,7 +135,7 @@ class Total:
         self._rises.append((now, before))
         started_at = time.monotonic()
         end = started_at + min(max(gap, _MIN_SPREAD_S), self._spread_s)
-        # One of several tips at once shares the time of the first.
+        # Simultaneous tips share the time of the first.
         end = min(
             (other for other in self._rates if end < other <= started_at + self._burst_s),
             default=end,
@@ -143,10 +144,10 @@ class Total:
         self._due += rise
 
     def _refuse(self, raw: float, now: float) -> None:
-        """Refuse a rise, unless a later total confirms it: then the sensor has started again.
+        """Reject a rise, unless a later total confirms it, in which case the sensor has restarted.
 
         Raises:
-            ValueError: it is refused.
+            ValueError: if it is rejected.
         """
         odd = self._odd
         confirms = odd is not None and self._is_growth(odd[0], raw, now - odd[1])

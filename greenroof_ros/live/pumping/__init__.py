@@ -1,1 +1,1 @@
-"""Safety of a real pump, without ROS and without a clock: time is an argument."""
+"""Safety of a real pump, without ROS and without a clock of its own: time is an argument."""

@@ -1,54 +1,58 @@
-"""The delivery check: compares the pumped volume with the change of both levels.
+"""The delivery check, which compares the pumped volume with the change of both levels.
 
-It keeps three balances, each of water (m3) that the levels do not explain:
+It keeps three balances of water (m3) that the levels do not explain:
 
-- *missing on the roof*: a share ``min_delivery`` of the pumped volume (the measured volume, or
-  what the speed should deliver if that is more: a closed valve has no flow), minus the rise of the
-  roof, minus ``max_loss`` for evapotranspiration. It grows if a pump runs and the roof does
-  not rise: burst pipe, closed valve. Rain can only lower it.
+- *missing on the roof*: a share ``min_delivery`` of the pumped volume (the measured volume, or what
+  the speed should deliver if that is more, since a meter shows no flow behind a closed valve),
+  minus the rise of the roof, minus ``max_loss`` for evapotranspiration. It grows if a pump runs and
+  the roof does not rise, because a pipe has burst or a valve is closed. Rain can only lower it.
 - *lost from the cistern*: the fall of the cistern, minus the pumped volume and what a low outlet
-  may have drawn, both divided by ``min_delivery``, minus ``max_loss`` for a drifting sensor.
-  It grows if water leaves while the pump is stopped: leak, stuck contactor. Rain can only lower it.
-  The outlet itself does not matter, since the cistern counts only up to it. While the level is
-  above a low outlet, or unknown, another loss is seen only if it exceeds what that outlet takes, so
-  perhaps only after the level has fallen and the outlet takes less. A clogged low outlet is not a
-  fault.
+  may have drawn, both divided by ``min_delivery``, minus ``max_loss`` for a drifting sensor. It
+  grows if water leaves while the pump is stopped, because of a leak or a stuck contactor. Rain can
+  only lower it. The upper outlet does not matter, since the cistern's volume counts only up to it.
+  While the level is above a low outlet, or unknown, any other loss is seen only if it exceeds what
+  that outlet takes. This may be only after the level has fallen and the outlet takes less. A
+  clogged low outlet is not a fault.
 - *not from the cistern*: a share ``min_delivery`` of the pumped volume, minus the fall of the
-  cistern, minus ``max_loss`` for a drifting sensor, minus what the mains may have let in
-  while the reading was below the level of their valve, or unknown. It grows if a pump runs and the
-  cistern does not fall: its sensor is stuck, perhaps with some noise, or drifts up, and the pump
-  would run dry. It is at most that share of the pumped volume, so rain while the pump is stopped is
-  not a fault. Rain while it runs explains ``a_in / a2`` times the roof's rise beyond that share, as
-  if all rain ran off: a storm's runoff coefficient may be above the mean. If a_in is at least a2,
-  this explains so much that only the first balance remains effective.
+  cistern, minus ``max_loss`` for a drifting sensor, minus what the mains may have let in while the
+  reading was below the level of their valve, or unknown. It grows if a pump runs and the cistern
+  does not fall: its sensor is stuck, perhaps with some noise, or drifts upward, so the pump would
+  eventually run dry. It is at most that share of the pumped volume, so rain while the pump is
+  stopped does not cause a fault. Rain while it runs explains ``a_in / a2`` times the roof's rise
+  beyond that share, as if all the rain ran off, because a storm's runoff coefficient may be above
+  the mean. If a_in is at least a2, this explains so much that only the first balance remains
+  effective.
 
-Water is also counted while a level is unknown, and the balances resume when it is known again: a
-sensor that is silent now and then hides nothing. Jumps of a level that water cannot cause do not
-count, except that the third balance treats a downward jump of the cistern as a fall. So a drift
-that ends with a jump back does not become a fault later.
+Water is counted even while a level is unknown, and the balances resume when the level is known
+again, so a sensor that is silent now and then hides nothing. Jumps of a level that water cannot
+cause do not count, except that the third balance treats a downward jump of the cistern as a fall. A
+drift that ends with a jump back therefore does not become a fault later.
 
-For a measured soil only the share of the pumped volume counts that its soil retains at the target,
-the smallest share while anything is pumped; the rest percolates. To infer rain, the third
-balance instead uses the share that the soil retains at its present wetness: a drier roof retains
-more of the pumped water, and that is not rain.
+On a field-capacity soil, only the share of the pumped volume that the soil retains at the target
+counts; the rest percolates. This is the smallest share at any level at which the roof is watered.
+To infer rain, the third balance instead uses the share that the soil retains at its present
+wetness: a drier roof retains more of the pumped water, and that is not rain.
 
-Levels and volumes are averaged alike over ``averaging_time``, so that neither lags the other. A
+Levels and volumes are averaged over the same ``averaging_time``, so neither lags the other. A
 balance that rises by more than ``level_tolerance`` times the area above its minimum so far is a
 fault (Page's test, E. S. Page, Biometrika 41, 1954: a good past does not hide a present fault). On
-the roof the counted share of the volume pumped since then must also be that much, so that a heat
-wave does not look like a burst pipe. Levels count only up to the roof's target plus, and the
-cistern's outlet minus, ``level_offset``, the permanent error that a sensor may have.
+the roof, the counted share of the volume pumped since then must be at least as large, so a heat
+wave does not look like a burst pipe. The roof's level counts only up to its target plus
+``level_offset``, and the cistern's only up to its outlet minus ``level_offset``, which is the
+permanent error that a sensor may have.
 
-A level that does not change at all needs no averaging and no ``min_delivery``: an unchanged roof
-is a fault once ``level_tolerance`` times its area was pumped since it last changed, and roof and
-cistern both unchanged once the tolerance times the cistern's area was (net of ``max_loss``).
-Otherwise the frozen-level rule, which clears automatically, would repeatedly stop the pump first.
+A level that does not change at all needs no averaging and no ``min_delivery``. An unchanged roof is
+a fault once ``level_tolerance`` times its area has been pumped since it last changed. If both
+levels are unchanged, it is a fault once the tolerance times the cistern's area has been pumped.
+Both volumes are net of ``max_loss``. Without this, the frozen-level rule, which clears
+automatically, would stop the pump first, again and again.
 
-Why there are no false alarms: readings each second with independent errors of 5 mm (standard
-deviation), averaged over 60 s, have an error of 5 mm / sqrt(2 60) = 0.46 mm. A false alarm needs
-two means 6 mm apart in the wrong direction, 9 standard deviations of their difference: less than
-1e-19 for a pair, and a year has some 1e8 pairs close enough in time to count. With ticks of 10 s
-the means have three times the error, and the tolerance must be three times as large.
+Why there are no false alarms: if a reading arrives every second with an independent error of 5 mm
+(standard deviation), the mean over 60 s has an error of 5 mm / sqrt(2 60) = 0.46 mm. A false alarm
+needs two means 6 mm apart in the wrong direction, which is 9 standard deviations of their
+difference. The probability is less than 1e-19 for a pair, and in a year some 1e8 pairs are close
+enough in time to count. With a reading every 10 s the error of the means is three times as large,
+and the tolerance must be, too.
 """
 
 from __future__ import annotations
@@ -80,9 +84,9 @@ class _Sums(NamedTuple):
     roof: float = 0.0
     """volume, counted up to the target (m3)"""
     overfull_cistern: float = 0.0
-    """volume, also above the outlet, less what upward jumps have added (m3)"""
+    """volume, including that above the outlet, less what upward jumps have added (m3)"""
     retained: float = 0.0
-    """share of ``min_pumped`` that the roof's soil retains at its present wetness (m3)"""
+    """part of ``min_pumped`` that the roof's soil retains at its present wetness (m3)"""
     mains: float = 0.0
     """what the mains may have let in (m3)"""
     drained: float = 0.0
@@ -93,7 +97,7 @@ class _Sums(NamedTuple):
 
 
 class _Balance:
-    """Unexplained water, above its minimum so far."""
+    """A balance of unexplained water, measured from its minimum so far."""
 
     def __init__(self) -> None:
         self.rise = 0.0
@@ -106,8 +110,8 @@ class _Balance:
 
         Args:
             unaccounted: unexplained part of the change (m3).
-            change: of the sums.
-            share: the balance cannot rise above this share of the pumped volume.
+            change: change of the sums.
+            share: share of the pumped volume above which the balance cannot rise.
         """
         self.rise, self.since_min = self.rise + unaccounted, self.since_min.add(change)
         if share is not None:
@@ -118,7 +122,7 @@ class _Balance:
 
 
 class DeliveryCheck:
-    """Keeps the balances, step by step."""
+    """Updates the three balances at every step."""
 
     def __init__(self, site: Site, settings: PumpSettings) -> None:
         self._site, self._soil = site, soil_of(site)
@@ -140,7 +144,7 @@ class DeliveryCheck:
 
     @property
     def has_mean(self) -> bool:
-        """Whether there were enough readings for a mean."""
+        """Whether enough readings have arrived for a mean."""
         return self._watched >= self._settings.averaging_time
 
     def step(
@@ -152,14 +156,15 @@ class DeliveryCheck:
         max_pumped: float,
         displacements: tuple[float, float] = (0.0, 0.0),
     ) -> Diagnosis | None:
-        """Update with the sensors' readings, and return the fault; None if there is none.
+        """Update with the sensors' readings, and return the fault, or None.
 
         Args:
             dt: time since the last step (s).
-            cistern_level: m; None if unknown.
-            roof_level: m; None if unknown.
+            cistern_level: level of the cistern (m); None if unknown.
+            roof_level: level of the roof (m); None if unknown.
             min_pumped: volume that was or should have been pumped since the last step (m3).
-            max_pumped: most that can have been pumped (m3); worst case if the speed was unknown.
+            max_pumped: largest volume that can have been pumped (m3): the worst case if the speed
+                was unknown.
             displacements: how far jumps have moved the readings of cistern and roof so far (m).
         """
         site, settings = self._site, self._settings
@@ -212,7 +217,7 @@ class DeliveryCheck:
         return self._check_cistern_falls(change)
 
     def _check_cistern_falls(self, change: _Sums) -> Diagnosis | None:
-        """Return the fault of a cistern that does not fall although it is pumped from."""
+        """Return a fault if the cistern does not fall although water is pumped out of it."""
         site, share = self._site, self._settings.min_delivery
         not_drawn = share * change.min_pumped + change.overfull_cistern
         not_drawn -= self._loss * site.a1 * change.elapsed + change.mains
@@ -237,7 +242,7 @@ class DeliveryCheck:
     def _change_of_mean(self, dt: float, present: _Sums) -> _Sums:
         """Return the change of the moving mean.
 
-        Until there are enough readings it is the plain mean, and its changes do not count.
+        Until there are enough readings, it is the plain mean, and its changes do not count.
         """
         before, averaging = self._mean, self._settings.averaging_time
         if before is None or self._watched == 0:
@@ -248,7 +253,7 @@ class DeliveryCheck:
         return self._mean.add(before, -1.0) if self._watched > averaging else _Sums()
 
     def _check_unchanged(self, now: _Sums) -> Diagnosis | None:
-        """Return the fault of a roof, or of both tanks, unchanged while water was pumped."""
+        """Return a fault if the roof, or both tanks, did not change while water was pumped."""
         site = self._site
         (_, cistern), (_, roof) = self._last_change
         longer = roof if roof.elapsed > cistern.elapsed else cistern

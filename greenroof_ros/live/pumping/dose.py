@@ -1,7 +1,8 @@
-"""A dose: a volume that a person requests, delivered once in place of the controller's command.
+"""A dose: a volume that a person requests, delivered once instead of the controller's command.
 
-Anything that would stop the pump ends the dose, and a restart of the node forgets it; the person
-must request another. So no dose starts later than expected, and none continues unwatched.
+Anything that would stop the pump ends the dose, and a restart of the node discards it; the person
+must then request another. This way, no dose starts later than expected, and none continues
+unwatched.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ EXPIRES_S = 60.0
 """A request expires at this age (s), both on arrival and while its dose waits to begin."""
 # The requester's clock may be ahead of this machine's by at most this (s).
 _AHEAD_S = 5.0
-# Near its end a dose flows at its remaining volume per this time (s), so that it ends exactly.
+# Near its end, a dose flows at its remaining volume divided by this time (s), so it ends exactly.
 _SLOWS_S = 30.0
-# How long the end of a dose is reported (s).
+# How long a dose is still reported after its end (s).
 _REPORTED_S = 60.0
 
 DONE, EXPIRED, FULL, INTERLOCK, UNSEEN = "done", "expired", "full", "interlock", "unseen"
@@ -29,13 +30,13 @@ class Dose:
     """One dose.
 
     Attributes:
-        id: time of the request, by the requester's system clock (s since 1970).
+        id: time of the request, according to the requester's system clock (s since 1970).
         volume: requested volume (m3).
         age: time since the request, or, once the dose is over, since its end (s).
         delivered: volume delivered so far (m3).
         begun: whether the pump has run for it.
         over: how it ended, a machine-readable word; empty until it ends.
-        why: what the pump does for it, or why it waits or ended.
+        why: what the pump does for it, or why the dose waits or has ended.
         cause: code of the interlock that ended it.
     """
 
@@ -60,7 +61,7 @@ class Dose:
 
     @property
     def ended_early(self) -> Diagnosis:
-        """That it ended before all was delivered."""
+        """A message that the dose ended before all of it was delivered."""
         return Diagnosis.of(
             "dose_ended_early", volume=self.volume, delivered=self.delivered, why=self.why
         )
@@ -70,8 +71,8 @@ class Doses:
     """Accepts requests, and tracks the newest dose.
 
     A request is identified by the time at which it was made. It must be newer than the previous
-    request and than this object. So a repeated request is not carried out twice, nor after a
-    restart.
+    request and newer than this object, so a repeated request is carried out neither twice nor after
+    a restart.
 
     Attributes:
         last: the newest dose, until a while after its end; None if there is none.
@@ -90,7 +91,7 @@ class Doses:
 
     @property
     def present(self) -> Dose | None:
-        """The dose that waits or runs; None if there is none."""
+        """The dose that is waiting or running; None if there is none."""
         return None if self.last is None or self.last.over else self.last
 
     def refusal(self, inhibit_reason: str) -> str:
@@ -108,7 +109,7 @@ class Doses:
     def request(
         self, requested_at: float, volume: float, now: float, minimum: float, inhibit_reason: str
     ) -> str:
-        """Accept a request (returns an empty string), or return why it is refused.
+        """Accept a request and return an empty string, or return why it is refused.
 
         Args:
             requested_at: time at which it was made (s since 1970), which is its id.
@@ -124,7 +125,7 @@ class Doses:
         age = now - requested_at
         if not -_AHEAD_S <= age <= EXPIRES_S:
             return (
-                f"the request is {age:.0f} s old, but must be at most {EXPIRES_S:g} s: ask again, "
+                f"the request is {age:.0f} s old; the limit is {EXPIRES_S:g} s: ask again, "
                 "or set the clocks"
             )
         if requested_at <= self._newest:
@@ -142,10 +143,10 @@ class Doses:
         return ""
 
     def advance(self, dt: float, delivered: float) -> None:
-        """Count time and delivered volume; end the dose when it is delivered or has expired.
+        """Count time and delivered volume; end the dose if it is delivered or has expired.
 
         Args:
-            dt: elapsed time by a steady clock (s).
+            dt: elapsed time on a steady clock (s).
             delivered: volume delivered in that time (m3).
         """
         dose = self.last
@@ -163,7 +164,7 @@ class Doses:
             self.end(EXPIRED, f"it could not begin within {EXPIRES_S:g} s: {dose.why}")
 
     def share(self, max_flow: float) -> float:
-        """Return the share of the maximum flow (m3/s) that the present dose calls for."""
+        """Return which share of the maximum flow (m3/s) the present dose calls for."""
         dose = self.present
         assert dose is not None
         return min(1.0, (dose.volume - dose.delivered) / (_SLOWS_S * max_flow))
@@ -172,7 +173,7 @@ class Doses:
         """End the present dose, if there is one.
 
         Args:
-            how: one of this module's constants, such as ``DONE``.
+            how: how it ended, one of this module's constants such as ``DONE``.
             why: the reason, as a clause.
             cause: code of the interlock that ended it.
         """

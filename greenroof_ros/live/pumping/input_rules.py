@@ -1,4 +1,4 @@
-"""Whether a live input may be acted on: its age, its publishers, and what water cannot do.
+"""Rules for when a live input may be acted on: its age, its publishers, and what water can do.
 
 The caller passes the time of a steady clock (s).
 """
@@ -25,28 +25,28 @@ _START_S = 10.0
 # Real water levels may change faster than the site file implies, by up to this factor.
 _MARGIN = 1.5
 # A jump back is recognised while the interval from before the jump, which widens with time, is
-# narrower than this many tolerances: some minutes.
+# narrower than this many tolerances. This takes some minutes.
 _SPIKE = 4.0
 # Above the world records of hourly rain and of daily evapotranspiration (m/s).
 _MAX_RAIN = QUANTITIES[PRECIPITATION].high / 1000 / 3600
 _MAX_EVAPOTRANSPIRATION = QUANTITIES[EVAPOTRANSPIRATION].high / 1000 / 86400
-# Maximum evapotranspiration of an hour (m/s), as max_loss of the delivery check; and the
-# slowest movement of a cistern that counts, beyond drift and unmeasured inflow: 5 mm/day.
+# Maximum evapotranspiration of an hour (m/s), like max_loss of the delivery check; and the slowest
+# movement of a cistern that exceeds drift and unmeasured inflow, so that it counts: 5 mm/day.
 _LOSS, _DRIFT = 1e-3 / 3600, 5e-3 / 86400
-# Rain that a roof holds back before it runs off (m): depressions of a flat roof (2.5 mm, SWMM
-# Reference Manual I, Table 3-5), and a first-flush diverter (2 mm).
+# Rain that a roof holds back before any runs off (m): in the depressions of a flat roof (2.5 mm,
+# SWMM Reference Manual I, Table 3-5) and in a first-flush diverter (2 mm).
 _WETTING = 5e-3
 
 _WAITING, _RECOVERING = AWAITED = "input_waiting", "input_recovering"
-"""Codes of an input that breaks no rule, but is awaited or not used yet."""
+"""Codes of inputs that break no rule, but are awaited or not used yet."""
 
 
 class LevelBounds(NamedTuple):
     """How fast the level of a tank can change, and its maximum plausible value.
 
     Attributes:
-        rise: fastest rise at a level in m (m/s, not negative).
-        fall: fastest fall, likewise.
+        rise: returns the fastest rise at a level in m (m/s, not negative).
+        fall: returns the fastest fall at a level in m (m/s, not negative).
         max: maximum plausible level (m).
     """
 
@@ -58,7 +58,7 @@ class LevelBounds(NamedTuple):
 def cistern_bounds(site: Site) -> LevelBounds:
     """Return the bounds of the cistern: rain and mains fill it; pumps and outlets empty it.
 
-    All rain on the catchment counts, since a storm's runoff coefficient may be above the mean.
+    All the rain on the catchment counts, since a storm's runoff coefficient may be above the mean.
     """
 
     def fall(level: float) -> float:
@@ -80,7 +80,7 @@ def roof_bounds(site: Site) -> LevelBounds:
 
 
 class Movement(NamedTuple):
-    """What surely moves a level: bounds of its rise.
+    """Bounds of how fast a level must rise.
 
     Attributes:
         min: slowest rise (m/s).
@@ -92,18 +92,18 @@ class Movement(NamedTuple):
 
 
 class Wetting:
-    """Rain that wets surfaces and fills hollows, or evaporates, instead of running off."""
+    """Rain that wets surfaces, fills hollows or evaporates instead of running off."""
 
     def __init__(self) -> None:
         """Begin with dry surfaces."""
         self._retained = 0.0  # m
 
     def excess(self, rain: float, passed: float) -> float:
-        """Return the rain beyond what the surfaces may hold back (m/s).
+        """Return the rain in excess of what the surfaces may hold back (m/s).
 
         Args:
-            rain: m/s.
-            passed: for how long (s).
+            rain: rain rate (m/s).
+            passed: how long it has rained at this rate (s).
         """
         retained = max(0.0, self._retained + (rain - _LOSS) * passed)
         self._retained = min(retained, _WETTING)
@@ -116,25 +116,25 @@ def expected_movement(
 ) -> tuple[Movement, Movement]:
     """Return how the levels of cistern and roof must move.
 
-    A rise is reduced by all that may be lost: evapotranspiration from the roof, what a low outlet
-    takes, mains that are shut, and rain that surfaces hold back. A fall is reduced by all rain on
-    the catchment, and by the mains. Both are reduced by the drift of a sensor, so that small
+    A rise is reduced by everything that may be lost: evapotranspiration from the roof, what a low
+    outlet takes, mains that are shut, and rain that surfaces hold back. A fall is reduced by all
+    the rain on the catchment, and by the mains. Both are reduced by the drift of a sensor, so small
     amounts do not add up over days.
 
-    Nothing is expected of a tank that spills, since what enters it leaves it: the cistern at its
-    outlet, the roof at the depth of its soil, a measured soil when it retains no more water.
-    A fall through the low outlet is not expected, since a narrow outlet clogs. A coarse sensor may
-    be off by half of `frozen_movement`, so a tank is treated as spilling, and mains as open, as
-    soon as that is possible.
+    A tank that spills is not expected to move, since what enters it leaves it. This is the cistern
+    at its outlet, the roof at the depth of its soil, and a field-capacity soil once it retains no
+    more water. No fall through the low outlet is expected, since a narrow outlet can clog. A coarse
+    sensor may be off by half of `frozen_movement`, so a tank is treated as spilling, and the mains
+    as open, as soon as that is possible.
 
     Args:
         site: the site.
-        flow: from the cistern to the roof (m3/s).
-        rain: m/s.
-        running_off: rain beyond what surfaces may hold back (m/s).
-        cistern_level: m.
-        roof_level: m.
-        frozen_movement: as in `LevelRule` (m); 0 if the levels are exact.
+        flow: flow from the cistern to the roof (m3/s).
+        rain: rain rate (m/s).
+        running_off: rain in excess of what surfaces may hold back (m/s).
+        cistern_level: level of the cistern (m).
+        roof_level: level of the roof (m).
+        frozen_movement: movement as in `LevelRule` (m); 0 if the levels are exact.
     """
     off = frozen_movement / 2
     high = site.cistern_volume(cistern_level + off)
@@ -155,9 +155,10 @@ def expected_movement(
 
 
 class LevelRule:
-    """What a level cannot do: stay unchanged while its tank fills or empties, jump, or be absurd.
+    """Detects what no level can do: not change while its tank fills or empties, jump, or be absurd.
 
-    A value above the maximum plausible level is refused and otherwise ignored: its unit is wrong.
+    A value above the maximum plausible level is rejected and otherwise ignored, as its unit is
+    wrong.
 
     To detect jumps, the rule keeps the interval that must contain the true level. The interval
     widens as fast as water can rise and fall, and each value narrows it to within half the
@@ -174,10 +175,10 @@ class LevelRule:
         """Begin without a value.
 
         Args:
-            bounds: of the tank.
-            frozen_movement: a reading that does not change although the level must have moved by
-                more than this (m) is frozen; more than the sensor's resolution.
-            jump_tolerance: how far two values may be apart beyond what water can do (m).
+            bounds: bounds of the tank.
+            frozen_movement: movement (m) beyond which a reading that has not changed is frozen; it
+                must exceed the sensor's resolution.
+            jump_tolerance: by how much two values may differ beyond what water can do (m).
         """
         self.displacement = 0.0
         self._bounds = bounds
@@ -189,22 +190,22 @@ class LevelRule:
         self._old_low = self._old_high = math.nan
         self._old_displacement = 0.0
         self._at = 0.0
-        # How far it must have risen above its minimum since it last changed, and fallen below its
-        # maximum (m).
+        # How far the level must have risen above its minimum since the reading last changed, and
+        # fallen below its maximum (m).
         self._risen = self._fallen = 0.0
         self._frozen = False
 
     def expect(self, movement: Movement, passed: float) -> None:
-        """Update how the level must have moved in a time (s)."""
+        """Update how far the level must have moved, given its movement for a time (s)."""
         self._risen = max(0.0, self._risen + movement.min * passed)
         self._fallen = max(0.0, self._fallen - movement.max * passed)
         moved = max(self._risen, self._fallen)
         self._frozen = self._frozen or moved > self._frozen_movement
 
     def check(self, now: float, value: float) -> Diagnosis | None:
-        """Check a new value (m): return why water cannot have reached it; None if it can.
+        """Check a new value (m), and return why water cannot have reached it; None if it can.
 
-        What it returns still lacks the topic.
+        The returned diagnosis does not contain the topic yet.
         """
         if value > self._bounds.max:
             maximum = self._bounds.max
@@ -239,14 +240,14 @@ class LevelRule:
         })
 
     def check_frozen(self) -> Diagnosis | None:
-        """Return that the reading is unchanged although the level must have moved, if so."""
+        """Return a diagnosis if the reading is unchanged although the level must have moved."""
         if not self._frozen:
             return None
         return Diagnosis.of("input_frozen", movement=self._frozen_movement)
 
 
 class InputRules:
-    """The rules of one input; after breaking one it must keep all for a time to be good again."""
+    """The rules of one input; after breaking one, it must keep all for a time to be good again."""
 
     def __init__(
         self, now: float, limit: float, recovery: float, *, topic: str = "",
@@ -255,10 +256,10 @@ class InputRules:
         """Wait for the first value.
 
         Args:
-            now: s.
+            now: time of a steady clock (s).
             limit: maximum age (s).
             recovery: how long all rules must have been kept (s).
-            topic: its full name, for messages.
+            topic: full name of the topic, for messages.
             limit_name: name of the limit's parameter, for messages.
             level: an additional rule, if the input is a level.
         """
@@ -279,7 +280,7 @@ class InputRules:
         """Receive a value, and check it.
 
         Args:
-            now: s.
+            now: time of a steady clock (s).
             value: the value.
             refused: why it is ignored; None if it counts.
         """
@@ -294,7 +295,7 @@ class InputRules:
         return self.check(now)
 
     def refuse(self, now: float, why: str) -> Diagnosis | None:
-        """Refuse the newest value, because its reader cannot use it."""
+        """Reject the newest value, because its reader cannot use it."""
         self._newest = Diagnosis.of("input_refused", "refused", why=why)
         return self.check(now)
 
@@ -308,8 +309,8 @@ class InputRules:
         """Return why the input must not be acted on; None if it may be.
 
         Args:
-            now: s.
-            publishers: what is wrong with them; empty if there is only one.
+            now: time of a steady clock (s).
+            publishers: what is wrong with the publishers; empty if there is only one.
         """
         diagnosis = self._broken_rule(now, publishers)
         if diagnosis is not None:

@@ -1,4 +1,4 @@
-"""Evaluates the interlocks, which ``msg_defs/conditions.yaml`` lists in their order.
+"""Evaluates the interlocks in the order in which ``msg_defs/conditions.yaml`` lists them.
 
 An interlock is active while there is a reason for it. The pump does not run while any is active.
 """
@@ -14,10 +14,10 @@ def evaluate(reasons: Iterable[Diagnosis]) -> dict[str, Diagnosis]:
     """Return the active interlocks by code, in the order of the table.
 
     Args:
-        reasons: against running the pump.
+        reasons: reasons against running the pump.
 
     Raises:
-        KeyError: a code is no interlock.
+        KeyError: if a code is not that of an interlock.
     """
     present = {reason.code: reason for reason in reasons}
     interlocks = read_interlocks()

@@ -1,33 +1,35 @@
-"""State of the pump node that must survive a restart: hold, fault, starts, use of 24 h.
+"""The state of the pump node that must survive a restart: hold, fault, starts, use in 24 h.
 
-A hold keeps the pump off. It has an owner, who requested it; a reason, which may be empty; and an
-end, or none. This is what it promises:
+A hold keeps the pump off. Its owner is whoever requested it; its reason may be empty, and it may
+have no end. The ledger promises:
 
 - It is read before the pump may run. Neither a restart nor a power cut ends it.
-- There is one hold at a time. A later request replaces owner and reason, and never shortens it: the
-  later end counts, and no end is later than any.
-- It ends at its end by the system clock, or when it is released, whoever made it.
-- If it is unknown whether there was a hold or a fault, the pump stays off until someone at the
-  pump clears that.
+- There is one hold at a time. A later request replaces its owner and reason, but never shortens it:
+  the later end counts, and having no end counts as the latest.
+- It ends at its time of the system clock, or when anyone releases it.
+- If it is unknown whether there was a hold or a fault, the pump stays off until someone who has
+  checked the pump clears this state.
 
 The file has two lines of fixed length, padded with blanks and overwritten in place in turn. Its
-space is allocated when it is made, so a hold or a fault can be saved even if the disk is full later
-(except on file systems that never write in place: btrfs, zfs). Each line begins with its checksum
-and is one page long. A kill does not tear a page, but a power cut may. Then the other line is
-intact, but the torn one may have had a hold or a fault: this is unknown. So it is if the file
-cannot be read, is of a later format, is an older copy or another site's, or is missing while
-another file shows that there was a pump node before. Keys that this version does not know are
-ignored, and some may be missing. The file is made under another name and renamed once.
+space is allocated when the file is made, so a hold or a fault can be saved even if the disk is full
+later (except on file systems that never write in place: btrfs, zfs). Each line begins with its
+checksum and is one page long. Killing the process does not tear a page, but a power cut may. The
+other line is then intact, but the torn one may have contained a hold or a fault, so this is
+unknown. It is also unknown if the file cannot be read, has a later format, is an older copy or that
+of another site, or is missing while another file shows that there was a pump node before. Keys that
+this version does not know are ignored, and some keys may be missing. The file is made under another
+name, then renamed.
 
-The disk thread writes, so a slow disk does not delay the control of the pump. A lock on a file
-next to it lets only one ledger write: the record of a second one would erase a hold or a fault.
-That file also has the number of the last line that was written. Numbers begin at random, so they
-differ between sites. If another program removes or changes the file, it is written again.
+The disk thread writes, so a slow disk does not delay the control of the pump. A lock on a file next
+to it ensures that only one ledger writes, since the record of a second one would erase a hold or a
+fault. The lock's file also contains the number of the last line that was written. The first number
+is random, so the numbers differ between sites. If another program removes or changes the file, it
+is written again.
 
 Use is counted in slots of half an hour, over the last 24 h of the ledger's clock, which starts at
-its first step and counts the time of the machine's steady clock, with or without the node. Time
-before the machine's start is not added, since no one knows whether the system clock was right then.
-The oldest slot counts whole until all of it is more than 24 h old.
+its first step and follows the machine's steady clock, whether or not the node runs. Time before the
+machine's start is not added, since no one knows whether the system clock was right then. The oldest
+slot counts in full until all of it is more than 24 h old.
 """
 
 from __future__ import annotations
@@ -59,26 +61,27 @@ from greenroof_ros.common.times import boot_id, boot_time, to_people
 DAY_S = 86_400.0
 RECORD = "pump.json"
 """the file's name in the directory of a live site"""
-# Length of a slot (s), and how many the last 24 h touch.
+# Length of a slot (s), and the number of slots that the last 24 h touch.
 _SLOT_S, _SLOTS = 1800.0, 49
 MAX_NUMBER = 1e11
-"""No number of the record is larger; as a time, it is in the year 5138."""
+"""No number in the record is larger; as a time, it is in the year 5138."""
 # Length of a line (bytes): a page, and a block of most disks.
 _LINE = 4096
 # Maximum bytes of a text and of an owner in JSON, and maximum number of starts: all fit in a line.
 _TEXT, _OWNER, _STARTS = 350, 40, 100
-# The format of the file. A later one has another meaning of a key, not only further keys.
+# The format of the file. In a later one, a key has another meaning; new keys alone do not change
+# it.
 _VERSION = 1
-# What is next to the file while it is made; another version moved a broken file away.
+# Files next to the record: the one being made, and a broken one that another version moved away.
 _NEW, _LOCK, _LEFTOVERS = ".new", ".lock", (".new", ".broken")
-# What a live site writes next to it.
+# What a live site writes next to the record.
 _OF_SITE = ("summary.json", ALARMS, "bag", "configuration")
-# How many lines may have been written after the last number that is on the disk: the number is not
-# forced there. And the range of the first numbers.
+# How many lines may have been written after the last number that is on the disk, since that number
+# is not forced onto it; and the range of the first numbers.
 _UNNOTED, _FIRST = 10_000, 2**44
-# Starts to remember: no pump may start more often in the hour that counts.
+# How many starts to remember: no pump may start more often in the hour that counts.
 _MAX_STARTS = 3600
-# While the pump is on, at most this much of its use is not yet on the disk (s).
+# While the pump is on, at most this much of its time on is not yet on the disk (s).
 SAVE_EVERY_S = 10.0
 # A service waits this long for the disk (s), well below the silence after which a node is killed.
 _WAIT_S = 0.5
@@ -91,17 +94,18 @@ class PumpRecord:
     Attributes:
         hold_owner: who holds the pump; empty if no one does.
         hold_reason: why; may be empty.
-        hold_until: end of the hold by the system clock (s since 1970); None if it has no end.
+        hold_until: end of the hold on the system clock (s since 1970); None if it has no end.
         unknown: why it is unknown whether there was a hold or a fault; empty if it is known.
         fault: the latched fault; empty if there is none.
         fault_code: code of its interlock.
         elapsed: time since the ledger's first step (s).
-        use: how long the pump was on (s), and what it pumped (m3), in each of the last slots of
+        use: how long the pump was on (s), and how much it pumped (m3), in each of the last slots of
             ``elapsed``; the present slot is the last.
-        starts: times of its last starts (s, as ``elapsed``); the file keeps the last hundred.
-        on: whether it was on when this was written.
-        boot: the machine's start in which this was written; empty if unknown.
-        boot_s: time of writing since then (s).
+        starts: times of the pump's last starts (s, as ``elapsed``); the file keeps the last
+            hundred.
+        on: whether the pump was on when this was written.
+        boot: identity of the machine's start after which this was written; empty if unknown.
+        boot_s: time between that start and the writing (s).
     """
 
     hold_owner: str = ""
@@ -129,24 +133,24 @@ class PumpRecord:
 
     @property
     def day_volume(self) -> float:
-        """What it pumped in the last 24 h (m3)."""
+        """How much it pumped in the last 24 h (m3)."""
         return math.fsum(volume for _, volume in self.use)
 
     def clears_in(self, *, run: float = math.inf, volume: float = math.inf) -> float:
-        """Return how long to wait (s) until the use of 24 h is below both limits (s, m3)."""
+        """Return how long to wait (s) until the use in 24 h is below both limits (s, m3)."""
         left = self
         while left.day_run >= run or left.day_volume >= volume:
             left = replace(left, use=left.use[1:])
-        last_out = self.elapsed // _SLOT_S - len(left.use)  # the slot that must leave last
+        last_out = self.elapsed // _SLOT_S - len(left.use)  # the last slot that must drop out
         return max(0.0, (last_out + _SLOTS) * _SLOT_S - self.elapsed) if left != self else 0.0
 
 
 class Ledger:
-    """Keeps the record, in a file if one is given.
+    """Keeps the record, in a file if one is specified.
 
-    A missing file means a fresh record, and is made at once. The first ledger of a file owns it
-    until the ledger is closed or its process ends. A second ledger reads the file at its own start,
-    and writes nothing until it can acquire the file (:meth:`acquire`).
+    If the file is missing, the record is fresh and the file is made immediately. The first ledger
+    of a file owns it until the ledger is closed or its process ends. A second ledger reads the file
+    at its own start, and writes nothing until it can acquire the file (:meth:`acquire`).
 
     Attributes:
         record: the present record.
@@ -156,8 +160,8 @@ class Ledger:
         """Read the file.
 
         Args:
-            file: of the record; None keeps it in memory only.
-            system_clock: returns s since 1970, such as :func:`time.time`.
+            file: file of the record; None keeps it in memory only.
+            system_clock: function that returns s since 1970, such as :func:`time.time`.
         """
         self._file = file
         self._clock = system_clock
@@ -173,10 +177,10 @@ class Ledger:
             self._load(file, noted)
 
     def acquire(self) -> bool:
-        """Acquire the file if another ledger had it or it could not be made; return whether so.
+        """Acquire the file if another ledger had it or it could not be made; return the success.
 
-        Its present content counts, plus a hold and a fault that came here meanwhile. An earlier
-        release does not apply to it, nor to its being unreadable.
+        The file's present content counts, plus any hold and fault that arrived here meanwhile. An
+        earlier release does not apply to it, even if it is unreadable.
         """
         if self._file is None or self._file_lock is not None:
             return False
@@ -218,7 +222,7 @@ class Ledger:
 
     @property
     def problem(self) -> str:
-        """Why the file could not be written; empty if it could. Control continues regardless."""
+        """Why the file could not be written; empty if it was. Control continues regardless."""
         if self._file is None:
             return ""
         if self._file_lock is not None and DISK.late:
@@ -281,14 +285,14 @@ class Ledger:
         *earlier, (before_run, before_volume) = self.record.use or ((0.0, 0.0),)
         present = before_run + run, before_volume + volume
         self.record = replace(self.record, use=(*earlier, present))
-        # Without use nothing needs writing, unless the file could not be written.
+        # Without use, nothing needs to be written unless the file could not be written before.
         if run or volume or self.problem:
             self._unsaved += dt
         if self._unsaved >= SAVE_EVERY_S:
             self._save()
 
     def count_unseen(self, max_run: float, flow: float) -> None:
-        """Count the worst-case use after a node that ended without seeing the pump off.
+        """Count the worst-case use after a node ended before it had seen the pump off.
 
         Args:
             max_run: longest time that it may have run since the record was written (s).
@@ -300,7 +304,7 @@ class Ledger:
             self.switch(False)
 
     def check_file(self) -> bool:
-        """Write the file again if another program has changed it; return whether it did before."""
+        """Write the file again if another program has changed it; return whether one ever has."""
         if self._file_lock is None:
             return False
         if self._lines.changed:
@@ -323,7 +327,7 @@ class Ledger:
         """Write the record and release the file; return why the record is not on the disk."""
         problem = self.flush(PATIENCE_S)
         if self._file is not None and self._file_lock is not None and DISK.wait(0.0):
-            if not self._lines.sequence:  # never made, so the next start is a first one, too
+            if not self._lines.sequence:  # never made, so the next start counts as a first one, too
                 _lock_file(self._file).unlink(missing_ok=True)
             self._file_lock.close()
             self._file_lock = None
@@ -343,9 +347,9 @@ class Ledger:
 
 
 def make_record(file: Path) -> None:
-    """Make the file if it is missing, before other files show that there was a pump node before.
+    """Make the file if it is missing, before other files would show that there was a pump node.
 
-    An existing file is left as it is: how old its last line is counts as unseen use.
+    An existing file is left as it is, since the age of its last line counts as unseen use.
     """
     if not os.path.lexists(file):
         Ledger(file, time.time).close()
@@ -357,7 +361,7 @@ class _Lines:
     Attributes:
         sequence: number of the newest line; 0 if the file must be made.
         changed: whether another program was found to have changed the file.
-        lock: the file of the lock, which is given the number; None before it is locked.
+        lock: the file of the lock, which also receives the number; None before it is locked.
     """
 
     def __init__(self, file: Path) -> None:
@@ -368,13 +372,13 @@ class _Lines:
         self._written = b""  # the newest line
 
     def check(self) -> None:
-        """Look whether the newest line is as it was written, on the disk thread."""
+        """Check whether the newest line is as it was written; runs on the disk thread."""
         if self._written:
             self.changed = not self._is_written()
 
     def _is_written(self) -> bool:
         try:
-            # Not a pipe, which would be waited for.
+            # Not a pipe, since reading one would block.
             content = self._file.read_bytes() if self._file.is_file() else b""
         except OSError:
             return False
@@ -382,7 +386,7 @@ class _Lines:
         return len(content) == 2 * _LINE and content[start : start + _LINE] == self._written
 
     def write(self, record: PumpRecord) -> None:
-        """Write a record, on the disk thread."""
+        """Write a record; runs on the disk thread."""
         if self.sequence and (self._is_written() if self._written else self._file.exists()):
             _overwrite(self._file, self.sequence + 1, record)
             self.sequence += 1
@@ -405,8 +409,8 @@ def _error_text(file: Path, error: Exception) -> str:
         )
     why = getattr(error, "strerror", None) or repr(error)
     return (
-        f"{file} cannot be written: {why}; a restart would not know of a hold, a fault, or how "
-        "much was pumped"
+        f"{file} cannot be written: {why}; after a restart, a hold, a fault and how "
+        "much was pumped would be unknown"
     )
 
 
@@ -432,7 +436,7 @@ def _line(sequence: int, record: PumpRecord) -> bytes:
 
 
 def _rounded_up(value: float) -> float:
-    """Return the next number of four digits, so that a line has room for any use."""
+    """Return the value rounded up to four digits, so that a line has room for any use."""
     if value == 0:
         return 0
     unit = 10.0 ** (math.floor(math.log10(value)) - 3)
@@ -440,13 +444,13 @@ def _rounded_up(value: float) -> float:
 
 
 def _create(file: Path, first: int, record: PumpRecord) -> None:
-    """Write the file under another name, then rename it, which replaces a broken one at once.
+    """Write the file under another name, then rename it, which replaces a broken one in one step.
 
-    What is left of a failed attempt would keep the pump off at the next start. So it is removed,
-    unless it shows that a hold or a fault is forgotten then.
+    The remains of a failed attempt would keep the pump off at the next start, so they are removed
+    unless a hold or a fault would then be forgotten.
 
     Raises:
-        OSError: for instance, there is no room.
+        OSError: if the file cannot be written, for instance because there is no room.
     """
     if os.path.lexists(file) and not file.is_file():
         raise FileExistsError(errno.EEXIST, "it exists but is not a file")
@@ -474,7 +478,7 @@ def _overwrite(file: Path, sequence: int, record: PumpRecord) -> None:
     """Write the line whose turn it is.
 
     Raises:
-        OSError: the disk fails.
+        OSError: if the disk fails.
     """
     descriptor = os.open(file, os.O_WRONLY)
     try:
@@ -485,7 +489,7 @@ def _overwrite(file: Path, sequence: int, record: PumpRecord) -> None:
 
 
 def _lock_file(file: Path) -> Path:
-    """Return the file of the lock: not the file itself, which is replaced if it is broken."""
+    """Return the file of the lock, which is not the record itself: that is replaced if broken."""
     return file.with_name(file.name + _LOCK)
 
 
@@ -557,7 +561,7 @@ def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:
     """Return a line's sequence number and record.
 
     Raises:
-        ValueError: the line is broken, or of a later format.
+        ValueError: if the line is broken or has a later format.
     """
     checksum, _, text = line.rstrip().partition(b" ")
     if checksum != b"%08x" % zlib.crc32(text):
@@ -569,8 +573,8 @@ def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:
     if not isinstance(content, dict):
         raise ValueError("it must be a table of keys")
     if content.get("version", _VERSION) != _VERSION:
-        raise ValueError(f"it is of format {content['version']}, and this version knows {_VERSION}")
-    if "use" not in content:  # of a version that counted fixed days
+        raise ValueError(f"its format is {content['version']}, but this version knows {_VERSION}")
+    if "use" not in content:  # written by a version that counted fixed days
         content["use"] = [[content.get("day_run", 0.0), content.get("day_volume", 0.0)]]
     for name, (kind, is_right) in _KINDS.items():
         if name not in content and name in _REQUIRED:
@@ -589,11 +593,12 @@ def _is_pair(value: Any) -> bool:
     return isinstance(value, list) and len(value) == 2 and all(each in _NUMBER for each in value)
 
 
-# Without these keys it would be unknown whether the pump may run; others have harmless defaults.
+# Without these keys it would be unknown whether the pump may run; the others have harmless
+# defaults.
 _REQUIRED = {"sequence", "hold_owner", "unknown", "fault", "elapsed", "on"}
 _TEXT_KIND = "text", lambda value: isinstance(value, str)
 _NUMBER = Range(0.0, MAX_NUMBER)
-# What each key of a line must be, and the check of it.
+# What the value of each key must be, and the function that checks it.
 _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "sequence": ("a whole number above 0", lambda value: type(value) is int and value > 0),
     "hold_until": ("a number or null", lambda value: value is None or value in _NUMBER),

@@ -1,4 +1,4 @@
-"""The limits of a pump: its settings, whether they allow it to run, and pulses below minimum flow.
+"""The limits of a pump: settings, whether it may run within them, and pulses below minimum flow.
 
 Every inhibit that comes from a limit clears automatically.
 """
@@ -23,20 +23,21 @@ _HOUR_S = 3600.0
 # A pump that runs continuously makes up the outstanding volume in this time (s).
 _CATCH_UP = 60.0
 _MIN_FLOW = 0.2
-# More than the reference evapotranspiration of any climate in FAO-56, Table 2 (m/day).
+# More than the reference evapotranspiration in any climate of FAO-56, Table 2 (m/day).
 _MAX_EVAPOTRANSPIRATION = 0.010
 # Margin of the daily volume, since the flow is only estimated.
 _MARGIN = 1.5
 # How far above the level of a dry-run cut the cistern must be before the pump runs again (m).
 _HYSTERESIS = 0.02
-# How far the speed may be from the requested one, share of rated speed.
+# By how much the speed may differ from the requested one, share of the rated speed.
 _FAR = 0.1
 
 
 def _volume_per_day(site: Site) -> float:
-    """Return the volume (m3) of filling an empty roof and of a day's loss, with the margin.
+    """Return the volume (m3) that fills an empty roof and replaces a day's loss, with the margin.
 
-    The loss is the maximum evapotranspiration. A measured soil needs more: it keeps only a share.
+    The loss is the maximum evapotranspiration. A field-capacity soil needs more, as it keeps only a
+    share of what is pumped.
     """
     evapotranspiration = _MAX_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
     replaced = evapotranspiration / soil_of(site).retained_share(site.x2_star)
@@ -56,14 +57,14 @@ def _time_for(site: Site, volume: float) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class PumpSettings:
-    """The limits of a pump, and the thresholds of its checks.
+    """The limits of a pump and the thresholds of its checks.
 
-    Each field has its meaning, range, unit and default. Some defaults depend on the site:
-    :func:`pump_parameters` lists them all.
+    Every field states its meaning, range, unit and default. Some defaults depend on the site;
+    :func:`pump_parameters` returns them all.
     """
 
     min_speed: float = entry(
-        "minimum speed of the drive, share of the rated one; its drive file's if that is larger",
+        "minimum speed of the drive, share of the rated one; its drive file may set a larger one",
         0.05, 1.0, unit="1", default=0.3,
     )
     min_flow: float = entry(
@@ -80,7 +81,7 @@ class PumpSettings:
         "maximum number of starts in any hour; by default the site's", 1.0, 3600.0, unit="1/h"
     )
     max_run: float = entry(
-        "maximum unbroken run; default: a fifth of the flow fills an empty roof in this time",
+        "maximum unbroken run; default: until a fifth of the flow has filled an empty roof",
         1.0, DAY_S, unit="s",
     )
     max_run_per_day: float = entry(
@@ -99,7 +100,7 @@ class PumpSettings:
         0.0, 30.0, unit="s", default=30.0,
     )
     follow_time: float = entry(
-        "how long the speed may be far from the requested one, or from what the ramp has reached "
+        "how long the speed may differ from the requested one, or from what the ramp has reached "
         "on the way there, before that is a fault", 0.1, 600.0, unit="s", default=12.0
     )
     averaging_time: float = entry(
@@ -107,8 +108,8 @@ class PumpSettings:
         1.0, 3600.0, unit="s", default=60.0,
     )
     level_tolerance: float = entry(
-        "unexplained change of a mean level that the delivery check tolerates; 13 times the noise "
-        "of the mean of one reading per second with 5 mm, and above a sensor's resolution",
+        "unexplained change of a mean level that the delivery check tolerates: 13 times the noise "
+        "of a mean of readings every second with errors of 5 mm, and above a sensor's resolution",
         1e-4, 1.0, unit="m", default=0.006,
     )
     level_offset: float = entry(
@@ -127,10 +128,10 @@ class PumpSettings:
 
     @property
     def follow_tolerance(self) -> float:
-        """How far the speed may be off, share of rated speed.
+        """By how much the speed may differ from the requested one, share of the rated speed.
 
-        It is below the minimum speed: a stopped pump is never treated as running, nor one that runs
-        on after a stop as stopped.
+        It is below the minimum speed, so a stopped pump is never treated as running, and one that
+        runs on after a stop is never treated as stopped.
         """
         return min(_FAR, self.min_speed / 2)
 
@@ -150,9 +151,9 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
 
 
 class PumpLimits:
-    """Minimum time off, starts per hour, longest run, a day's use, dry-run cut, frost, quiet hours.
+    """Minimum time off, starts per hour, longest run, use in 24 h, dry-run cut, frost, quiet hours.
 
-    After a start of the node the pump first waits for the minimum time off, since it is unknown how
+    After the node starts, the pump first waits for the minimum time off, since it is unknown how
     long it has been off.
     """
 
@@ -187,7 +188,7 @@ class PumpLimits:
         ]
         if len(starts) >= allowed:
             again = starts[-allowed] + _HOUR_S - now
-            waits.append((again, f"it starts at most {allowed} times in an hour"))
+            waits.append((again, f"it starts at most {allowed} times an hour"))
         return max(waits)
 
     def count(self, dt: float, on: bool) -> None:
@@ -201,11 +202,11 @@ class PumpLimits:
             self._rests_for = max(0.0, self._rests_for - dt)
 
     def reasons(self, command: float | None, observed: Observation) -> Iterator[Diagnosis]:
-        """Yield the reasons against running now; must be called at every step.
+        """Yield the reasons against running now; to be called at every step.
 
         Args:
-            command: share of the maximum flow; 0 ends the rest after the longest run, None (no
-                good command) does not.
+            command: share of the maximum flow; 0 ends the rest after the longest run, and None (no
+                valid command) does not.
             observed: what is known.
         """
         settings, record = self._settings, self._ledger.record
@@ -252,19 +253,19 @@ class Pulses:
 
     Below its minimum flow a pump overheats, and below its minimum speed it delivers nothing; the
     larger of these flows is the minimum share. A smaller command is delivered in pulses at the
-    minimum share. A minimum pulse is what that delivers in the minimum time on. The outstanding
-    volume is the commanded minus the delivered volume, by the actual flow. A pulse begins when a
-    minimum pulse will be outstanding by its end, and ends when nothing is outstanding. So the pump
-    lags the command by at most a minimum pulse, and exceeds it only by one step's flow and the flow
-    while coming to rest.
+    minimum share. A minimum pulse is the volume that this share delivers in the minimum time on.
+    The outstanding volume is the commanded volume minus that delivered by the actual flow. A pulse
+    begins when a minimum pulse will be outstanding by its end, and ends when nothing is
+    outstanding. The pump therefore lags the command by at most a minimum pulse, and exceeds it only
+    by the flow of one step and the flow while coming to rest.
 
     The outstanding volume is limited, so that the pump does not catch up on obsolete demand:
 
     - an interlock, unwatched time and the end of a dose set it to 0;
     - if the demand is 0 (command 0, or a full roof) or at least the minimum share, it is at most
       one minimum pulse;
-    - in between, at most the volume that the minimum share delivers from one permitted start to the
-      next (with 20 starts an hour, in 180 s), or a minimum pulse if that is more.
+    - in between, it is at most the volume that the minimum share delivers from one permitted start
+      to the next (in 180 s with 20 starts an hour), or a minimum pulse if that is more.
 
     Attributes:
         outstanding: commanded minus delivered (m3), within its limits; negative if the minimum time
@@ -278,7 +279,7 @@ class Pulses:
         self.clear()
 
     def min_share(self, cistern_level: float) -> float:
-        """Return the minimum share of the maximum flow that may be requested at a level (m)."""
+        """Return the smallest share of the maximum flow that may be requested at a level (m)."""
         slowest = flow_at(self._site, self._settings.min_speed, cistern_level)
         return max(self._settings.min_flow, slowest / self._flow(1.0, cistern_level))
 
@@ -292,7 +293,7 @@ class Pulses:
         return min(1.0, max(self._settings.min_speed, speed))
 
     def count(self, delivered: float, dt: float) -> None:
-        """Count what was delivered in dt (m3), and what :meth:`update` wanted to be delivered."""
+        """Count the volume delivered in dt (m3), and the volume that :meth:`update` demanded."""
         self._set_outstanding(self.outstanding + self._wanted * dt - delivered)
 
     def clear(self) -> None:
@@ -304,7 +305,7 @@ class Pulses:
 
         Args:
             command: share of the maximum flow, 0 to 1.
-            cistern_level: m, from which the pump lifts.
+            cistern_level: level of the cistern (m), from which the pump lifts.
             on: whether the pump is on.
             since_start: time since the pump was last started (s).
         """

@@ -1,4 +1,4 @@
-"""Pump control, step by step: the pump follows the command unless an interlock is active."""
+"""Control of the pump at every step: it follows the command unless an interlock is active."""
 
 from __future__ import annotations
 
@@ -35,23 +35,24 @@ _STATES = {LATCHED: "fault", INHIBIT: "held", PERMISSIVE: "off"}
 
 @dataclass(frozen=True)
 class Decision:
-    """The order to the drive, and what is reported.
+    """The order to the drive and what is reported.
 
     Attributes:
         speed: requested speed, share of the rated speed; None means off.
-        state: off, starting, running, stopping, fault, held, or unknown: it is ordered off, but may
-            not be stopped.
-        why: the reason for the state, in words.
+        state: off, starting, running, stopping, fault, held, or unknown: the pump is ordered off,
+            but may not be stopped.
+        why: reason for the state, in words.
         interlocks: the active interlocks by code, in the order of their table.
-        flow: best present estimate (m3/s).
+        flow: best present estimate of the flow (m3/s).
         source: how the flow is known.
         warnings: what an operator should know although it stops nothing.
-        at_rest: whether the pump is stopped: reported, or certain by the drive's own timeout.
-        reported_speed: by the drive, share of the rated speed, negative if backwards; None if it
-            does not answer or its value is implausible.
+        at_rest: whether the pump is stopped, either as reported or because of the drive's own
+            timeout.
+        reported_speed: speed that the drive reports, share of the rated speed, negative if
+            backwards; None if the drive does not answer or its value is implausible.
         flow_known: whether ``flow`` is known; if not, ``flow`` is 0.
         blind_for: how long the delivery check has been unable to judge (s), because a level is
-            unknown or both have not been known for long enough.
+            unknown or the levels have not been known for long enough.
     """
 
     speed: float | None
@@ -78,9 +79,9 @@ class PumpControl:
     """Turns commands into speeds, and keeps the pump off while an interlock is active.
 
     Attributes:
-        doses: the dose that waits, runs, or ended a moment ago.
-        min_pulse: the smallest volume that can be delivered (m3), so also of a dose; infinite until
-            the level is known.
+        doses: the dose that is waiting, is running or ended a moment ago.
+        min_pulse: the smallest volume that can be delivered (m3), and thus the smallest dose;
+            infinite until the level is known.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class PumpControl:
             site: the site.
             settings: the pump's limits.
             ledger: the state before this start.
-            drive_stops_after: time after which a drive that does not answer is stopped (s);
+            drive_stops_after: time after which a drive that does not answer has stopped (s);
                 infinite if it may run on.
         """
         self._site = site
@@ -108,7 +109,7 @@ class PumpControl:
         self._inhibit_reason = "it has not been checked yet"
         self.min_pulse = math.inf
         self._setpoint: float | None = None
-        # Speed that the slowest allowed ramp has reached on the way to the requested speed (share
+        # Speed that the slowest permitted ramp has reached on its way to the requested speed (share
         # of the rated speed); 1 at first, since the pump may have been running.
         self._ramped = 1.0
         self._follow_error_for = 0.0
@@ -116,17 +117,17 @@ class PumpControl:
         self._flowed_for = 0.0
         self._unknown_for = 0.0
         self._blind_for = 0.0
-        # Highest speed that it may have had when it last answered, share of the rated speed; 1 at
-        # first, since it may not be stopped yet.
+        # Highest speed that the drive may have had when it last answered, share of the rated speed;
+        # 1 at first, since it may not be stopped yet.
         self._max_speed = 1.0
 
     @property
     def dose_refusal(self) -> str:
-        """Why any dose would be refused now, regardless of its volume; empty if it would not."""
+        """Why a dose of any volume would be refused now; empty if it would be accepted."""
         return self.doses.refusal(self._inhibit_reason)
 
     def request_dose(self, request: float, volume: float) -> str:
-        """Accept a request for a dose (returns an empty string), or return why it is refused.
+        """Accept a request for a dose and return an empty string, or return why it is refused.
 
         Args:
             request: time at which it was made (s since 1970), which is its id.
@@ -139,7 +140,7 @@ class PumpControl:
     def reset(self) -> str:
         """Clear the latched fault and an unknown state, and return both.
 
-        A cause that persists latches the fault again.
+        If its cause persists, the fault latches again.
         """
         record = self._ledger.record
         self._ledger.clear_unknown()
@@ -166,13 +167,14 @@ class PumpControl:
             self._failed_starts = 0
 
     def count_unseen(self, dt: float) -> None:
-        """Count unseen time, such as a suspend of the machine; the pump is off after it.
+        """Count unseen time, such as a suspension of the machine; the pump is off after it.
 
-        At worst the pump ran on until the drive's own timeout stopped it. This time is not treated
-        as time without an answer from the drive: whether it is stopped must be read again.
+        In the worst case, the pump ran on until the drive's own timeout stopped it. This time does
+        not count as time without an answer from the drive: whether it is stopped must be read
+        again.
 
         Args:
-            dt: since the last step (s).
+            dt: time since the last step (s).
         """
         self._max_speed = max(self._max_speed, self._setpoint or 0.0)
         ran = min(dt, self._drive_stops_after - self._unknown_for)
@@ -196,8 +198,9 @@ class PumpControl:
         Args:
             dt: time since the last step (s), 0 at the first.
             observed: what is known.
-            drive_dt: how long the drive was watched since the last step (s); None if that equals
-                ``dt``. It differs after a suspend, during which the drive is not watched.
+            drive_dt: for how long the drive was watched since the last step (s); None if that
+                equals ``dt``. It differs after the machine was suspended, since the drive is then
+                not watched.
         """
         drive_dt = dt if drive_dt is None else drive_dt
         speed_known, backwards, reported = (
@@ -214,7 +217,7 @@ class PumpControl:
         latest = self._max_speed if observed.speed is None else observed.speed
         self._max_speed = max(latest, self._setpoint or 0.0)
         unseen = self._unseen_flow(observed)
-        # A meter may show no flow while the pump runs: a valve is closed, or the meter is broken.
+        # A meter may show no flow while the pump runs, if a valve is closed or the meter is broken.
         minimum = max(flow, computed or 0.0)
         self._count(dt, observed.speed, unseen, minimum)
         under_way = self.doses.present is not None
@@ -331,14 +334,14 @@ class PumpControl:
         return computed, "unknown, assumed 0" if computed is None else "computed from the speed"
 
     def _unseen_flow(self, observed: Observation) -> float:
-        """Return the worst-case flow without an answer of the drive (m3/s); 0 once stopped."""
+        """Return the worst-case flow while the drive does not answer (m3/s); 0 once stopped."""
         if observed.speed is not None or self._must_be_at_rest():
             return 0.0
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         return flow_at(self._site, min(1.0, self._max_speed), level)
 
     def _must_be_at_rest(self) -> bool:
-        """Whether a pump of unknown speed was stopped before, or is by the drive's timeout."""
+        """Whether a pump of unknown speed was stopped before, or by now by the drive's timeout."""
         return self._max_speed <= STANDSTILL or self._unknown_for > self._drive_stops_after
 
     def _count(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
@@ -357,8 +360,8 @@ class PumpControl:
         """Whether the drive's ramp cannot explain the speed of the pump.
 
         The speed of a drive that obeys is between what the slowest ramp has reached and the
-        requested speed. The ramp continues from the drive's speed, so that a new request counts
-        from there. It begins when the pump begins to turn.
+        requested speed. The ramp continues from the drive's speed, so a new request counts from
+        there. It begins when the pump begins to turn.
         """
         if self._setpoint is not None and speed <= STANDSTILL:
             self._ramped = speed
@@ -375,13 +378,13 @@ class PumpControl:
 
     @property
     def _flows_on(self) -> bool:
-        """Whether a meter has shown flow for so long that the drive's report of rest is wrong."""
+        """Whether a meter has shown flow for so long that the drive's report of rest is false."""
         return self._flowed_for > self._settings.follow_time
 
     def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Diagnosis | None:
-        """Return that a meter shows flow although the drive reports rest; None if it does not.
+        """Return a fault if a meter shows flow although the drive reports rest.
 
-        A drive knows its motor, and a relay its order; neither detects a welded contact.
+        A drive knows its motor, and a relay its last order; neither detects a welded contact.
         """
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         minimum = self._settings.min_flow * flow_at(self._site, 1.0, level)
@@ -397,9 +400,10 @@ class PumpControl:
         self, drive_dt: float, observed: Observation, backwards: Diagnosis | None,
         undelivered: Diagnosis | None,
     ) -> list[Diagnosis]:
-        """Return the faults: the present ones, and the latched one until its reset.
+        """Return the present faults, and the latched one until it is reset.
 
-        Also the other reasons that the ledger keeps: a hold, and an unreadable record.
+        The result includes the other reasons that the ledger keeps: a hold, and an unreadable
+        record.
         """
         failed_start = next(
             (reason for reason in observed.reasons if reason.code == "start_failed"), None
@@ -426,7 +430,8 @@ class PumpControl:
             found.append(drive_fault(observed.drive_fault, observed.runs_on))
         reasons = [reason for reason in found if reason is not None]
         latched, interlocks = evaluate(reasons), read_interlocks()
-        # The first fault is kept, but one that the page may clear gives way to one that it may not.
+        # The first fault is kept, except that one that may be cleared on the page gives way to one
+        # that may not.
         worst = next((code for code in latched if not interlocks[code].on_page), "")
         interlock = interlocks.get(self._ledger.record.fault_code)
         if not self._ledger.record.fault:
@@ -442,13 +447,13 @@ class PumpControl:
             row = interlocks.get(record.fault_code)
             known = row is not None and row.kind == LATCHED
             code = record.fault_code if known else "fault_unknown"
-            reasons.append(Diagnosis(code, record.fault))  # as the sentence was when it latched
+            reasons.append(Diagnosis(code, record.fault))  # the sentence as it was when it latched
         return reasons
 
     def _follow(
         self, command: float, full: bool, cistern_level: float, warnings: list[Diagnosis]
     ) -> tuple[float | None, str]:
-        """Return the speed for a command (None means off), and why; no interlock is active."""
+        """Return the speed for a command (None means off), and why; no interlock may be active."""
         pulses, on = self._pulses, self._setpoint is not None
         demanded = 0.0 if full else command
         since_start = self._limits.since_start
@@ -456,7 +461,7 @@ class PumpControl:
         minimum, pulse = pulses.min_share(cistern_level), pulses.min_pulse(cistern_level)
         why = "as commanded"
         if demanded < minimum:
-            why = "a pulse, since the command is below the minimum flow"
+            why = "in a pulse, since the command is below the minimum flow"
             if pulses.outstanding > pulse:
                 warnings.append(Diagnosis.of(
                     "limited", "outstanding", volume=pulses.outstanding, pulse=pulse
@@ -475,14 +480,14 @@ class PumpControl:
 
 
 def drive_fault(fault: str, runs_on: bool) -> Diagnosis:
-    """Return the fault that a drive reports; ``runs_on``: it does not obey a stop."""
+    """Return the fault that a drive reports; ``runs_on`` means that it does not obey a stop."""
     if runs_on:
         return Diagnosis.of("runs_on", "drive", fault=fault)
     return Diagnosis.of("drive_fault", fault=fault)
 
 
 def _backwards(observed: Observation) -> Diagnosis | None:
-    """Return that the pump turns backwards, beyond noise; None if it does not."""
+    """Return a fault if the pump turns backwards faster than noise would explain."""
     if observed.speed is None or not -_MAX_SPEED <= observed.speed < -STANDSTILL:
         return None
     return Diagnosis.of("turns_backwards", speed=-observed.speed)

@@ -1,7 +1,7 @@
-"""The inputs of the pump node, one row each, and everything that its control knows at a step.
+"""The inputs of the pump node, and everything that its control knows at a step.
 
-A new input is a row and a field here, its topic with its maximum age in ``msg_defs/topics.yaml``,
-and its conditions in ``msg_defs/conditions.yaml``.
+A new input needs a row and a field here, its topic with the maximum age in
+``msg_defs/topics.yaml``, and its conditions in ``msg_defs/conditions.yaml``.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ class PumpInput(NamedTuple):
     """An input of the pump node.
 
     Attributes:
-        name: what it is: a field of :class:`Observation`.
-        topic: in the interface.
-        unknown: code of the interlock while it is unknown; empty if the pump runs without it.
+        name: name of the field of :class:`Observation` that it sets.
+        topic: name of the topic in the interface.
+        unknown: code of the interlock while the input is unknown; empty if the pump runs without
+            it.
     """
 
     name: str
@@ -42,14 +43,14 @@ class Observation:
 
     Attributes:
         command: share of the maximum flow, as received.
-        cistern_level: m.
-        roof_level: m.
+        cistern_level: level of the cistern (m).
+        roof_level: level of the roof (m).
         displacements: how far jumps that water cannot cause have moved both readings so far (m).
-        frost: 0 if there is none.
+        frost: whether there is frost: 1 if so, 0 if there is none.
         time_ns: time at the site (ns since 1970): system time if live, else simulated time.
         speed: speed of the drive, share of the rated speed.
-        flow: from a flow meter (m3/s).
-        drive_flow: from the drive itself (m3/s).
+        flow: flow that a flow meter measures (m3/s).
+        drive_flow: flow that the drive itself reports (m3/s).
         drive_ready: whether the drive runs, or would run if asked to.
         drive_fault: the drive's fault, as text; empty if there is none.
         runs_on: whether that fault is that the drive does not obey a stop.

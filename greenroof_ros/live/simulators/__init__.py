@@ -1,1 +1,1 @@
-"""Simulated drives, relays, sensors and forecast service, with every fault they can have."""
+"""Simulated drives, relays, sensors and forecast service, with every fault they can develop."""

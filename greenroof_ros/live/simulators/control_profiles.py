@@ -1,8 +1,8 @@
 """How makes of drives obey their control words: state machines for the simulated drive.
 
-Each is written from the maker's manual. The driver works from the drive file's control words and
-conditions instead, so each checks the other. Where a manual is ambiguous, the reading that is
-stricter for the driver is implemented.
+Each is written from the maker's manual. The driver works from the control words and conditions of
+the drive file instead, so each checks the other. Where a manual is ambiguous, the interpretation
+that is stricter for the driver is implemented.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ class AbbDrives(SimulatedDrive):
     """
 
     DELIVERED = (30, 0)  # 58.16 3.0 s, 58.14 No action
-    TRIPS = (1, 4)  # with others it warns at most, and the motor runs on
+    TRIPS = (1, 4)  # with other actions it warns at most, and the motor runs on
     LOSS: ClassVar = {"serial": 0x6681}
     RESET = 0x0080
     INITIAL = _Abb.INHIBITED
     EXTRA: ClassVar = {"refresh": 5805}  # 58.06 Communication control
 
     def restarts_timeout(self, name: str) -> bool:
-        """Count any message if 58.15 is 1; otherwise only control word and reference."""
+        """Return whether the message counts: any if 58.15 is 1, else control word and reference."""
         mode = self.timeout.mode
         only = mode is None or self.read_raw(mode.register) != 1
         return not only or name in ("control", "reference")
@@ -55,13 +55,13 @@ class AbbDrives(SimulatedDrive):
             self.write_raw(name, 0)
 
     def control(self, word: int) -> None:
-        """Without bit 10 obey only bits 0 to 2, unless word and reference are both 0."""
+        """Obey only bits 0 to 2 if bit 10 is not set, unless word and reference are both 0."""
         if not word & 0x0400 and (word or self.read_raw("reference")):
             word = self.word & ~0x0007 | word & 0x0007
         super().control(word)
 
     def standstill(self) -> None:
-        """End OFF1, OFF2 or OFF3: the drive is stopped."""
+        """End OFF1, OFF2 or OFF3, as the drive is stopped."""
         if not self.fault and not self.local:
             after = {
                 _Abb.OFF1: _Abb.NOT_READY, _Abb.OFF2: _Abb.INHIBITED, _Abb.OFF3: _Abb.INHIBITED,
@@ -99,7 +99,7 @@ class AbbDrives(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """In operation bits 4 to 6 decide; OFF1, OFF3 and local control ramp down; else coast."""
+        """In operation, bits 4 to 6 decide; OFF1, OFF3 and local control ramp down; else coast."""
         if self.fault:
             return Motion.COAST
         if self.local or self.state in (_Abb.OFF1, _Abb.OFF3):
@@ -128,8 +128,8 @@ class FcProfile(SimulatedDrive):
     """FC profile of Danfoss: VLT AQUA Drive FC 202, design guide, "Danfoss FC Control Profile".
 
     Bits of the control word: 2 brake, 3 coast, 4 quick stop and 5 hold are active low; 6 starts; 7
-    resets. A word without bit 10, "data valid", is ignored. Parameter 8-04 acts after the timeout:
-    5 stops and trips, 2 stops until there is a valid word, 1 freezes the output.
+    resets. A word without bit 10, "data valid", is ignored. Parameter 8-04 takes effect after the
+    timeout: 5 stops and trips, 2 stops until there is a valid word, 1 freezes the output.
     """
 
     DELIVERED = (600, 0)  # 8-03 60 s, 8-04 Off
@@ -138,7 +138,7 @@ class FcProfile(SimulatedDrive):
     RESET = 0x0080
 
     def restarts_timeout(self, name: str) -> bool:
-        """Count only valid control words."""
+        """Return True only for valid control words."""
         return name == "control" and bool(self.read_raw(name) & 0x0400)
 
     def control(self, word: int) -> None:
@@ -148,7 +148,7 @@ class FcProfile(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """Coasting takes precedence over braking, and braking over the ramp."""
+        """The motion: coasting takes precedence over braking, and braking over the ramp."""
         word = self.word
         if self.fault:
             return Motion.RAMP_DOWN if self.fault == self.loss else Motion.COAST
@@ -183,7 +183,7 @@ class CimProfile(SimulatedDrive):
     EXTRA: ClassVar = {"control_mode": 101, "operation_mode": 102}
     _POWER_UP_MODE = 4  # constant pressure
     _CONSTANT_FREQUENCY = 1
-    _OTHER_MODE = 0.6  # a speed that no set-point asked for (share of rated)
+    _OTHER_MODE = 0.6  # a speed that no set-point requested (share of the rated speed)
 
     def power_up(self) -> None:
         """Start in local control."""
@@ -200,14 +200,14 @@ class CimProfile(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """On or off."""
+        """Follow the set-point if on; otherwise ramp down."""
         if self.fault:
             return Motion.COAST
         return Motion.FOLLOW if self._on else Motion.RAMP_DOWN
 
     @property
     def setpoint(self) -> float:
-        """The set-point is a speed only in constant-frequency mode under bus control."""
+        """The set-point, which is a speed only in constant-frequency mode under bus control."""
         modes = self.read_raw("control_mode"), self.read_raw("operation_mode")
         follows = self._remote and modes == (self._CONSTANT_FREQUENCY, 0)
         return super().setpoint if follows else self._OTHER_MODE
@@ -236,10 +236,10 @@ class _Cia(enum.Enum):
 class Cia402(SimulatedDrive):
     """CiA 402 as in Schneider Electric's Altivar: BBV51701, state chart, pages 9 to 13.
 
-    The value of a state is its bits 0 to 3, 5 and 6 of ETA. LFT is the last error; a reset does not
-    clear it. Bits of the control word: 0 switch on, 1 voltage, 2 no quick stop, 3 enable, 7 reset,
-    8 halt. SLL and ETHL: 1 freewheel, 6 ramp, 7 fast, 8 DC injection, all with a trip; 2 stops
-    without error.
+    The value of a state consists of bits 0 to 3, 5 and 6 of ETA. LFT is the last error, which a
+    reset does not clear. Bits of the control word: 0 switch on, 1 voltage, 2 no quick stop, 3
+    enable, 7 reset, 8 halt. Values of SLL and ETHL: 1 freewheel, 6 ramp, 7 fast, 8 DC injection,
+    all with a trip; 2 stops without an error.
     """
 
     DELIVERED = (100, 1)  # TTO and TTOB 10.0 s, SLL and ETHL freewheel stop
@@ -250,7 +250,7 @@ class Cia402(SimulatedDrive):
 
     @property
     def fault_register(self) -> int:
-        """The last error, even if it was reset."""
+        """The last error, even if it has been reset."""
         return self.last_fault
 
     def next_state(self) -> _Cia:
@@ -270,7 +270,7 @@ class Cia402(SimulatedDrive):
         return _Cia.ENABLED
 
     def standstill(self) -> None:
-        """End a quick stop, or the reaction to a fault: the drive is stopped."""
+        """End a quick stop or the reaction to a fault, as the drive is stopped."""
         after = {_Cia.QUICK_STOP: _Cia.DISABLED, _Cia.REACTION: _Cia.FAULT}
         self.state = after.get(self.state, self.state)
 
@@ -283,7 +283,7 @@ class Cia402(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """Follow the reference if enabled; ramp down if switched on or stopping; else coast."""
+        """Follow the reference if enabled, ramp down if switched on or stopping, else coast."""
         if self.state is _Cia.ENABLED and not self.local:
             stopped = self.word & 0x0100 or (self.lost and self.guard[1] == 2)
             return Motion.RAMP_DOWN if stopped else Motion.FOLLOW

@@ -26,9 +26,11 @@ class Device:
     """A device on the wire.
 
     Attributes:
-        read: returns all its registers, by address.
-        write: takes the first address and the values of a write; returns an error code, or None.
-        on_request: called for each request with its first register; returns whether to answer it.
+        read: function that returns all its registers, by address.
+        write: function that takes the first address and the values of a write, and returns an error
+            code or None.
+        on_request: function called for every request with its first register, which returns whether
+            to answer it.
     """
 
     read: Callable[[], Mapping[int, int]]
@@ -38,7 +40,7 @@ class Device:
     on_request: Callable[[int], bool] = lambda register: True
 
     def on_wire(self, device_id: int) -> SimDevice:
-        """Return it for pymodbus: every register exists, and is read when a client asks."""
+        """Return the device for pymodbus: every register exists, and is read when a client asks."""
 
         async def action(
             function: int, start: int, address: int, count: int, current: list[int],
@@ -73,13 +75,13 @@ class Connection(ServerRequestHandler):
             return
         device = self._devices.get(request.dev_id)
         if device is None:
-            if not self._serial:  # as a gateway does; a line may have other devices
+            if not self._serial:  # as a gateway does; a line may have other devices on it
                 self.refuse(request, ExcCodes.GATEWAY_NO_RESPONSE)
         elif device.on_request(request.address):
             await super().handle_request()  # type: ignore[no-untyped-call]
 
     def refuse(self, request: ModbusPDU, code: int) -> None:
-        """Answer a request by an exception."""
+        """Answer a request with an exception."""
         self.pdu_send(ExceptionResponse(
             request.function_code, code, device_id=request.dev_id,
             transaction=request.transaction_id,
@@ -92,9 +94,9 @@ class Server:
 
     Attributes:
         address: TCP port or serial line; port 0 takes a free one, known once it is open.
-        devices: on it, by unit identifier or slave address.
+        devices: devices on it, by unit identifier or slave address.
         line: settings of a serial line; not needed on TCP.
-        connection: makes the handler of a client's connection.
+        connection: function that makes the handler of a client's connection.
     """
 
     address: Address
@@ -104,10 +106,10 @@ class Server:
     _server: ModbusTcpServer | ModbusSerialServer | None = field(default=None, init=False)
 
     async def open(self) -> None:
-        """Open the port or line, if it is not open.
+        """Open the port or line if it is not open.
 
         Raises:
-            ConfigurationError: the port is in use, or there is no such device.
+            ConfigurationError: if the port is in use, or there is no such device.
         """
         if self._server is not None:
             return

@@ -1,7 +1,8 @@
-"""A simulated drive: what all makes have in common, registers, ramp and timeout.
+"""A simulated drive, with what all makes have in common: registers, ramp and timeout.
 
 A subclass in `control_profiles` adds what a make does with its control word. A `SimulatedDrive`
-does not wait or speak Modbus, and gets the time from a clock; `drive_server` puts it on the wire.
+neither waits nor speaks Modbus, and reads the time from a clock; `drive_server` puts it on the
+wire.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ class DriveSettings:
     """The settings and properties of a simulated drive.
 
     Attributes:
-        ramp_s: from rest to rated speed, and back (s).
-        coast_s: from rated speed to rest without torque (s).
-        timeout_s: its communication timeout (s), which then stops it, rounded to the steps of
-            its register.
+        ramp_s: time from rest to the rated speed, and back (s).
+        coast_s: time from the rated speed to rest without torque (s).
+        timeout_s: its communication timeout (s), which stops the drive, rounded to the steps of its
+            register.
     """
 
     ramp_s: float = 5.0
@@ -56,23 +57,23 @@ class SimulatedDrive(ABC):
     """A drive with its motor.
 
     Attributes:
-        speed: of the motor (share of rated).
-        flow: returns what the pump delivers at a speed (m3/s), for drives that report it.
-        log: reports what happens, for people.
+        speed: speed of the motor (share of the rated speed).
+        flow: function that returns the pump's flow at a speed (m3/s), for drives that report it.
+        log: function that reports what happens, for people.
         settings: the settings and properties.
         timeout: the communication timeout of the interface in use.
-        guard: raw time and action of that timeout now in force.
-        local: whether control is at the panel.
+        guard: raw time and action of that timeout that are now in force.
+        local: whether the drive is controlled at its panel.
         lost: whether the bus was silent for longer than the timeout.
         fault: code, or bits, of the active fault; 0 for none.
         last_fault: the last fault that tripped it.
         loss: the fault after the timeout.
         word: the control word.
-        state: of its state machine, if it has one.
+        state: state of its state machine, if it has one.
     """
 
     DELIVERED: ClassVar[tuple[int, int]]
-    """time and action of the timeout, factory settings (raw)"""
+    """time and action of the timeout as set at the factory (raw)"""
     TRIPS: ClassVar[tuple[int, ...]] = ()
     """actions of the timeout that trip the drive; the first is the one that is set"""
     LOSS: ClassVar[Mapping[str, int]] = {}
@@ -82,7 +83,7 @@ class SimulatedDrive(ABC):
     INITIAL: ClassVar[Any] = None
     """state after power-up and after a reset"""
     EXTRA: ClassVar[Mapping[str, int]] = {}
-    """addresses of registers that the manual lets be written; a drive file may lack them"""
+    """addresses of further writable registers in the manual; a drive file may lack them"""
 
     def __init__(
         self, file: DriveFile, settings: DriveSettings, clock: Callable[[], float] = time.monotonic,
@@ -92,13 +93,13 @@ class SimulatedDrive(ABC):
 
         Args:
             file: the drive file of its make.
-            settings: of this drive.
-            clock: returns the time (s).
-            interface: through which it is reached, ``serial`` or ``tcp``; a timeout of the other
-                one has factory settings and guards nothing.
+            settings: settings of this drive.
+            clock: function that returns the time (s).
+            interface: interface through which it is reached, ``serial`` or ``tcp``; the timeout of
+                the other one has factory settings and guards nothing.
 
         Raises:
-            ConfigurationError: the drive file has no timeout for that interface.
+            ConfigurationError: if the drive file has no timeout for that interface.
         """
         if interface not in file.timeout.by_interface:
             raise ConfigurationError(
@@ -176,14 +177,14 @@ class SimulatedDrive(ABC):
     def status(self) -> int:
         """Return the status word."""
 
-    def next_state(self) -> Any:  # noqa: B027 - some have none
-        """Return the state that the control word leads to; there is no fault or local control."""
+    def next_state(self) -> Any:  # noqa: B027 - some makes have no states
+        """Return the state that the control word leads to without a fault or local control."""
 
-    def standstill(self) -> None:  # noqa: B027 - some wait for nothing
-        """Handle that the motor is stopped; called repeatedly."""
+    def standstill(self) -> None:  # noqa: B027 - some makes wait for nothing
+        """React to the motor being stopped; called repeatedly."""
 
     def restarts_timeout(self, name: str) -> bool:
-        """Return whether writing a register restarts the timeout; for '', any request."""
+        """Return whether writing a register restarts the timeout; '' stands for any request."""
         return True
 
     def control(self, word: int) -> None:
@@ -207,7 +208,7 @@ class SimulatedDrive(ABC):
         return self.fault
 
     def on_write(self, name: str) -> None:
-        """Handle the write of a register."""
+        """React to the write of a register."""
         if name == "control":
             self.control(self.read_raw(name))
         elif name not in self._commands:
@@ -233,14 +234,14 @@ class SimulatedDrive(ABC):
 
     @property
     def setpoint(self) -> float:
-        """The speed to which it ramps (share of rated); pumps do not turn backwards."""
+        """The speed to which it ramps (share of the rated speed); pumps do not turn backwards."""
         register = self._registers["reference"]
         return min(max(self.read_raw("reference") * self._unit(register), 0.0), 1.0)
 
     # --- time -------------------------------------------------------------------------------------
 
     def advance(self) -> None:
-        """Simulate up to now: ramps, and the communication timeout at its moment."""
+        """Simulate up to now, with ramps and the communication timeout at the right moment."""
         now = self._clock()
         loss = self._loss_at()
         if loss <= now:
@@ -248,13 +249,13 @@ class SimulatedDrive(ABC):
             self.lost = True
             self.communication_lost()
             self.log(
-                f"communication timeout: nothing for {loss - (self._last_request or 0):.3g} s; "
+                f"communication timeout: silence for {loss - (self._last_request or 0):.3g} s; "
                 f"{self.motion.value}"
             )
         self._move(now)
 
     def _loss_at(self) -> float:
-        """Return when the timeout passes if nothing more arrives; infinity if it does not."""
+        """Return when the timeout will expire if nothing more arrives; infinity if it will not."""
         raw, _ = self.guard
         if self._last_request is None or self.lost or raw == 0 or raw in self.timeout.off_values:
             return math.inf
@@ -269,7 +270,7 @@ class SimulatedDrive(ABC):
             self.standstill()
 
     def turn(self, step: float, motion: Motion) -> None:
-        """Change the speed for a time (s)."""
+        """Change the speed as it does in a time (s)."""
         if motion is not Motion.HOLD:
             setpoint = self.setpoint if motion is Motion.FOLLOW else 0.0
             full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
@@ -320,14 +321,14 @@ class SimulatedDrive(ABC):
         return self._words
 
     def _unit(self, register: Register) -> float:
-        """The value of one count (share of rated speed)."""
+        """Return the value of one count (share of the rated speed)."""
         if not register.full_scale:
             return register.scale
         scale = self._registers[register.full_scale].scale
         return register.scale / (scale * self.read_raw(register.full_scale))
 
     def on_request(self) -> None:
-        """Handle any request, even one with no effect: on some makes it restarts the timeout."""
+        """React to any request, even one without effect, which restarts some makes' timeout."""
         self.advance()
         if self.restarts_timeout(""):
             self._restart_timeout()
@@ -351,18 +352,18 @@ class SimulatedDrive(ABC):
 
     def _restart_timeout(self) -> None:
         if self.lost:
-            self.log("receives requests again")
+            self.log("it receives requests again")
         self.lost = False
         self._last_request = self._at
 
 
 def drive_server(drive: SimulatedDrive, file: DriveFile, address: Address) -> Server:
-    """Return the server of a drive: its TCP port, or its serial line.
+    """Return the server of a drive on its TCP port or its serial line.
 
     Args:
         drive: the drive.
         file: its drive file.
-        address: as the pump node is given it; port 0 takes a free one.
+        address: its address, as for the pump node; port 0 takes a free one.
     """
 
     def on_request(register: int) -> bool:

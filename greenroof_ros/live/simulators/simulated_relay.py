@@ -1,7 +1,7 @@
-"""A simulated relay on a real MQTT broker: contact, timer, settings and answers.
+"""A simulated relay at a real MQTT broker, with contact, timer, settings and answers.
 
-Its answers are written from the maker's documentation. The driver works from the relay file's
-questions instead, so each checks the other.
+Its answers are written from the maker's documentation. The driver works from the questions of the
+relay file instead, so each checks the other.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from typing import Any, ClassVar
 from greenroof_ros.common.mqtt import Broker, make_client
 
 _STEP_S = 0.01
-# A topic, and the payload that is published there.
+# A topic and the payload that is published there.
 Published = tuple[str, str]
 
 
 class SimulatedRelay(ABC):
-    """A relay with its contact, which gets the time from a clock.
+    """A relay with its contact, which reads the time from a clock.
 
     Attributes:
         on: whether its output is on, as it reports.
         timer_s: its timer as set (s); None for off.
         on_after_power_up: whether it is set to be on after power-up.
         auto_on: whether it is set to switch itself on again.
-        log: reports what happens, for people.
+        log: function that reports what happens, for people.
     """
 
     TOPICS: ClassVar[tuple[str, ...]]
@@ -43,7 +43,7 @@ class SimulatedRelay(ABC):
         Args:
             device: its own topic.
             timer_s: its timer (s); None for off.
-            clock: returns the time (s).
+            clock: function that returns the time (s).
         """
         self.on = False
         self.timer_s = timer_s
@@ -54,7 +54,7 @@ class SimulatedRelay(ABC):
 
     @property
     def speed(self) -> float:
-        """Speed of the pump behind its contact (share of rated)."""
+        """Speed of the pump behind its contact (share of the rated speed)."""
         return float(self.on)
 
     def advance(self) -> None:
@@ -64,7 +64,7 @@ class SimulatedRelay(ABC):
             self.log("its timer has expired: off")
 
     def switch(self, on: bool, seconds: float | None) -> None:
-        """Switch it on or off; on for a time (s), or None for no limit."""
+        """Switch it off, or on for a time (s; None for no limit)."""
         self.advance()
         if on != self.on:
             self.log("on" if on else "off")
@@ -83,7 +83,8 @@ class SimulatedRelay(ABC):
 class Shelly(SimulatedRelay):
     """Shelly of generation 2: JSON-RPC over MQTT.
 
-    Requests arrive on DEVICE/rpc; the answer goes to SRC/rpc (``src`` of the request) with its id.
+    Requests arrive on DEVICE/rpc; answers go to SRC/rpc (``src`` of the request) with the request's
+    id.
     """
 
     TOPICS = ("{}/rpc",)
@@ -125,10 +126,10 @@ class Shelly(SimulatedRelay):
 
 
 class Tasmota(SimulatedRelay):
-    """Tasmota: commands on cmnd/DEVICE/COMMAND, answers on stat/DEVICE/...; no payload asks.
+    """Tasmota: commands on cmnd/DEVICE/COMMAND, answers on stat/DEVICE/...
 
-    PulseTime 1 to 111 is in 0.1 s, 112 to 64900 is seconds plus 100, 0 is off. PowerOnState is 0
-    (off) or 3 (as before), the factory setting.
+    A command without a payload is a question. PulseTime 1 to 111 is in 0.1 s, 112 to 64900 is
+    seconds plus 100, and 0 is off. PowerOnState is 0 (off) or 3 (as before), the factory setting.
     """
 
     TOPICS = ("cmnd/{}/+",)
@@ -182,7 +183,7 @@ class RelayOnBroker:
 
     Attributes:
         relay: the relay.
-        client: of the broker.
+        client: client of the broker.
     """
 
     def __init__(self, relay: SimulatedRelay, broker: Broker, device: str) -> None:
@@ -190,11 +191,11 @@ class RelayOnBroker:
 
         Args:
             relay: the relay.
-            broker: to which it connects.
-            device: its own topic there.
+            broker: broker to which it connects.
+            device: its own topic at the broker.
 
         Raises:
-            ConfigurationError: there is no MQTT library, or a file for the login is wrong.
+            ConfigurationError: if there is no MQTT library, or a file for the login is wrong.
         """
         self.relay, self._broker, self._device = relay, broker, device
         self._topics = [topic.format(device) for topic in relay.TOPICS]
@@ -207,7 +208,7 @@ class RelayOnBroker:
         return f"{self._broker}/{self._device}"
 
     async def run(self, ended: asyncio.Event) -> None:
-        """Run the relay until the end."""
+        """Run the relay until the simulator ends."""
         self._loop = asyncio.get_running_loop()
         self.client.loop_start()
         try:

@@ -20,7 +20,7 @@ from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.virtual_site import VirtualSite
 
-# Readings of the drive's speed per tick, if there is time for as many.
+# Number of readings of the drive's speed per tick, if there is time for as many.
 _POLLS = 20
 _MIN_PAUSE_S = 0.02
 _TEMPERATURE = 15.0
@@ -29,11 +29,11 @@ _MESSAGES = 5
 
 
 class SimulatedSite:
-    """Cistern and roof behind their sensors' ports, lines and topics, tick by tick.
+    """Cistern and roof behind the ports, lines and topics of their sensors, simulated in ticks.
 
     Attributes:
         plant: cistern and roof.
-        servers: of the sensors on Modbus.
+        servers: servers of the sensors on Modbus.
         pumped: volume pumped out of the cistern so far (m3).
     """
 
@@ -49,16 +49,16 @@ class SimulatedSite:
         """Prepare the sensors without opening anything.
 
         Args:
-            site: its parameters.
-            precipitation: of each tick (m/s); the last value then continues.
-            evapotranspiration: of each tick, from the whole bed (m3/s); the last value continues.
-            volumes: in cistern and roof at the beginning (m3).
-            sensors: their addresses and protocols; a thermometer reads 15 degC.
-            speed: returns the true speed of the pump now (share of rated).
+            site: parameters of the site.
+            precipitation: rain rate in each tick (m/s); the last value continues.
+            evapotranspiration: loss of the whole bed in each tick (m3/s); the last value continues.
+            volumes: volumes in cistern and roof at the beginning (m3).
+            sensors: the sensors, with addresses and protocols; a thermometer reads 15 degC.
+            speed: function that returns the pump's true present speed (share of the rated speed).
 
         Raises:
-            ConfigurationError: two sensors have the same register, the MQTT library is missing, or
-                a file for the login is wrong.
+            ConfigurationError: if two sensors have the same register, the MQTT library is missing,
+                or a file for the login is wrong.
         """
         self._site, self._speed = site, speed
         self._weather = precipitation, evapotranspiration
@@ -90,7 +90,7 @@ class SimulatedSite:
         return self._virtual_site.tick
 
     def device(self, sensors: Mapping[str, ModbusSensor]) -> Device:
-        """Return the Modbus device that has these sensors."""
+        """Return the Modbus device that serves these sensors."""
         ranges = {
             section: range(sensor.register, sensor.register + sensor.registers)
             for section, sensor in sensors.items()
@@ -104,7 +104,7 @@ class SimulatedSite:
 
         if len(read()) < sum(map(len, ranges.values())):
             raise ConfigurationError(
-                "two sensors answer to the same register: this cannot be simulated, since input "
+                "two sensors use the same register: this cannot be simulated, since input "
                 "and holding registers are the same here",
                 key="register", value=max(registers[0] for registers in ranges.values()),
             )
@@ -125,7 +125,7 @@ class SimulatedSite:
         return self._sensors[section].raw_for(self.true(section))
 
     def true(self, section: str) -> float:
-        """Return what a sensor measures."""
+        """Return the true value of the quantity that a sensor measures."""
         sensor = self._sensors[section]
         cistern, roof = self.plant.levels()
         return {
@@ -139,7 +139,7 @@ class SimulatedSite:
         return self.raw(section)
 
     async def run(self, ended: asyncio.Event) -> None:
-        """Run the site until the end; after a pause of this process, catch up."""
+        """Run the site until the simulator ends; after a pause of this process, catch up."""
         publishing = [asyncio.create_task(publisher.run(ended)) for publisher in self._publishers]
         started_at = time.monotonic()
         speed = self._speed()
@@ -153,7 +153,7 @@ class SimulatedSite:
         """Watch the drive until the end of a tick; return its mean flow (m3/s) and last speed.
 
         Args:
-            speed: at the beginning of the tick (share of rated).
+            speed: speed at the beginning of the tick (share of the rated speed).
             due: end of the tick (s, `time.monotonic`).
         """
         pause = max(self._site.tau / _POLLS, _MIN_PAUSE_S)
@@ -170,7 +170,7 @@ class SimulatedSite:
                 return (pumped / passed if passed else flow), speed
 
     def flow(self, speed: float) -> float:
-        """Return what the pump takes from the cistern at a speed (m3/s); 0 if it runs dry."""
+        """Return the pump's flow from the cistern at a speed (m3/s); 0 if it runs dry."""
         level = self.plant.levels()[0]
         return 0.0 if level < self._site.suction_level else flow_at(self._site, speed, level)
 
@@ -185,8 +185,8 @@ class SimulatedSite:
         """Advance by one tick.
 
         Args:
-            speed: of the drive at the end of the tick (share of rated).
-            flow: out of the cistern through the pump, mean of the tick (m3/s).
+            speed: speed of the drive at the end of the tick (share of the rated speed).
+            flow: mean flow out of the cistern through the pump in the tick (m3/s).
         """
         rain, evapotranspiration = self._present_weather()
         tau = self._site.tau
@@ -198,7 +198,7 @@ class SimulatedSite:
 
 
 def payload(raw: float, sensor: MqttSensor) -> str:
-    """Return a message that has a number at the sensor's path."""
+    """Return a message that contains a number at the sensor's path."""
     content: Any = raw
     for step in reversed(parse_path(sensor.value)):
         content = {step: content} if isinstance(step, str) else [None] * step + [content]
@@ -212,9 +212,9 @@ class SimulatedMqttSensor:
         """Prepare the sensor without connecting.
 
         Args:
-            name: of the sensor.
-            sensor: where and how it publishes.
-            read: returns its raw value; None if it must not publish.
+            name: name of the sensor.
+            sensor: description of where and how it publishes.
+            read: function that returns its raw value, or None if it must not publish.
         """
         self._sensor, self._read = sensor, read
         broker, self._topic = sensor.broker_and_topic()

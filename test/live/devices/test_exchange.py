@@ -394,7 +394,7 @@ def test_a_drive_that_refuses_to_stop_is_left_in_silence(monkeypatch: pytest.Mon
         bench.wire.times.clear()
         bench.drive.refused = {0}
         wait(lambda: "so nothing is sent for 1.2 s" in bench.now.problem)
-        assert "refused with exception 6" in bench.now.problem
+        assert "rejected with exception 6" in bench.now.problem
         assert bench.now.state is ExchangeState.SILENT and bench.now.status is None
         connections = bench.wire.connections
         assert bench.drive.written[-1] == (1, 0)  # follows the refused word
@@ -421,7 +421,7 @@ def test_its_own_timeout_is_read_though_no_stop_was_ever_taken(bench: Bench) -> 
     ("raw", "limit", "silence", "words"),
     [
         # Above the limit: another master wrote it, or a bit of the answer flipped.
-        (16434, 1.2, "1.2", "1643.4 s was read, which is not relied on"),
+        (16434, 1.2, "1.2", "read as 1643.4 s, which is above 1.2 s and not relied on"),
         # Not even longer by the margin of 1 s that is added to the drive's own timeout.
         (5, 1.2, "1.2", ""),
     ],
@@ -632,7 +632,7 @@ def test_what_someone_changes_at_the_panel_is_noticed(
     del bench.drive.values[5815]
     wait(lambda: not bench.now.timeout_known)
     assert bench.now.timeout_s is None
-    assert "reading register 5815: refused with exception 2" in bench.now.timeout_note
+    assert "reading register 5815: rejected with exception 2" in bench.now.timeout_note
     assert bench.now.connected
 
 

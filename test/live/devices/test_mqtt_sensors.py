@@ -103,11 +103,11 @@ MESSAGES: list[tuple[str, str, float | str]] = [
     ("9" * 400, "", "reports a number that is too large"),
     # Malformed, or of another form.
     ("2,31", "", "reports b'2,31', which is not JSON"),
-    ('{"level": 2.3}', "depth", "reports b'{\"level\": 2.3}', which has no depth"),
-    ('{"level": 2.3}', "level.m", "reports b'{\"level\": 2.3}', which has no level.m"),
-    ('{"level": []}', "level[0]", "reports b'{\"level\": []}', which has no level[0]"),
+    ('{"level": 2.3}', "depth", "reports b'{\"level\": 2.3}', without depth"),
+    ('{"level": 2.3}', "level.m", "reports b'{\"level\": 2.3}', without level.m"),
+    ('{"level": []}', "level[0]", "reports b'{\"level\": []}', without level[0]"),
     ("[" * 60_000, "", f"reports {b'[' * 40!r}, which is not JSON"),
-    ("1" + " " * 65_536, "", "a message of 65537 bytes, which is more than 65536"),
+    ("1" + " " * 65_536, "", "a message has 65537 bytes, which is more than 65536"),
 ]
 
 
@@ -262,12 +262,12 @@ SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
         ("# login:", "authority: /ca.pem #", 10, "certificates can be used only with mqtts://"),
         ("counts: true ", "period: 1.0 #", 31, "rain_gauge.period = 1.0: is not a key here"),
         ("  low: -40.0   ", "  counts: true\n  low: -40.0   ", 41, "thermometer.counts = True: is "
-         "for a flow meter or a rain gauge"),
+         "only for a flow meter or a rain gauge"),
         ("0.0001               ", "0.1 ", 34, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
         ("  high: 0.0001    ", "  # high: 0.0001 ", 29, "rain_gauge.high: is missing"),
         ("median: 1", "median: 3", 31, "rain_gauge.counts = True: needs median: 1"),
         ("roof/temperature", "roof/rain", 39, "thermometer.address = 'mqtt://127.0.0.1:1883/roof/"
-         "rain': is also the rain gauge's: both"),
+         "rain': is also that of the rain gauge: both"),
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(

@@ -320,7 +320,7 @@ def test_sensors_behind_one_gateway_share_a_connection() -> None:
             until(lambda: (good.snapshot.value, lost.snapshot.value) == (3.0, 1.0))
             assert wire.connections == 1
             answers[9] = "09 84 0B"
-            until(lambda: "device 9: reading register 16: refused with exception 11" in (
+            until(lambda: "device 9: reading register 16: rejected with exception 11" in (
                 lost.snapshot.problem))
             assert len(gaps(good, 4.0)) > 3
 
@@ -336,15 +336,15 @@ def test_sensors_behind_one_gateway_share_a_connection() -> None:
         (["  median: 5", "  median: 99"], 21, "cistern.median = 99: delays the value by 49 s"),
         (["low: 0.0 ", "low: -0.2 "], 18, "cistern.low = -0.2: must be at least -0.1 m: a level"),
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, 0 m"),
-        (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot give 0 to 6 m"),
+        (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot yield 0 to 6 m"),
         (["median: 5  ", "substrate_depth: 0.5\n  median: 5  "], 21,
-         "cistern.substrate_depth = 0.5: is for the roof"),
+         "cistern.substrate_depth = 0.5: is only for the roof"),
         (["high: 0.6 ", "substrate_depth: 0.5\n  high: 0.6 "], 34,
          "roof.high = 0.6: must be at most substrate_depth, 0.5 m: the substrate cannot hold more"),
         (["high: 0.6 ", "substrate_depth: 0.1\n  high: 0.1 ",
           "scale: 0.0001                  # m per count [", "scale: 0.00001  # ["], 30,
-         "roof.scale = 1e-05: cannot give 0 to 0.1 m: uint16 with offset 0 gives 0 to 0.065535 m"),
-        (["5031", "5030"], 27, "roof.register = 0: is also the cistern's: both sensors would be"),
+         "roof.scale = 1e-05: cannot yield 0 to 0.1 m: uint16 with offset 0 yields 0 to 0.065535"),
+        (["5031", "5030"], 27, "roof.register = 0: is also that of the cistern: both sensors"),
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(
@@ -364,9 +364,9 @@ def test_a_wrong_file_is_refused_with_line_key_and_value(
     [
         (2, "", 0, ""),
         (2, "parity: even\n  stop_bits: 1\n  baud_rate: 19200", 0, ""),  # the defaults
-        (1, "register: 4", 26, "roof.device_id = 1: is also the cistern's, on the same serial "
-         "line: a late answer would be treated as the other's; give each sensor a slave address of "
-         "its own"),
+        (1, "register: 4", 26, "roof.device_id = 1: is also that of the cistern on the same "
+         "serial line: a late answer would be taken for the other's; give each sensor a slave "
+         "address of its own"),
         (2, "baud_rate: 9600", 37, "roof.baud_rate = 9600: must be 19200, as for the cistern on "
          "the same line"),
         (2, "parity: none", 37, "roof.parity = 'none': must be even, as for the cistern"),

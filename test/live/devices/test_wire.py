@@ -468,7 +468,7 @@ REFUSED: list[tuple[str, str, Task, str, str]] = [
     ("abb_acs880", """
 OFF1          : 06 0000 047E -> 86 06 : busy
 no speed      : 06 0001 0000
-""", Drive.stop, "answer", "writing 0x047E to register 0: refused with exc"),
+""", Drive.stop, "answer", "writing 0x047E to register 0: rejected with exc"),
     ("abb_acs880", """
 400004        : 03 0003 0001 -> 03 02 1337
 400005        : 03 0004 0001 -> 03 02 7FFF

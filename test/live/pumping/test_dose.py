@@ -68,9 +68,9 @@ def test_the_controller_commands_on_after_it(rig: Rig) -> None:
         (0.51, 0.0, "must be above 0 and at most 0.5 m3"),
         (0.0, 0.0, "must be above 0 and at most 0.5 m3"),
         (0.01, 0.0, "must be at least 0.0"),
-        (0.2, 61.0, "61 s old, but must be at most 60 s"),
-        (0.2, -10.0, "must be at most 60 s"),
-        (0.2, math.nan, "must be at most 60 s"),
+        (0.2, 61.0, "61 s old; the limit is 60 s"),
+        (0.2, -10.0, "the limit is 60 s"),
+        (0.2, math.nan, "the limit is 60 s"),
         (0.2, 30.0, "before the pump node was started"),
     ],
 )

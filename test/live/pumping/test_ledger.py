@@ -292,7 +292,7 @@ def lines_of(**changes: Any) -> bytes:
     # A stop under another key, as in an older version, is not forgotten.
     ({"hold_owner": ..., "stopped": "by someone"}, "it has no hold_owner"),
     ({"fault": ...}, "it has no fault"),
-    ({"version": 2}, "it is of format 2, and this version knows 1"),
+    ({"version": 2}, "its format is 2, but this version knows 1"),
     ({"starts": [1.0, "2"]}, "starts must be a list of numbers"),
     ({"elapsed": math.nan}, "elapsed must be a number from 0 to 1e+11"),
     ({"use": [[0.0, -1e9]]}, "use must be at most 49 pairs of numbers"),
@@ -503,7 +503,7 @@ def test_a_full_disk(tmp_path: Path, clock: Clock) -> None:
         assert rig.step(1.0).state == "held"
         rig.ledger.release()
         assert rig.ledger.flush().startswith(
-            f"{file} cannot be written: No space left on device; a restart would not know"
+            f"{file} cannot be written: No space left on device; after a restart, a hold"
         )
         assert rig.run(30, 1.0).state == "running"
         assert not list(disk.glob("pump.json*.new"))

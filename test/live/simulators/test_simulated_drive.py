@@ -56,7 +56,7 @@ def test_it_listens_on_loopback_and_refuses_what_is_not_there() -> None:
         ):
             line = Drive(file, parse_drive_address(at, "at")).line
             line.connect()
-            with closing(line), pytest.raises(DriveError, match=f"refused with exception {code}"):
+            with closing(line), pytest.raises(DriveError, match=f"rejected with exception {code}"):
                 task(line)
 
 
@@ -105,4 +105,4 @@ def test_with_the_driver_every_make_runs_and_stops_also_by_its_own_timeout(
         alone.line.close()
         until(lambda: drive.speed() > 0.5)
         until(lambda: drive.speed() == 0)
-    assert f"communication timeout: nothing for {timeout} s" in drive.output
+    assert f"communication timeout: silence for {timeout} s" in drive.output
