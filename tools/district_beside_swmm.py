@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import paths
 from swmm.toolkit import solver
+from swmm_run import run_swmm
 
 from greenroof_ros.analysis.district.district_file import ORIFICE
 from greenroof_ros.analysis.district.parts import SITE_FILE, make_sites, simulate_part, with_outlet
@@ -142,21 +143,10 @@ INPUT NO
 """
 
 
-def simulate_there(model: Path) -> tuple[float, float, float]:
-    """Return what all buildings send to the sewer (m3), and SWMM's two errors of continuity (%)."""
-    files = [str(model.with_suffix(suffix)) for suffix in (".inp", ".rpt", ".out")]
-    solver.swmm_open(*files)
-    try:
-        solver.swmm_start(0)
-        while solver.swmm_step():
-            pass
-        routing = solver.system_get_routing_totals()
-        out = routing.outflow + routing.flooding
-        solver.swmm_end()
-        runoff, error, _ = solver.swmm_get_mass_balance()
-    finally:
-        solver.swmm_close()
-    return float(out), float(runoff), float(error)
+def read_discharge() -> float:
+    """Return what all buildings sent to the sewer (m3), from SWMM."""
+    totals = solver.system_get_routing_totals()
+    return float(totals.outflow + totals.flooding)
 
 
 def main() -> None:
@@ -184,14 +174,14 @@ def main() -> None:
         begun = time.perf_counter(), time.process_time()
         ours = simulate_here(run, ORIFICE, directory)
         between = time.perf_counter(), time.process_time()
-        theirs, runoff_error, routing_error = simulate_there(model)
+        theirs, errors = run_swmm(model, read_discharge)
         end = time.perf_counter(), time.process_time()
     here, there = np.subtract(between, begun), np.subtract(end, between)
     print(f"{arguments.buildings} roofs and cisterns with an orifice, {arguments.hours:g} h")
     print(f"greenroof: {here[0]:.1f} s ({here[1]:.1f} s of processor time), {ours:.0f} m3")
     print(
         f"SWMM 5:    {there[0]:.1f} s ({there[1]:.1f} s of processor time), {theirs:.0f} m3, "
-        f"continuity {runoff_error:.2f} % (runoff), {routing_error:.2f} % (routing)"
+        f"continuity {errors.runoff:.2f} % (runoff), {errors.routing:.2f} % (routing)"
     )
     print(f"{there[1] / here[1]:.1f} times the processor time; {theirs / ours - 1:+.1%} volume")
 

@@ -16,6 +16,7 @@ from greenroof_ros.analysis.district.swmm import NETWORK, format_network, format
 from greenroof_ros.analysis.district.totals import AS_IS, Flow
 
 solver = pytest.importorskip("swmm.toolkit.solver")  # of the extra test
+swmm_run = pytest.importorskip("swmm_run")
 
 START = datetime.fromisoformat("2021-07-07T22:30")
 # A storm of half an hour on 24 ha, and what a valve lets out instead, for hours (m3 in a minute).
@@ -59,19 +60,11 @@ def route(directory: Path, volumes: Values) -> Routed:
     (directory / "series.dat").write_text(format_series(START, 60.0, volumes, "test"))
     model = directory / NETWORK
     model.write_text(format_network(START, len(volumes) / 60, "series.dat"))
-    files = [str(model.with_suffix(suffix)) for suffix in (".inp", ".rpt", ".out")]
-    solver.swmm_open(*files)
-    try:
-        solver.swmm_start(0)
-        while solver.swmm_step():
-            pass
-        total = solver.system_get_routing_totals()
-        outfalls = [solver.node_get_total_inflow(index) for index in (2, 3)]
-        solver.swmm_end()
-        error = solver.swmm_get_mass_balance()[1]
-    finally:
-        solver.swmm_close()
-    return Routed(total.exInflow, *outfalls, error)
+    volumes_of, errors = swmm_run.run_swmm(model, lambda: (
+        solver.system_get_routing_totals().exInflow,
+        *(solver.node_get_total_inflow(index) for index in (2, 3)),
+    ))
+    return Routed(*volumes_of, errors.routing)
 
 
 def test_overflow_of_a_combined_sewer(tmp_path: Path) -> None:
