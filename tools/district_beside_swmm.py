@@ -80,7 +80,7 @@ def format_model(run: DistrictRun, sites: Sequence[Site], states: Sequence[float
         capacity = site.field_capacity or 0.0
         if site.z_soil not in kinds:
             kind = kinds[site.z_soil] = f"GREEN{len(kinds)}"
-            # Conductivity and its slope: FLL's 36 mm/h, and loam of SWMM's manual.
+            # Conductivity and its slope: 36 mm/h [assumed], and loam of SWMM's manual.
             mat = 1000 * (site.drainage_storage or 0.0) / 0.55
             sections["LID_CONTROLS"] += [
                 f"{kind} GR", f"{kind} SURFACE 5 0 0.1 1 5",

@@ -54,7 +54,7 @@ _EPILOG = """\
 examples:
   greenroof fetch-weather --site my_site.yaml --years 2015-2024 --output weather.csv
   greenroof fetch-weather --site my_site.yaml --years 2015-2024 --eccc 48549 --output toronto.csv
-  greenroof weather weather.csv --site my_site.yaml       # summarize the new file
+  greenroof weather weather.csv --site my_site.yaml       # describe the new file
 
 exit codes: 0 done, 1 the service did not send everything, 2 wrong usage or configuration,
 130 ended by Ctrl-C

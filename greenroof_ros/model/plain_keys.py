@@ -62,12 +62,13 @@ SUBSTRATES = {
         "3 mm, half voids", 0.1, 0.2, 0.1, drainage_storage=0.0015,
     ),
     "extensive": Substrate(
-        "the minimum of the FLL guidelines (2018) for extensive roofs in several layers: maximum "
-        "water capacity 35 %; wilting point and layer within EPA's SWMM Reference Manual III "
-        "(2016), 0.05 to 0.2 and 3 to 20 mm", 0.1, 0.35, 0.1,
+        "assumed: a maximum water capacity of 35 %, quoted as the FLL guidelines' (2018) minimum "
+        "for extensive roofs in several layers, but not checked in their text; wilting point and "
+        "layer within EPA's SWMM Reference Manual III (2016), 0.05 to 0.2 and 3 to 20 mm",
+        0.1, 0.35, 0.1,
     ),
     "intensive": Substrate(
-        "likewise for intensive roofs: maximum water capacity 45 %", 0.3, 0.45, 0.1,
+        "assumed: likewise for intensive roofs, 45 %", 0.3, 0.45, 0.1,
     ),
     "sandy_loam": Substrate(
         "a garden soil: middle of FAO-56, Table 19 (0.18 to 0.28, and 0.06 to 0.16)",

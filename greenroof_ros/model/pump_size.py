@@ -8,8 +8,8 @@ from greenroof_ros.model.plain_keys import LITRES_PER_HOUR
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 
-# What a substrate for extensive roofs must let through, 0.6 mm/min: the minimum of the FLL
-# guidelines for green roofs (2018); for intensive ones half of it (mm/h).
+# What a substrate is assumed to let through (mm/h): 0.6 mm/min is quoted as the minimum of the FLL
+# guidelines (2018) for extensive roofs, but was not checked in their text.
 _TAKEN_UP = 36.0
 # Share of the target that the pumps may lift in a tick.
 _MAX_SHARE = 0.1
@@ -26,8 +26,8 @@ def note_pumps(site: Site) -> Iterator[str]:
     if site.field_capacity is not None and depth > _TAKEN_UP:
         yield (
             f"the pumps can lift {1000 * flow:.3g} l/s, {depth:.0f} mm/h on {site.a2:g} m2 of "
-            f"roof. By the FLL guidelines a substrate must let {_TAKEN_UP:g} mm/h through; what it "
-            "cannot take up runs off, which is not simulated. Is the pump's curve or flow right?"
+            f"roof. A substrate is assumed to take up {_TAKEN_UP:g} mm/h; what is more runs off, "
+            "which is not simulated. Is the pump's curve or flow right?"
         )
     share = site.tau * flow / site.x2_star
     if share > _MAX_SHARE:

@@ -41,7 +41,7 @@ def litres_per_hour(site: Site, level: float) -> float:
 
 
 def test_what_plain_keys_stand_for(tmp_path: Path) -> None:
-    """5 m3 up to an overflow at 2 m stand on 2.5 m2; FLL's substrate holds 35 % of 12 m3."""
+    """5 m3 up to an overflow at 2 m stand on 2.5 m2; the substrate holds 35 % of 12 m3."""
     site = read_site(house(tmp_path / "house.yaml"))
     assert (site.a1, site.z_o, site.a2, site.a_in, site.z_soil) == (2.5, 2.0, 120.0, 200.0, 0.1)
     assert (site.field_capacity, site.wilting_point, site.depletion_fraction) == (0.35, 0.1, 0.5)
