@@ -15,6 +15,8 @@ Rows = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 _TINY, _ALMOST = 1e-300, 1 - 1e-9
+# So small that what it lets out is none, and its reciprocal times any volume is finite (m3).
+_NO_OUTLET = 1e-200
 
 
 class CisternFlows(NamedTuple):
@@ -106,6 +108,37 @@ class Cisterns:
         share = np.where(limited, available / demand, 1.0)
         return CisternFlows((share * pump)[None], share * out, share * low, mains), limited
 
+    def is_quick(self, pumped: Values) -> Flags:
+        """Return where pumps move so much in a tick (m3) that it is divided into steps."""
+        return np.asarray(pumped > self._much)
+
+    def drain(self, seconds: float, steps: int, x1: Values, outlet: Values) -> Values:
+        """Return what low outlets take in steps if nothing else flows in or out (m3).
+
+        It is what :class:`_Outlets` computes. With c and t of the outlet, the head h and
+        u^2 = h (2 a1 / (c t))^2, a step leads from u to sqrt(1 + u^2) - 1.
+
+        Args:
+            seconds: duration of a step (s).
+            steps: their number.
+            x1: in each cistern (m3).
+            outlet: share to which each low outlet is open (1).
+        """
+        drop = outlet * self._c_low * seconds
+        unit = drop * drop / (4 * self._a1) + _NO_OUTLET
+        above = x1 - self.lower
+        np.maximum(above, 0.0, out=above)
+        u = np.sqrt(np.divide(above, unit, out=above), out=above)
+        square, root, total = np.empty_like(u), np.empty_like(u), np.zeros_like(u)
+        for _ in range(steps):
+            np.multiply(u, u, out=square)
+            np.add(square, 1, out=root)
+            np.sqrt(root, out=root)
+            np.add(root, 1, out=root)
+            np.divide(square, root, out=u)
+            np.add(total, u, out=total)
+        return np.asarray(2 * unit * total)
+
     def step_long(
         self, tau: float, steps: int, x1: Values, collected: Values, command: Values,
         outlet: Values, missing: Values, rise: Values,
@@ -131,7 +164,7 @@ class Cisterns:
             lowest_flow = command * self.pump_flow(np.maximum(held, self.lowest))
             missing = missing * (missing >= lowest_flow * min(tau / steps, MIN_RUN_S) * _ALMOST)
         quick = np.maximum(x1, self.filled) + tau * collected > self.hold(outlet)
-        quick |= tau * flow > self._much
+        quick |= self.is_quick(tau * flow)
         given = x1, collected, command, outlet, missing, rise
         if quick.all():
             return self._step(tau, steps, *given)

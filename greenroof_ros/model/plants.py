@@ -88,7 +88,9 @@ class Plants:
         self._decay = np.divide(1, decay, out=np.zeros_like(decay), where=sites.has_layer)
         self._command, self._missing, self._rise = np.zeros((3, len(sites)))
         self._work = [np.empty(len(sites)), np.empty(len(sites))]
-        self._outlet, self._calm = np.empty(0), np.empty(0)
+        self._outlet, self._calm, self._low_only = (np.empty(0) for _ in range(3))
+        # Rows whose low outlets alone flow; most are the same for many ticks.
+        self._draining = np.empty(0, np.intp), self._cisterns
         # In a long tick a pump lifts no less than this (m3).
         flow = fraction * self._cisterns.pump_flow(sites.a1 * sites.suction_level)
         self._min_lifted = (1 - _ROUNDING) * flow * min(self._tau / self._steps, MIN_RUN_S)
@@ -229,43 +231,66 @@ class Plants:
     def _step_dry(self, rows: Rows | None, outlet: Values) -> Values:
         """Write the flows of cisterns in a long tick without rain; return what they hold after."""
         cisterns, moved = self._cisterns, self.moved
-        stepped = self.x1 > self._find_calm(outlet)
+        flowing = self.x1 > self._find_calm(outlet)
+        stepped = self.x1 > self._low_only
         if rows is not None:
-            self._lift(rows, stepped)
+            self._lift(rows, flowing, stepped)
         after: Values = self.x1 - moved.pump
         low = (after < cisterns.filled).nonzero()[0]
         if len(low):
             mains = cisterns.filled[low] - after[low]
-            moved.mains[low], after[low], self.flowed = mains, cisterns.filled[low], True
             # They can refill in the other steps what is pumped in the first.
             most = cisterns.mains_flow[low] * (self._tau - self._tau / self._steps)
-            stepped[low] |= mains > most
+            stepped[low] |= np.maximum(mains, moved.pump[low]) > most
+            moved.mains[low], after[low], self.flowed = mains, cisterns.filled[low], True
+        flowing &= ~stepped
+        self._drain_some(flowing, outlet, after)
         self._step_some(stepped, outlet, after)
         return after
 
-    def _lift(self, rows: Rows, stepped: Flags) -> None:
+    def _lift(self, rows: Rows, flowing: Flags, stepped: Flags) -> None:
         """Write what pumps lift in the first step of a tick without rain, and what needs steps."""
         cisterns, missing, x1 = self._cisterns.take(rows), self._missing[rows], self.x1[rows]
-        seconds = self._tau / self._steps
+        tau, seconds = self._tau, self._tau / self._steps
         flow = self._command[rows] * cisterns.pump_flow(x1)
         min_volume = flow * min(seconds, MIN_RUN_S)
         lifted = missing * (missing >= min_volume)
         usable = x1 - cisterns.lowest
         more = lifted > np.minimum(flow * seconds, usable)
         if more.any():
+            # Where nothing is quick, the tick is a single step.
+            quick = flowing[rows] | cisterns.is_quick(tau * flow)
+            more &= quick | (lifted > np.minimum(flow * tau, usable))
             empty = more & (usable < min_volume) & (cisterns.mains_flow == 0)
             lifted[empty] = 0.0
             stepped[rows] |= more & ~empty
+        later = missing > lifted
+        if later.any():  # the dose that is too small for the pump's flow may suffice as it falls
+            stepped[rows] |= later & flowing[rows]
         self.moved.pump[rows] = lifted
 
     def _find_calm(self, outlet: Values) -> Values:
         """Return the volume (m3) up to which no water leaves each cistern for the sewer."""
         if outlet is not self._outlet:
-            held = self._cisterns.hold(outlet)
+            cisterns, held = self._cisterns, self._cisterns.hold(outlet)
             # Mains that fill beyond an outlet: it always flows.
-            self._calm = np.where(self._cisterns.filled > held, -math.inf, held)
+            always = cisterns.filled > held
+            self._calm = np.where(always, -math.inf, held)
+            self._low_only = np.where(always, -math.inf, cisterns.upper)
             self._outlet = outlet
         return self._calm
+
+    def _drain_some(self, flowing: Flags, outlet: Values, after: Values) -> None:
+        """Let low outlets take their part, where nothing else moves after the first step."""
+        rows = flowing.nonzero()[0]
+        if not len(rows):
+            return
+        if len(rows) != len(self._draining[0]) or (rows != self._draining[0]).any():
+            self._draining = rows, self._cisterns.take(rows)
+        low = self._draining[1].drain(self._tau / self._steps, self._steps, after[rows], outlet[rows])
+        self.moved.outflow[rows] = self.moved.low_outlet[rows] = low
+        after[rows] -= low
+        self.flowed = True
 
     def _step_some(self, stepped: Flags, outlet: Values, after: Values) -> None:
         """Step some cisterns through a long tick, and write what they hold after it (m3)."""
