@@ -44,7 +44,7 @@ class Cisterns:
         """Set the parameters, which :meth:`of` puts in order."""
         self._values = values
         (
-            self._a1, self._b, self._c_hat, self._d, self._c_out, self._c_low, self.mains_flow,
+            self._a1, self._b, self._lift, self._c_out, self._c_low, self.mains_flow,
             self.upper, self.lower, self.lowest, self.filled, self._much,
         ) = values
 
@@ -53,7 +53,7 @@ class Cisterns:
         """Return those of sites."""
         a1 = sites.a1
         return cls(np.stack((
-            a1, sites.b, sites.c_hat, sites.d, sites.c_out, sites.c_low, sites.mains_flow,
+            a1, sites.b, sites.c_hat - sites.d, sites.c_out, sites.c_low, sites.mains_flow,
             a1 * sites.z_o, a1 * sites.low_outlet_level,
             a1 * sites.suction_level * (1 + ABOVE_SUCTION), a1 * sites.mains_level,
             SHORT_SHARE * sites.x2_star,
@@ -61,14 +61,16 @@ class Cisterns:
 
     def take(self, rows: Rows | slice) -> Cisterns:
         """Return some of them."""
-        return Cisterns(self._values[:, rows])
+        values = self._values
+        return Cisterns(values[:, rows] if isinstance(rows, slice) else values.take(rows, axis=1))
 
     def pump_flow(self, x1: Values) -> Values:
         """Return the pumps' flow at command 1 (m3/s), Eq. (3e)."""
         head = x1 / self._a1
-        head += self._c_hat
-        head -= self._d
-        return np.asarray(self._b * np.sqrt(np.maximum(head, 0.0)))
+        head += self._lift
+        np.maximum(head, 0.0, out=head)
+        np.sqrt(head, out=head)
+        return np.asarray(np.multiply(self._b, head, out=head))
 
     def hold(self, outlet: Values) -> Values:
         """Return the volume above which water leaves for the sewer (m3)."""

@@ -29,7 +29,7 @@ Flags = NDArray[np.bool_]
 
 # Relative; more than the rounding error of a volume.
 _ROUNDING = 1e-9
-# tanh(r t) / r is t for such an r^2.
+# tanh(r t) / (r t) is 1 for such an (r t)^2.
 _TINY = 1e-60
 _ALL = slice(None)
 
@@ -45,6 +45,17 @@ class Moved(NamedTuple):
     """1 or 0"""
     mains: Values
     low_outlet: Values
+
+
+class _Pumping(NamedTuple):
+    """Where pumps may run in a tick."""
+
+    rows: Rows
+    missing: Values
+    """what must be pumped until the roofs are at their targets (m3), without end in a short tick; 0
+    where the pump does not run"""
+    rise: Values | float = 0.0
+    """by how much that falls because of rain (m3/s)"""
 
 
 class Plants:
@@ -79,20 +90,19 @@ class Plants:
         self._short, self._steps = bool(sites.has_short_ticks[0]), math.ceil(self._tau / MAX_STEP_S)
         self._cisterns, self._soils = Cisterns.of(sites), soils_of(sites)
         self._kept = bool(sites.drainage_to_cistern.any())
-        self._of_pumps = np.stack((
-            sites.a1, sites.suction_level, sites.a2, level * sites.z_veg, fraction,
-            sites.a2 * sites.z_veg,
-        ))
+        self._fraction, self._dry = fraction, level * sites.z_veg
+        self._suction, self._target = sites.a1 * sites.suction_level, sites.a2 * sites.z_veg
         # A layer that stores nothing lets through what percolates.
         self._layers, decay = bool(sites.has_layer.any()), sites.layer_storage * sites.drainage_time
-        self._decay = np.divide(1, decay, out=np.zeros_like(decay), where=sites.has_layer)
-        self._command, self._missing, self._rise = np.zeros((3, len(sites)))
+        self._decay = np.divide(
+            self._tau, decay, out=np.zeros_like(decay), where=sites.has_layer
+        )
         self._work = [np.empty(len(sites)), np.empty(len(sites))]
         self._outlet, self._calm, self._low_only = (np.empty(0) for _ in range(3))
         # Rows whose low outlets alone flow; most are the same for many ticks.
         self._draining = np.empty(0, np.intp), self._cisterns
         # In a long tick a pump lifts no less than this (m3).
-        flow = fraction * self._cisterns.pump_flow(sites.a1 * sites.suction_level)
+        flow = fraction * self._cisterns.pump_flow(self._suction)
         self._min_lifted = (1 - _ROUNDING) * flow * min(self._tau / self._steps, MIN_RUN_S)
         if self._short:
             self._min_lifted.fill(0.0)
@@ -109,12 +119,9 @@ class Plants:
         self._collected = rain * sites.effective_catchment
         self._soils.set_weather(tau * potential, self._raining)
         # Of what is missing at most a share passes the soil; it is replaced with what evaporates.
-        _, _, a2, dry, _, target = self._of_pumps
-        highest = target + tau * potential
+        highest = self._target + tau * potential
         least = self._min_lifted * (1 - self._soils.passing(highest))
-        self._pumps_below = (1 + _ROUNDING) * np.minimum(
-            highest - least, a2 * dry
-        )
+        self._pumps_below = (1 + _ROUNDING) * np.minimum(highest - least, sites.a2 * self._dry)
 
     def tick(self, outlet: Values, allowed: Flags | None = None) -> Moved:
         """Return what moves during the present tick, and move on to the next.
@@ -128,17 +135,17 @@ class Plants:
             values.fill(0.0)
         self.flowed = False
         settled = soils.begin(self.x2, moved.evapotranspiration)
-        rows = self._find_pumping(allowed)
+        pumping = self._find_pumping(allowed)
         if self._short:
-            x1 = self._step_short(outlet)
+            x1 = self._step_short(pumping, outlet)
         elif self._kept:
-            x1, flows = self._step_all(outlet)
+            x1, flows = self._step_all(pumping, outlet)
         elif self._raining:
-            x1 = self._step_wet(rows, outlet)
+            x1 = self._step_wet(pumping, outlet)
         else:
-            x1 = self._step_dry(rows, outlet)
+            x1 = self._step_dry(pumping, outlet)
         if settled:
-            self._step_settled(rows)
+            self._step_settled(pumping)
         else:
             self._step_roof()
         if self._kept:
@@ -146,17 +153,14 @@ class Plants:
             if not self._short:
                 self._let_out_drainage(flows, outlet, x1)
         self.x1 = np.maximum(x1, 0.0, out=x1)
-        if rows is not None:
-            self._command[rows] = self._missing[rows] = self._rise[rows] = 0.0
         return moved
 
     # --- pumps ------------------------------------------------------------------------------
 
-    def _find_pumping(self, allowed: Flags | None) -> Rows | None:
-        """Return the rows whose pumps may run in the tick, and write their command, or None.
+    def _find_pumping(self, allowed: Flags | None) -> _Pumping | None:
+        """Return where pumps may run in the tick, and what they move then; None if nowhere.
 
         On/off control, Eq. (12): it pumps while the roof is too dry and the cistern holds enough.
-        In a long tick also write what is missing, and its fall; see :class:`.plant.Plant`.
         """
         below = self.x2 <= self._pumps_below
         if allowed is not None:
@@ -165,32 +169,34 @@ class Plants:
         if not len(found):
             return None
         rows: Rows = found if 2 * len(found) < len(below) else _ALL
-        x1, x2 = self.x1[rows], self.x2[rows]
-        a1, suction, a2, dry, fraction, to = self._of_pumps[:, rows]
-        runs = (x2 / a2 < dry) & (x1 / a1 >= suction)
+        runs = self.x2[rows] / self.sites.a2[rows] < self._dry[rows]
+        runs &= self.x1[rows] >= self._suction[rows]
         if allowed is not None:
             runs &= allowed[rows]
-        self._command[rows] = runs * fraction
         if self._short:
-            return rows
-        evaporated = self.moved.evapotranspiration[rows]
+            return _Pumping(rows, np.where(runs, math.inf, 0.0))
+        evaporated, to = self.moved.evapotranspiration[rows], self._target[rows]
+        rise: Values | float = 0.0
         if not self._raining:
-            missing = self._soils.water_to_raise(x2, to + evaporated, rows)
+            missing = self._soils.water_to_raise(to + evaporated, rows)
         else:
             fallen = self._tau * self._on_roof[rows]
             rises = fallen > evaporated
-            missing = self._soils.water_to_raise(x2, to + np.where(rises, 0.0, evaporated), rows)
+            missing = self._soils.water_to_raise(to + np.where(rises, 0.0, evaporated), rows)
             missing -= np.where(rises, 0.0, fallen)
-            self._rise[rows] = np.where(rises & runs, fallen - evaporated, 0.0) / self._tau
-        self._missing[rows] = missing * (runs & (missing >= self._min_lifted[rows]))
-        return rows
+            rise = np.where(rises & runs, fallen - evaporated, 0.0) / self._tau
+        runs &= missing >= self._min_lifted[rows]
+        return _Pumping(rows, np.multiply(missing, runs, out=missing), rise)
 
     # --- cisterns ---------------------------------------------------------------------------
 
-    def _step_short(self, outlet: Values) -> Values:
+    def _step_short(self, pumping: _Pumping | None, outlet: Values) -> Values:
         """Write the flows of cisterns in a short tick; return what they hold after it (m3)."""
         cisterns, x1 = self._cisterns, self.x1
-        flow = self._command * cisterns.pump_flow(x1)
+        flow = np.zeros_like(x1)
+        if pumping is not None:
+            runs, fraction = pumping.missing > 0, self._fraction[pumping.rows]
+            flow[pumping.rows] = runs * fraction * cisterns.pump_flow(x1)[pumping.rows]
         with np.errstate(divide="ignore", invalid="ignore"):
             flows, limited = cisterns.step_short(self._tau, x1, self._collected, flow, outlet)
         self.moved.limited[:] = limited
@@ -205,36 +211,43 @@ class Plants:
         collected = self._tau * self._collected[rows]
         return np.asarray(self.x1[rows] + collected + flows.mains - flows.outflow - pump)
 
-    def _step_rows(self, rows: Rows, outlet: Values) -> CisternFlows:
+    def _step_rows(
+        self, rows: Rows, pumping: _Pumping | None, outlet: Values
+    ) -> CisternFlows:
         """Return the flows of some cisterns in a long tick, in steps."""
         cisterns = self._cisterns.take(rows)
+        missing, rise = np.zeros((2, len(self.sites)))
+        if pumping is not None:
+            missing[pumping.rows], rise[pumping.rows] = pumping.missing, pumping.rise
         with np.errstate(divide="ignore", invalid="ignore"):
             return cisterns.step_long(self._tau, self._steps, *(values[rows] for values in (
-                self.x1, self._collected, self._command, outlet, self._missing, self._rise
+                self.x1, self._collected, self._fraction, outlet, missing, rise
             )))
 
-    def _step_all(self, outlet: Values) -> tuple[Values, CisternFlows]:
+    def _step_all(
+        self, pumping: _Pumping | None, outlet: Values
+    ) -> tuple[Values, CisternFlows]:
         """Write the flows of cisterns in a long tick; return also what they hold after it (m3)."""
-        flows = self._step_rows(_ALL, outlet)
+        flows = self._step_rows(_ALL, pumping, outlet)
         return self._write(_ALL, flows), flows
 
-    def _step_wet(self, rows: Rows | None, outlet: Values) -> Values:
+    def _step_wet(self, pumping: _Pumping | None, outlet: Values) -> Values:
         """Write the flows of cisterns in a long tick with rain; return what they hold after it."""
         filled = self._cisterns.filled
         after = self.x1 + self._tau * self._collected
         stepped = (after > self._find_calm(outlet)) | (self.x1 < filled)
-        if rows is not None:
-            stepped[rows] |= self._missing[rows] > 0
-        self._step_some(stepped, outlet, after)
+        if pumping is not None:
+            stepped[pumping.rows] |= pumping.missing > 0
+        self._step_some(stepped, pumping, outlet, after)
         return after
 
-    def _step_dry(self, rows: Rows | None, outlet: Values) -> Values:
+    def _step_dry(self, pumping: _Pumping | None, outlet: Values) -> Values:
         """Write the flows of cisterns in a long tick without rain; return what they hold after."""
         cisterns, moved = self._cisterns, self.moved
         flowing = self.x1 > self._find_calm(outlet)
         stepped = self.x1 > self._low_only
-        if rows is not None:
-            self._lift(rows, flowing, stepped)
+        if pumping is not None:
+            self._lift(pumping, flowing, stepped)
         after: Values = self.x1 - moved.pump
         low = (after < cisterns.filled).nonzero()[0]
         if len(low):
@@ -245,14 +258,15 @@ class Plants:
             moved.mains[low], after[low], self.flowed = mains, cisterns.filled[low], True
         flowing &= ~stepped
         self._drain_some(flowing, outlet, after)
-        self._step_some(stepped, outlet, after)
+        self._step_some(stepped, pumping, outlet, after)
         return after
 
-    def _lift(self, rows: Rows, flowing: Flags, stepped: Flags) -> None:
+    def _lift(self, pumping: _Pumping, flowing: Flags, stepped: Flags) -> None:
         """Write what pumps lift in the first step of a tick without rain, and what needs steps."""
-        cisterns, missing, x1 = self._cisterns.take(rows), self._missing[rows], self.x1[rows]
-        tau, seconds = self._tau, self._tau / self._steps
-        flow = self._command[rows] * cisterns.pump_flow(x1)
+        rows, missing, tau, seconds = *pumping[:2], self._tau, self._tau / self._steps
+        cisterns, x1 = self._cisterns.take(rows), self.x1[rows]
+        flow = cisterns.pump_flow(x1)
+        flow *= self._fraction[rows]
         min_volume = flow * min(seconds, MIN_RUN_S)
         lifted = missing * (missing >= min_volume)
         usable = x1 - cisterns.lowest
@@ -287,16 +301,19 @@ class Plants:
             return
         if len(rows) != len(self._draining[0]) or (rows != self._draining[0]).any():
             self._draining = rows, self._cisterns.take(rows)
-        low = self._draining[1].drain(self._tau / self._steps, self._steps, after[rows], outlet[rows])
+        cisterns, steps = self._draining[1], self._steps
+        low = cisterns.drain(self._tau / steps, steps, after[rows], outlet[rows])
         self.moved.outflow[rows] = self.moved.low_outlet[rows] = low
         after[rows] -= low
         self.flowed = True
 
-    def _step_some(self, stepped: Flags, outlet: Values, after: Values) -> None:
+    def _step_some(
+        self, stepped: Flags, pumping: _Pumping | None, outlet: Values, after: Values
+    ) -> None:
         """Step some cisterns through a long tick, and write what they hold after it (m3)."""
         rows = stepped.nonzero()[0]
         if len(rows):
-            after[rows] = self._write(rows, self._step_rows(rows, outlet))
+            after[rows] = self._write(rows, self._step_rows(rows, pumping, outlet))
 
     def _let_out_drainage(self, flows: CisternFlows, outlet: Values, after: Values) -> None:
         """Compute again what flows out and in where drainage flows into the cistern, too."""
@@ -319,54 +336,68 @@ class Plants:
 
     # --- roofs ------------------------------------------------------------------------------
 
-    def _step_settled(self, rows: Rows | None) -> None:
+    def _step_settled(self, pumping: _Pumping | None) -> None:
         """Move roofs on to the next tick where it does not rain; only what is pumped percolates."""
         moved, layer, x2 = self.moved, self.layer, self.x2
-        if rows is not None:
-            pump = moved.pump[rows]
-            percolated = self._soils.percolate(x2[rows], pump, rows)
-            held = layer[rows] + percolated
-            drained = self._drain_layer(percolated, rows)
-        if self._layers and rows is not _ALL:
-            part, remaining = self._work
-            np.multiply(self._decay, layer, out=part)
-            np.multiply(part, self._tau, out=part)
-            np.add(part, 1, out=part)
-            np.divide(layer, part, out=remaining)
-            np.subtract(layer, remaining, out=moved.drainage)
-            self.layer, self._work[1], layer = remaining, layer, remaining
-        else:
-            moved.drainage.fill(0.0)
+        if pumping is not None:
+            rows, pump = pumping.rows, moved.pump[pumping.rows]
+            percolated = self._soils.percolate(pump, rows)
+            remaining, drained = self._drain_layer(percolated, rows)
+        if pumping is None or rows is not _ALL:
+            self._empty_layers()
+            layer = self.layer
         x2 -= moved.evapotranspiration
-        if rows is not None:
+        if pumping is not None:
             x2[rows] += pump - percolated
-            moved.drainage[rows], layer[rows] = drained, held - drained
+            moved.drainage[rows], layer[rows] = drained, remaining
+
+    def _empty_layers(self) -> None:
+        """Let drainage layers drain that no water reaches."""
+        layer, drainage = self.layer, self.moved.drainage
+        if not self._layers:
+            drainage.fill(0.0)
+            return
+        part, remaining = self._work
+        np.multiply(self._decay, layer, out=part)
+        np.add(part, 1, out=part)
+        np.divide(layer, part, out=remaining)
+        np.subtract(layer, remaining, out=drainage)
+        self.layer, self._work[1] = remaining, layer
 
     def _step_roof(self) -> None:
         """Move roofs on to the next tick, in any weather."""
         moved, x2 = self.moved, self.x2
         arrived = self._tau * self._on_roof + moved.pump
-        percolated, evaporated, limited = self._soils.lose(x2, moved.evapotranspiration, arrived)
+        percolated, evaporated, limited = self._soils.lose(moved.evapotranspiration, arrived)
         if limited.any():
             moved.limited[limited] = 1.0
             self.flowed = True
-        drained = self._drain_layer(percolated, _ALL)
-        moved.evapotranspiration[:], moved.drainage[:] = evaporated, drained
-        np.maximum(self.layer + percolated - drained, 0.0, out=self.layer)
+        moved.evapotranspiration[:] = evaporated
+        self.layer[:], moved.drainage[:] = self._drain_layer(percolated, _ALL)
         np.maximum(x2 + arrived - percolated - evaporated, 0.0, out=x2)
 
-    def _drain_layer(self, percolated: Values, rows: Rows) -> Values:
-        """Return what drains off some roofs (m3), through their drainage layers; see :mod:`.soil`.
+    def _drain_layer(self, percolated: Values, rows: Rows) -> tuple[Values | float, Values]:
+        """Return what remains in some drainage layers and what drains (m3); see :mod:`.soil`.
 
         Args:
             percolated: out of the substrates (m3).
             rows: which roofs.
         """
         if not self._layers:
-            return percolated
-        layer, inflow, k = self.layer[rows], percolated / self._tau, self._decay[rows]
-        rate = np.sqrt(inflow * k + _TINY)
-        g = np.tanh(rate * self._tau) / rate
-        remaining = (layer + inflow * g) / (1 + k * layer * g)
+            return 0.0, percolated
+        # With layer and inflow as volumes, g is tanh(r t) / (r t).
+        layer, decay = self.layer[rows], self._decay[rows]
+        held, rate = layer + percolated, percolated * decay
+        rate += _TINY
+        np.sqrt(rate, out=rate)
+        g = np.tanh(rate)
+        g /= rate
+        remaining = np.multiply(percolated, g, out=rate)
+        remaining += layer
+        g *= decay
+        g *= layer
+        g += 1
+        remaining /= g
         np.minimum(remaining, self.sites.layer_storage[rows], out=remaining)
-        return np.asarray(np.maximum(percolated + (layer - remaining), 0.0))
+        np.minimum(remaining, held, out=remaining)
+        return remaining, np.subtract(held, remaining, out=held)

@@ -42,7 +42,7 @@ class PaperSoils:
         Returns:
             Whether it does not rain, each soil is below its capacity, and it has that much.
         """
-        evaporated[:] = self._potential
+        evaporated[:], self._x2 = self._potential, x2
         if self._raining:
             return False
         return bool(((x2 < self._sites.z_cap) & (x2 >= self._potential)).all())
@@ -51,29 +51,27 @@ class PaperSoils:
         """Return the share of the arriving water that passes each soil, at volumes (m3) (1)."""
         return np.zeros_like(x2)
 
-    def water_to_raise(self, x2: Values, to: Values, rows: Rows) -> Values:
-        """Return the water that raises some of the soils from x2 to a higher volume (m3)."""
-        return to - x2
+    def water_to_raise(self, to: Values, rows: Rows) -> Values:
+        """Return the water that raises some of the soils to a higher volume in the tick (m3)."""
+        return to - self._x2[rows]
 
-    def percolate(self, x2: Values, arrived: Values, rows: Rows) -> Values:
-        """Return what percolates out of some of the soils in a tick (m3), none at its capacity.
+    def percolate(self, arrived: Values, rows: Rows) -> Values:
+        """Return what percolates out of some of the soils in the tick (m3), none at its capacity.
 
         Args:
-            x2: on the roofs (m3).
             arrived: rain and pumped water in the tick (m3).
             rows: which roofs.
         """
         return np.zeros_like(arrived)
 
-    def lose(self, x2: Values, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
+    def lose(self, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
         """Return percolation and evapotranspiration in any tick (m3), and where they are limited.
 
         Args:
-            x2: on each roof (m3).
-            evaporated: what :meth:`begin` returned (m3).
+            evaporated: what :meth:`begin` has written (m3).
             arrived: rain and pumped water in the tick (m3).
         """
-        sites, tau, above = self._sites, self._tau, x2 - self._sites.z_cap
+        sites, tau, x2, above = self._sites, self._tau, self._x2, self._x2 - self._sites.z_cap
         darcy = tau * sites.K * sites.a2 * (x2 / sites.a2 + sites.z_soil) / sites.z_soil
         darcy = np.where(sites.overdraws, np.minimum(darcy, above + arrived), darcy)
         drained = np.where(above < 0, 0.0, darcy)
@@ -90,74 +88,79 @@ class MeasuredSoils:
         """Set the sites."""
         self._sites, self._settled = sites, False
         self._drying = sites.stress_onset * sites.available_volume
-        self._volumes = np.stack((sites.wilting_volume, sites.available_volume, sites.z_cap))
-        self._rows: Rows | None = None
+        self._filled = np.empty(len(sites))
+        """share of the water that plants can take, at the beginning of the tick (1)"""
 
     def set_weather(self, potential: Values, raining: bool) -> None:
         """Set the weather; see :class:`PaperSoils`."""
         self._potential, self._raining, self._settled = potential, raining, False
+        self._dries = potential / self._sites.stress_onset
 
     def begin(self, x2: Values, evaporated: Values) -> bool:
         """Write evapotranspiration; see :class:`PaperSoils`."""
-        sites = self._sites
+        sites, self._x2 = self._sites, x2
         if not (self._raining or self._settled):
             # They remain so in this weather: K_s falls to 0 with what plants can take.
             self._settled = bool((
                 (x2 >= sites.wilting_volume) & (x2 < sites.z_cap)
                 & (self._potential <= self._drying)
             ).all())
-        share = np.subtract(x2, sites.wilting_volume, out=evaporated)
-        np.divide(share, self._drying, out=share)
-        np.minimum(share, 1.0, out=share)
-        if not self._settled:
-            np.maximum(share, 0.0, out=share)
-        np.multiply(share, self._potential, out=evaporated)
+        self._fill(x2, self._filled)
+        np.multiply(self._filled, self._dries, out=evaporated)
+        np.minimum(evaporated, self._potential, out=evaporated)
         return self._settled
 
     def passing(self, x2: Values) -> Values:
         """Return S^2; see :class:`PaperSoils`."""
-        return np.asarray(self._fill(x2, *self._volumes) ** 2)
+        return np.asarray(self._fill(x2, np.empty_like(x2)) ** 2)
 
-    def _take(self, rows: Rows) -> tuple[Values, Values, Values]:
-        """Return wilting, available and full volume of some soils (m3)."""
-        if rows is not self._rows:
-            self._rows, self._taken = rows, self._volumes[:, rows]
-        wilting, available, full = self._taken
-        return wilting, available, full
-
-    def _fill(self, x2: Values, wilting: Values, available: Values, full: Values) -> Values:
-        """Return the filled share of the water that plants can take (1)."""
-        share = (x2 - wilting) / available
+    def _fill(self, x2: Values, share: Values) -> Values:
+        """Write the filled share of the water that plants can take (1), and return it."""
+        np.subtract(x2, self._sites.wilting_volume, out=share)
+        np.divide(share, self._sites.available_volume, out=share)
         if not self._settled:
             np.maximum(share, 0.0, out=share)
-            share[x2 >= full] = 1.0
-        return np.asarray(share)
+            share[x2 >= self._sites.z_cap] = 1.0
+        return share
 
-    def water_to_raise(self, x2: Values, to: Values, rows: Rows) -> Values:
+    def water_to_raise(self, to: Values, rows: Rows) -> Values:
         """Return the water that raises some of the soils; see :class:`PaperSoils`."""
-        volumes = self._take(rows)
-        filled, reached = self._fill(x2, *volumes), self._fill(to, *volumes)
+        wilting, available = self._sites.wilting_volume[rows], self._sites.available_volume[rows]
+        filled, reached = self._filled[rows], to - wilting
+        np.divide(reached, available, out=reached)
         np.minimum(reached, ALMOST_FULL, out=reached)
-        g = np.maximum((reached - filled) / (1 - filled * reached), 0.0)
-        water = volumes[1] * np.arctanh(g)
+        rest = filled * reached
+        np.subtract(1, rest, out=rest)
+        g = np.subtract(reached, filled, out=reached)
+        np.divide(g, rest, out=g)
+        np.maximum(g, 0.0, out=g)
+        water = available * np.arctanh(g, out=g)
         if not self._settled:
-            water += np.maximum(np.minimum(to, volumes[0]) - x2, 0.0)
+            water += np.maximum(np.minimum(to, wilting) - self._x2[rows], 0.0)
         return np.asarray(water)
 
-    def percolate(self, x2: Values, arrived: Values, rows: Rows) -> Values:
+    def percolate(self, arrived: Values, rows: Rows) -> Values:
         """Return what percolates out of some of the soils; see :class:`PaperSoils`."""
-        wilting, available, full = self._take(rows)
-        filled, first = self._fill(x2, wilting, available, full), np.zeros(1)
-        if not self._settled:
-            first = np.minimum(arrived, np.maximum(wilting - x2, 0.0))
-        g = np.tanh((arrived - first) / available)
-        retained = available * g * (1 - filled * filled) / (1 + filled * g)
-        return np.asarray(np.maximum(arrived - (first + retained), 0.0))
+        available, filled = self._sites.available_volume[rows], self._filled[rows]
+        if not self._settled:  # what comes first stays
+            wilting = self._sites.wilting_volume[rows]
+            arrived = arrived - np.minimum(arrived, np.maximum(wilting - self._x2[rows], 0.0))
+        g = arrived / available
+        np.tanh(g, out=g)
+        share = filled * filled
+        np.subtract(1, share, out=share)
+        share *= g
+        g *= filled
+        g += 1
+        share /= g
+        share *= available
+        np.subtract(arrived, share, out=share)
+        return np.asarray(np.maximum(share, 0.0, out=share))
 
-    def lose(self, x2: Values, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
+    def lose(self, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
         """Return percolation and evapotranspiration; see :class:`PaperSoils`."""
-        above = x2 - self._sites.z_cap
-        percolated = self.percolate(x2, arrived, slice(None))
+        x2, above = self._x2, self._x2 - self._sites.z_cap
+        percolated = self.percolate(arrived, slice(None))
         percolated = np.where(above >= 0, arrived + above, percolated)
         remaining = x2 + arrived - percolated
         limited = evaporated > remaining
