@@ -73,7 +73,7 @@ class Parameter:
         """Its meaning, with the unit."""
         return f"{self.meaning} ({self.unit})" if self.unit else self.meaning
 
-    @property
+    @functools.cached_property
     def range(self) -> Range:
         """The numbers that it may be."""
         return Range(self.low, self.high, self.unit, self.whole)
@@ -307,7 +307,9 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
         return " ".join(value.split())
     if kind is Word and isinstance(value, str) and _HEXADECIMAL.fullmatch(value):
         value = int(value, 16)
-    allowed = replace(entry.range, whole=kind in (int, Word), words=entry.among)
+    allowed, whole = entry.range, kind in (int, Word)
+    if (allowed.whole, allowed.words) != (whole, entry.among):
+        allowed = replace(allowed, whole=whole, words=entry.among)
     example = ", such as 0x047E or 1150" if kind is Word else ""
     return allowed.read(value, key=".".join(parts), about=f"{example} ({entry.meaning})")
 

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timedelta, timezone, tzinfo
 from functools import cached_property
 from pathlib import Path
@@ -370,9 +370,9 @@ class Site:
         return level * self.a2
 
 
-def _product(name: str, values: Mapping[str, float | None]) -> float:
+def _product(name: str, site: Site) -> float:
     """Return a volume that is the product of other parameters (m3)."""
-    factors = [values.get(factor) for factor in _FOLLOW_FROM[name]]
+    factors: list[float | None] = [getattr(site, factor) for factor in _FOLLOW_FROM[name]]
     return math.prod(factor for factor in factors if factor is not None)
 
 
@@ -476,19 +476,37 @@ def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
         ConfigurationError: a parameter is missing, unknown, not a number, beyond its range, or
             inconsistent with another; the message names the file, line, key and value.
     """
-    entries = _entries(path)
-    site = _site_of(entries, path)
-    if not changes:
-        return site
-    new = override(entries, {name: Entry(value) for name, value in changes.items()})
-    changed = _record_of(new, path)[0]
-    for volume, factors in _FOLLOW.items():
-        ratio = math.prod(
-            (getattr(changed, name) or 1.0) / (getattr(site, name) or 1.0) for name in factors
-        )
-        if volume in entries and volume not in changes and ratio != 1:
-            new[volume] = Entry(getattr(site, volume) * ratio)
-    return _site_of(new, path)
+    file = SiteFile(path)
+    return file.change(changes) if changes else file.site
+
+
+class SiteFile:
+    """A site file that has been read, for many sites that differ from it in some values.
+
+    Attributes:
+        site: as it is in the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read and check the file; see :func:`read_site`."""
+        self._path, self._entries = path, _entries(path)
+        self.site = _site_of(self._entries, path)
+
+    def change(self, changes: Mapping[str, Any]) -> Site:
+        """Return the site with other values than in the file; see :func:`read_site`."""
+        site, entries = self.site, self._entries
+        new = override(entries, {name: Entry(value) for name, value in changes.items()})
+        changed, named = _record_of(new, self._path)
+        followed = False
+        for volume, factors in _FOLLOW.items():
+            if volume not in entries or volume in changes:
+                continue
+            ratio = math.prod(
+                (getattr(changed, name) or 1.0) / (getattr(site, name) or 1.0) for name in factors
+            )
+            if ratio != 1:
+                new[volume], followed = Entry(getattr(site, volume) * ratio), True
+        return _site_of(new, self._path) if followed else _check(changed, named, self._path)
 
 
 def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
@@ -515,14 +533,17 @@ def check_site(site: Site) -> Site:
     Raises:
         ConfigurationError: as for :func:`read_site`; the message names key and value.
     """
-    return _site_of({
-        name: Entry(value) for name, value in asdict(site).items() if value is not None
-    })
+    values = {field.name: getattr(site, field.name) for field in fields(site)}
+    return _site_of({name: Entry(value) for name, value in values.items() if value is not None})
 
 
 def _site_of(entries: Mapping[str, Entry], path: Path | None = None) -> Site:
     """Return the site of checked entries, from a file unless a program gives them."""
-    site, named = _record_of(entries, path)
+    return _check(*_record_of(entries, path), path)
+
+
+def _check(site: Site, named: Mapping[str, Entry], path: Path | None) -> Site:
+    """Return a site if its parameters, each in its range, do not contradict each other."""
     with _add_place_to_errors(named, path):
         for name, expected in _contradictions(site, named):
             value = named[name].value
@@ -549,7 +570,7 @@ def _record_of(
         site = make_record(Site, {**values, **dict.fromkeys(omitted, 1.0)})
     computed: dict[str, Any] = {name: compute(site) for name, compute in following.items()}
     site = replace(site, **computed)
-    products: dict[str, Any] = {name: _product(name, asdict(site)) for name in omitted}
+    products: dict[str, Any] = {name: _product(name, site) for name in omitted}
     return replace(site, **products), named
 
 
@@ -660,11 +681,10 @@ def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str,
                 f"must be below x2_star / (a2 z_soil) = {site.x2_star / soil_volume:g}, or plants "
                 "take no water at the target"
             )
-    values = asdict(site)
     for name, factors in _FOLLOW_FROM.items():
-        product = _product(name, values)
-        if not math.isclose(values[name], product, rel_tol=_ROUNDING):
-            formula = " ".join(factor for factor in factors if values[factor] is not None)
+        product = _product(name, site)
+        if not math.isclose(getattr(site, name), product, rel_tol=_ROUNDING):
+            formula = " ".join(name for name in factors if getattr(site, name) is not None)
             yield name, (
                 f"must be {formula} = {product:g} m3; leave this line out and it is computed"
             )

@@ -26,7 +26,7 @@ from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.batch import Batch, BatchWeather, simulate_batch
 from greenroof_ros.forecast.choice import PERFECT
 from greenroof_ros.model.initial_state import find_state
-from greenroof_ros.model.site import Site, check_site, read_site
+from greenroof_ros.model.site import Site, SiteFile, check_site
 from greenroof_ros.model.storm_water import connected_area
 
 SITE_FILE = "site.yaml"
@@ -161,9 +161,10 @@ def _areas(sites: Sequence[Site]) -> Values:
 def make_sites(file: Path, buildings: Buildings) -> Iterator[Site]:
     """Yield the site of each building."""
     names = [name for name in buildings.values if not is_of_policy(name)]
+    common = SiteFile(file)
     for place in range(len(buildings)):
         try:
-            yield read_site(file, {name: buildings.values[name][place] for name in names})
+            yield common.change({name: buildings.values[name][place] for name in names})
         except ConfigurationError as error:
             raise buildings.refuse(place, error) from None
 
