@@ -70,7 +70,9 @@ class BatchMetrics:
         self._stress_below = np.maximum(sites.stress_volume, np.nextafter(0.0, 1.0))
         self._of_day, self._overflow_days = np.zeros((2, n))
         self._midnights = _find_midnights(clocks, self._tau, ticks)
-        self._wet, self._groups = wet, groups
+        self._wet, self._groups = wet, list[tuple[int, Rows]]()
+        if groups is not None:
+            self._groups += [(n, np.flatnonzero(groups == n)) for n in np.unique(groups).tolist()]
         self._hydrograph, self._low_outlet = hydrograph, low_outlet
         self._discharge, self._wet_discharge = np.zeros((2, n))
         self._to_sewer = 1 - sites.drainage_to_cistern
@@ -80,6 +82,7 @@ class BatchMetrics:
         # Discharge in the last intervals (m3); before the run nothing flowed.
         self._before = 1 + int(max(self._windows))
         self._flows = np.zeros((self._before + max(1, _VALUES // n), n))
+        self._low_flows = np.zeros_like(self._flows)  # the part of it through low outlets
         self._filled, self._interval = self._before, 0
         self._work, self._flag = np.empty(n), np.empty(n, bool)
         self._add_roof(0)
@@ -87,7 +90,7 @@ class BatchMetrics:
     def add(self, tick: int) -> None:
         """Add what has moved in a tick, and the state at its end."""
         plants, sums = self._plants, self._sums
-        moved, row = plants.moved, self._flows[self._filled]
+        moved, row, low = plants.moved, self._flows[self._filled], self._low_flows[self._filled]
         for total, values in (
             (sums.pump, moved.pump), (sums.drainage, moved.drainage),
             (sums.evapotranspiration, moved.evapotranspiration),
@@ -95,22 +98,20 @@ class BatchMetrics:
             np.add(total, values, out=total)
         if tick % self._per_interval == 0:
             np.multiply(self._to_sewer, moved.drainage, out=row)
+            low.fill(0.0)
         else:
             row += self._to_sewer * moved.drainage
         if tick in self._midnights:
             self._end_day(self._midnights[tick])
         if plants.flowed:
             row += moved.outflow
+            low += moved.low_outlet
             for total, values in (
                 (sums.outflow, moved.outflow), (sums.limited, moved.limited),
                 (sums.mains, moved.mains), (sums.low_outlet, moved.low_outlet),
             ):
                 np.add(total, values, out=total)
             self._of_day += moved.outflow - moved.low_outlet
-            if self._groups is not None and self._low_outlet is not None:
-                self._low_outlet[:, tick // self._per_interval] += np.bincount(
-                    self._groups, moved.low_outlet, len(self._low_outlet)
-                )
         self._add_roof(tick + 1)
         if (tick + 1) % self._per_interval == 0:
             self._filled += 1
@@ -146,10 +147,12 @@ class BatchMetrics:
             if now.any():
                 of_rows = flows[now] if len(rows) == flows.shape[1] else flows[now][:, rows]
                 self._wet_discharge[rows] += of_rows.sum(axis=0)
-        if self._groups is not None and self._hydrograph is not None:
-            for group in np.unique(self._groups):
-                of_group = flows[:, self._groups == group].sum(axis=1)
-                self._hydrograph[group, first:last] += of_group
+        for hydrograph, values in (
+            (self._hydrograph, flows), (self._low_outlet, self._low_flows[before : self._filled])
+        ):
+            if hydrograph is not None:
+                for group, rows in self._groups:
+                    hydrograph[group, first:last] += values.take(rows, axis=1).sum(axis=1)
         self._find_peaks(self._flows[: self._filled])
         self._flows[:before] = self._flows[self._filled - before : self._filled]
         self._filled, self._interval = before, last
@@ -159,11 +162,14 @@ class BatchMetrics:
 
         The mean of constant pieces is largest where the window begins or ends with one of them.
         """
-        rows = np.flatnonzero(flows.sum(axis=0) > self._peaks[0])
+        highest = np.multiply.outer(self._windows, flows.max(axis=0))
+        rows = np.flatnonzero((highest > self._peaks).any(axis=0))
         if not len(rows):
             return
-        flows, before = flows[:, rows], self._before
-        volumes = np.concatenate((np.zeros((1, len(rows))), np.cumsum(flows, axis=0)))
+        flows, before = flows.take(rows, axis=1), self._before
+        volumes = np.zeros((len(flows) + 1, len(rows)))
+        for above, flow, volume in zip(volumes, flows, volumes[1:], strict=False):
+            np.add(above, flow, out=volume)  # in a fifth of the time of cumsum
         count = len(flows) - before
         for peak, window in zip(self._peaks, self._windows, strict=True):
             whole, part = int(window), window - int(window)

@@ -60,9 +60,8 @@ class Cisterns:
         )))
 
     def take(self, rows: Rows | slice) -> Cisterns:
-        """Return some of them."""
-        values = self._values
-        return Cisterns(values[:, rows] if isinstance(rows, slice) else values.take(rows, axis=1))
+        """Return some of them, or all for a slice."""
+        return self if isinstance(rows, slice) else Cisterns(self._values.take(rows, axis=1))
 
     def pump_flow(self, x1: Values) -> Values:
         """Return the pumps' flow at command 1 (m3/s), Eq. (3e)."""
