@@ -13,7 +13,12 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from greenroof_ros.analysis.study.case import Case, collect_contents
-from greenroof_ros.analysis.study.case_run import bound_case, bound_discharge, run_case
+from greenroof_ros.analysis.study.case_run import (
+    bound_case,
+    bound_discharge,
+    group_cases,
+    run_cases,
+)
 from greenroof_ros.analysis.study.grid import read_grid
 from greenroof_ros.analysis.study.names import Names
 from greenroof_ros.analysis.study.store import StudyStore
@@ -24,6 +29,7 @@ from greenroof_ros.analysis.workers.choice import (
     open_workers,
 )
 from greenroof_ros.analysis.workers.processes import Workers
+from greenroof_ros.analysis.workers.progress import ShareFile
 from greenroof_ros.common.command_line import (
     EXIT_DONE,
     EXIT_FAILED,
@@ -33,7 +39,7 @@ from greenroof_ros.common.command_line import (
     make_number_type,
 )
 from greenroof_ros.common.files import find_shipped, shared_directory
-from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.common.processes import InterruptedRun, Signals, scratch_directory
 from greenroof_ros.common.progress import ProgressBar
 
 _Bound: TypeAlias = tuple[Callable[[Path, Case], Any], Case, Callable[[Case, Any], None]]
@@ -96,8 +102,9 @@ def make_parser() -> Parser:
     )
     trajectories.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep only the table and the events of rain, for thousands of runs; a report then has "
-        "no figures of weather, commands and volumes",
+        help="keep only the table and the events of rain, for thousands of runs. Runs of onoff in "
+        "ticks of a minute or so are then several times as fast. A report has no figures of "
+        "weather, commands and volumes",
     )
     return parser
 
@@ -161,47 +168,64 @@ def _run(
 ) -> None:
     """Run some cases and compute some bounds; store each result when it arrives."""
     names = Names(store.cases)
+    groups = group_cases(cases, workers.slots, store.trajectory_every)
     # The longest first, or at the end one core may have a long run while the others are idle.
-    ordered = sorted(
-        cases,
-        key=lambda case: (
-            not case.inputs.controller.ensemble, not case.inputs.controller.outputs,
-            -case.hours,
+    groups.sort(
+        key=lambda group: (
+            not group[0].inputs.controller.ensemble, not group[0].inputs.controller.outputs,
+            len(group) == 1, -group[0].hours,
         ),
     )
-    pending: dict[Future[Any], tuple[Case, Callable[[Case, Any], None] | None]] = {
-        workers.submit(bound, case): (case, write) for bound, case, write in bounds
+    pending: dict[Future[Any], tuple[tuple[Case, ...], Callable[[Case, Any], None] | None]] = {
+        workers.submit(bound, case): ((case,), write) for bound, case, write in bounds
     }
-    for case in ordered:
-        pending[workers.submit(run_case, case, store.trajectory_every)] = case, None
-    tasks, runs = len(pending), 0
-    with ProgressBar() as progress:
+    tasks, runs = len(pending) + len(cases), 0
+    with scratch_directory() as scratch, ProgressBar() as progress:
+        shares: dict[Future[Any], tuple[int, ShareFile]] = {}
+        for number, group in enumerate(groups):
+            share = ShareFile(scratch / f"{number}")
+            future = workers.submit(run_cases, group, store.trajectory_every, share)
+            pending[future], shares[future] = (group, None), (len(group), share)
         while pending:
-            progress.show(f"{runs} of {len(ordered)} runs", 1 - len(pending) / tasks)
+            done_share = sum(count * share.read() for count, share in shares.values())
+            undone = sum(len(group) for group, _ in pending.values()) - done_share
+            progress.show(f"{runs} of {len(cases)} runs", 1 - undone / tasks)
             workers.check()
             done, _ = wait(pending, timeout=_REFRESH_S, return_when=FIRST_COMPLETED)
             broken: Exception | None = None
             for future in done:
-                case, write_bound = pending.pop(future)
-                is_run = write_bound is None
+                group, write_bound = pending.pop(future)
+                shares.pop(future, None)
+                results: Sequence[Any]
                 try:
                     result = workers.result(future)
+                    results = result if write_bound is None else [result]
                 except (BrokenExecutor, CancelledError) as error:
                     broken = error  # raised once all results that came before are stored
                     continue
                 except Exception as error:  # raised by the run
-                    what, reason = "no bound", str(error) or type(error).__name__
-                    if is_run:  # a missing bound is no failure
-                        what, store.failures[case.identity] = "failed", reason
-                    name = ", ".join(filter(None, names.columns(case).values()))
-                    name += f", {case.inputs.initial}, run {case.identity}"
-                    print(f"{what}: {name}: {reason}", file=sys.stderr)
-                else:
-                    (write_bound or store.write_outcome)(case, result)
-                runs += is_run
+                    results = [error] * len(group)
+                for case, outcome in zip(group, results, strict=True):
+                    if isinstance(outcome, Exception):
+                        _report_failure(store, names, case, outcome, is_run=write_bound is None)
+                    else:
+                        (write_bound or store.write_outcome)(case, outcome)
+                runs += 0 if write_bound else len(group)
             if broken is not None:
                 raise broken
             signals.check()
+
+
+def _report_failure(
+    store: StudyStore, names: Names, case: Case, error: Exception, *, is_run: bool
+) -> None:
+    """Print why a run failed, or why a case has no bound, and keep the former for the table."""
+    what, reason = "no bound", str(error) or type(error).__name__
+    if is_run:  # a missing bound is no failure
+        what, store.failures[case.identity] = "failed", reason
+    name = ", ".join(filter(None, names.columns(case).values()))
+    name += f", {case.inputs.initial}, run {case.identity}"
+    print(f"{what}: {name}: {reason}", file=sys.stderr)
 
 
 def show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:

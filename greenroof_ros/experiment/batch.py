@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +36,19 @@ from greenroof_ros.weather.evapotranspiration import COMPUTED
 Values = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
+_Observer = TypeVar("_Observer", bound="Observer")
+
 # Sites that are stepped together: their arrays fit in the processor's cache.
 _TOGETHER = 5000
 # Ticks between two reports of progress.
 _BLOCK = 1440
+
+
+class Observer(Protocol):
+    """Observes sites that are stepped together."""
+
+    def add(self, tick: int) -> None:
+        """Add what has moved in a tick, and the state at its end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,25 +192,50 @@ def simulate_batch(
     Raises:
         ConfigurationError: a parameter is wrong; or ticks or steps differ.
     """
+    count = len(batch.sites)
+    shape = (
+        0 if groups is None else int(groups.max()) + 1,
+        -(-batch.weather[0].steps // _count_per_interval(batch.sites[0])),
+    )
+    hydrograph, low_outlet = (None if groups is None else np.zeros(shape) for _ in range(2))
+    metrics: dict[str, Values] = {}
+
+    def begin(part: Part) -> BatchMetrics:
+        return part.make_metrics(groups, hydrograph, low_outlet)
+
+    for part, sums in simulate_parts(batch, begin, progress):
+        for name, values in part.results(sums).items():
+            metrics.setdefault(name, np.empty(count))[part.rows] = values
+    return BatchResult(metrics, hydrograph, low_outlet)
+
+
+def simulate_parts(
+    batch: Batch, begin: Callable[[Part], _Observer],
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[tuple[Part, _Observer]]:
+    """Simulate a batch in this process, and yield its parts, each when it is done.
+
+    Args:
+        batch: what to simulate.
+        begin: returns what observes a part, which is in its initial state.
+        progress: called now and then with the share that is done (1).
+
+    Raises:
+        ConfigurationError: a parameter is wrong; or ticks or steps differ.
+    """
     if len({site.tau for site in batch.sites}) > 1 or len({
         weather.steps for weather in batch.weather
     }) > 1:
         raise ConfigurationError("all sites of a batch must have the same tau and as many steps")
-    every = Sites.of(batch.sites)
-    steps, per_interval = batch.weather[0].steps, _count_per_interval(batch.sites[0])
-    shape = 0 if groups is None else int(groups.max()) + 1, -(-steps // per_interval)
-    hydrograph, low_outlet = (None if groups is None else np.zeros(shape) for _ in range(2))
-    metrics: dict[str, Values] = {}
-    done = 0
+    every, done = Sites.of(batch.sites), 0
     for rows in _split(every, batch.weather_of):
-        part = _Part(batch, every, rows, groups, hydrograph, low_outlet)
-        for ticks in part.simulate():
+        part = Part(batch, every, rows)
+        observer = begin(part)
+        for ticks in part.simulate(observer.add):
             done += ticks * len(rows)
             if progress is not None:
-                progress(done / (steps * len(every)))
-        for name, values in part.results().items():
-            metrics.setdefault(name, np.empty(len(every)))[rows] = values
-    return BatchResult(metrics, hydrograph, low_outlet)
+                progress(done / (batch.weather[0].steps * len(every)))
+        yield part, observer
 
 
 def _count_per_interval(site: Site) -> int:
@@ -218,13 +252,23 @@ def _split(sites: Sites, weather_of: Rows) -> Iterator[Rows]:
         yield from np.array_split(rows, -(-len(rows) // _TOGETHER))
 
 
-class _Part:
-    """Sites of a batch that are stepped together."""
+class Part:
+    """Sites of a batch that are stepped together.
 
-    def __init__(
-        self, batch: Batch, every: Sites, rows: Rows, groups: Rows | None,
-        hydrograph: Values | None, low_outlet: Values | None,
-    ) -> None:
+    Attributes:
+        rows: which of the batch.
+        plants: of these sites.
+    """
+
+    def __init__(self, batch: Batch, every: Sites, rows: Rows) -> None:
+        """Set the initial state.
+
+        Args:
+            batch: with all sites.
+            every: parameters of all sites.
+            rows: of the part.
+        """
+        self.rows = rows
         self._batch, self._sites = batch, every.take(rows)
         self._weather_of = batch.weather_of[rows]
         self._steps = batch.weather[0].steps
@@ -232,7 +276,7 @@ class _Part:
         self._per_interval = _count_per_interval(own[0])
         given = [batch.parameters[row] for row in rows]
         parameters = _complete(own, given)
-        self._plants = Plants(
+        self.plants = Plants(
             self._sites, batch.x1[rows], batch.x2[rows], parameters["fraction"],
             parameters["level"],
         )
@@ -248,9 +292,14 @@ class _Part:
         self._has_quiet_hours = any(site.quiet for site in own)
         self._changes = self._find_changes()
         self._allowed: NDArray[np.bool_] | None = None
-        self._metrics = BatchMetrics(
-            self._plants, self._steps, self._per_interval, list(self._find_wet()), self._clocks,
-            None if groups is None else groups[rows], hydrograph, low_outlet,
+
+    def make_metrics(
+        self, groups: Rows | None, hydrograph: Values | None, low_outlet: Values | None
+    ) -> BatchMetrics:
+        """Return the metrics of the initial state; see :class:`.batch_metrics.BatchMetrics`."""
+        return BatchMetrics(
+            self.plants, self._steps, self._per_interval, list(self._find_wet()), self._clocks,
+            None if groups is None else groups[self.rows], hydrograph, low_outlet,
         )
 
     def _by_weather(self) -> Iterator[tuple[int, Rows]]:
@@ -294,9 +343,13 @@ class _Part:
             ) for rows in clocks.values()
         ]
 
-    def simulate(self) -> Iterator[int]:
-        """Simulate, and yield the number of ticks now and then."""
-        plants, outlets, metrics = self._plants, self._outlets, self._metrics
+    def simulate(self, observe: Callable[[int], None]) -> Iterator[int]:
+        """Simulate, and yield the number of ticks now and then.
+
+        Args:
+            observe: called after each tick with its number.
+        """
+        plants, outlets = self.plants, self._outlets
         for tick in range(self._steps):
             if self._changes[tick]:
                 self._set_weather(tick)
@@ -308,7 +361,7 @@ class _Part:
             if self._closed is not None:
                 outlet = np.where(self._closed, 0.0, outlet)
             plants.tick(outlet, allowed)
-            metrics.add(tick)
+            observe(tick)
             if tick % _BLOCK == _BLOCK - 1:
                 yield _BLOCK
         yield self._steps % _BLOCK
@@ -329,7 +382,7 @@ class _Part:
             (weather.rain[tick], weather.evapotranspiration[tick], weather.frost[tick])
             for weather in self._batch.weather
         ]).T[:, self._weather_of]
-        self._plants.set_weather(rain, reference * self._beds)
+        self.plants.set_weather(rain, reference * self._beds)
         self._allowed = None if not frost.any() else frost == 0
         closed = (frost != 0) & self._sites.valve_closed_in_frost
         self._closed = closed if closed.any() else None
@@ -343,13 +396,13 @@ class _Part:
                 quiet[rows] = site.quiet.quiet_at(round(start * 1e9) + tick * tick_ns)
         return quiet
 
-    def results(self) -> dict[str, Values]:
+    def results(self, metrics: BatchMetrics) -> dict[str, Values]:
         """Return the metrics of the sites, after the last block."""
         depths = np.array([
             self._sites.tau[0] * weather.rain[: self._steps].sum()
             for weather in self._batch.weather
         ])
-        return self._metrics.results(self._steps, depths[self._weather_of])
+        return metrics.results(self._steps, depths[self._weather_of])
 
 
 def _complete(sites: Sequence[Site], given: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

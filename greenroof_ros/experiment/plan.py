@@ -109,11 +109,17 @@ def simulate_plan(run: Run, max_command: float = 1.0) -> PlanResult:
     return PlanResult(results["total_deviation_m3"], results["pumped_m3"])
 
 
-def find_pumping_ticks(run: Run) -> NDArray[np.bool_]:
-    """Return whether frost and quiet hours let the pumps run, for each tick 0..N-1, shape (N,)."""
-    n, hours = run.steps, run.site.quiet
-    may_pump = np.asarray(np.frombuffer(run.series.frost[:n]) == 0)
+def find_pumping_ticks(run: Run, first: int = 0, last: int | None = None) -> NDArray[np.bool_]:
+    """Return whether frost and quiet hours let the pumps run in some ticks, shape (ticks,).
+
+    Args:
+        run: the run.
+        first: the first tick.
+        last: the tick after the last; by default N.
+    """
+    n, hours = run.steps if last is None else last, run.site.quiet
+    may_pump = np.asarray(np.frombuffer(run.series.frost[first:n]) == 0)
     if hours is not None:
-        times = range(run.time_ns(0), run.time_ns(n), run.time_ns(1) - run.time_ns(0))
-        may_pump &= ~np.fromiter(map(hours.quiet_at, times), bool, n)
+        times = range(run.time_ns(first), run.time_ns(n), run.time_ns(1) - run.time_ns(0))
+        may_pump &= ~np.fromiter(map(hours.quiet_at, times), bool, n - first)
     return may_pump

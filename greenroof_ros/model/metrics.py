@@ -3,7 +3,7 @@
 A metric is a function of the samples of a run, which gives a number for each sample, and a way to
 combine these numbers: their sum, the maximum, the last; hours are counted in ticks. A ratio comes
 from two sums, and the share of rain kept from hourly sums. The same function serves a run in
-progress, block by block (:class:`Metrics`), and a recorded run (:func:`totals_of`).
+progress, block by block (:class:`BlockMetrics`), and a recorded run (:func:`totals_of`).
 
 All sums are sequential Euler sums: a value holds from its sample to the next, and the earlier
 total is added first. So the bits of a sum do not depend on the blocks in which it was made.
@@ -670,11 +670,94 @@ def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, A
     return result
 
 
-# The values of a tick: its state, then what happens until the next.
-_TICK = ("cistern", "roof", "layer", "command", "precipitation", "potential", *Flows._fields)
-_pack_tick = struct.Struct(f"{len(_TICK)}d").pack
-# Ticks that are added up together, in less than half the time of single ticks.
-_BLOCK_BYTES = 4096 * 8 * len(_TICK)
+TICK = ("cistern", "roof", "layer", "command", "precipitation", "potential", *Flows._fields)
+"""The values of a tick, by their names in :class:`Samples`: state, then what happens until the
+next"""
+BLOCK = 4096
+"""Ticks that are added up together, in less than half the time of single ticks."""
+
+_pack_tick = struct.Struct(f"{len(TICK)}d").pack
+_BLOCK_BYTES = BLOCK * 8 * len(TICK)
+
+
+class BlockMetrics:
+    """The metrics of a run in progress, block by block of its ticks.
+
+    A run ends in a state that is given as the values of a last tick, in which nothing happens.
+    """
+
+    def __init__(self, site: Site, start: float = 0.0) -> None:
+        """Begin with pumps stopped.
+
+        Args:
+            site: its parameters.
+            start: of the run (s since 1970).
+        """
+        self._site, self._start = site, start
+        self._totals: dict[str, Any] = {}
+        self._weeks: _Sums | float = 0.0
+        self._done = 0  # ticks that are in the totals
+        self._pumping = False
+        self._starts = np.empty(0)
+
+    def add(self, ticks: Values) -> None:
+        """Add a block.
+
+        Args:
+            ticks: values of at least one tick, shape (:data:`TICK`, n).
+        """
+        samples = self._samples(ticks, self._done)
+        self._totals = _add(self._totals, self._site, samples)
+        self._weeks = self._weekly(samples)
+        self._done += len(samples.roof)
+        self._pumping = bool(_running_share(self._site, samples)[-1])
+        starts = _start_times(self._site, samples) - float(samples.duration.sum())
+        self._starts = starts[starts > -_HOUR_S]
+
+    def results(self, end: Values) -> dict[str, float]:
+        """Return each metric by its name, if the run ends in a state, shape (:data:`TICK`, 1)."""
+        return totals_of(self._site, self._end(end), self._totals)
+
+    def weekly_deviations(self, end: Values) -> list[float]:
+        """Return the total deviation of each week of the run (m3), summed over its ticks.
+
+        A bad fortnight does not show in a season's sum. The last week can be short; it includes the
+        last tick of all, so that the weeks add up to the total.
+
+        Args:
+            end: as for :meth:`results`.
+        """
+        return [float(week) for week in self._weekly(self._end(end)).whole()[0]]
+
+    def events(self, end: Values) -> list[Event]:
+        """Return the events of rain, if the run ends in a state as for :meth:`results`."""
+        return events_of(self._site, self._end(end), self._totals)
+
+    def _end(self, state: Values) -> Samples:
+        """Return the state in which the run ends.
+
+        It counts in the hour and week of the tick before it, and begins no new one.
+        """
+        return self._samples(state, max(0, self._done - 1))
+
+    def _samples(self, ticks: Values, first: int) -> Samples:
+        columns = dict(zip(TICK, ticks, strict=True))
+        count, site = len(columns["roof"]), self._site
+        return Samples(
+            duration=np.full(count, site.tau), pumping_before=self._pumping,
+            earlier_starts=self._starts, time=site.tau * (first + np.arange(count, dtype=float)),
+            start=self._start, discharge_known=True, **columns,
+        )
+
+    def _weekly(self, samples: Samples) -> _Sums:
+        """Return the deviation of each week, further samples included."""
+        week = (samples.time + self._site.tau / 2) // _WEEK_S
+        return _sums_by(self._weeks, np.stack((week, _deviation(self._site, samples))))
+
+
+def end_state(cistern: float, roof: float, layer: float) -> Values:
+    """Return the values of a tick in which nothing happens, shape (:data:`TICK`, 1)."""
+    return np.array([[cistern], [roof], [layer], *[[0.0]] * (len(TICK) - 3)])
 
 
 class Metrics:
@@ -688,13 +771,8 @@ class Metrics:
             plant: cistern and roof, always in the state of the present tick.
             start: of the run (s since 1970).
         """
-        self._site, self._plant, self._start = site, plant, start
-        self._totals: dict[str, Any] = {}
-        self._weeks: _Sums | float = 0.0
-        self._done = 0  # ticks that are in the totals
+        self._plant, self._blocks = plant, BlockMetrics(site, start)
         self._ticks = bytearray()
-        self._pumping = False
-        self._starts = np.empty(0)
 
     def step(
         self, command: float, precipitation: float, potential: float, flows: Flows
@@ -716,57 +794,26 @@ class Metrics:
 
     def results(self) -> dict[str, float]:
         """Return each metric by its name, if the run ends in the present tick."""
-        end = self._end()
-        return totals_of(self._site, end, self._totals)
+        return self._blocks.results(self._end())
 
     def weekly_deviations(self) -> list[float]:
-        """Return the total deviation of each week of the run (m3), summed over its ticks.
-
-        A bad fortnight does not show in a season's sum. The last week can be short; it includes the
-        last tick of all, so that the weeks add up to the total.
-        """
-        return [float(week) for week in self._weekly(self._end()).whole()[0]]
+        """Return the total deviation of each week (m3), if the run ends in the present tick."""
+        return self._blocks.weekly_deviations(self._end())
 
     def events(self) -> list[Event]:
         """Return the events of rain, if the run ends in the present tick."""
-        end = self._end()
-        return events_of(self._site, end, self._totals)
-
-    def _end(self) -> Samples:
-        """Add up all ticks, and return the state in which the run ends.
-
-        That state counts in the hour and week of the tick before it, and begins no new one.
-        """
-        if self._ticks:
-            self._add_ticks()
-        state = self._plant.x1, self._plant.x2, self._plant.layer
-        last = _pack_tick(*state, *[0.0] * (len(_TICK) - len(state)))
-        return self._samples(last, max(0, self._done - 1))
+        return self._blocks.events(self._end())
 
     def __getitem__(self, name: str) -> float:
         """Return the metric of that name."""
         return self.results()[name]
 
-    def _samples(self, ticks: bytes | bytearray, first: int) -> Samples:
-        columns = dict(zip(_TICK, np.frombuffer(ticks).reshape(-1, len(_TICK)).T, strict=True))
-        count, site = len(columns["roof"]), self._site
-        return Samples(
-            duration=np.full(count, site.tau), pumping_before=self._pumping,
-            earlier_starts=self._starts, time=site.tau * (first + np.arange(count, dtype=float)),
-            start=self._start, discharge_known=True, **columns,
-        )
+    def _end(self) -> Values:
+        """Add up all ticks, and return the state in which the run ends."""
+        if self._ticks:
+            self._add_ticks()
+        return end_state(self._plant.x1, self._plant.x2, self._plant.layer)
 
     def _add_ticks(self) -> None:
-        samples = self._samples(self._ticks, self._done)
-        self._totals = _add(self._totals, self._site, samples)
-        self._weeks = self._weekly(samples)
-        self._done += len(samples.roof)
-        self._pumping = bool(_running_share(self._site, samples)[-1])
-        starts = _start_times(self._site, samples) - float(samples.duration.sum())
-        self._starts = starts[starts > -_HOUR_S]
+        self._blocks.add(np.frombuffer(self._ticks).reshape(-1, len(TICK)).T)
         self._ticks = bytearray()
-
-    def _weekly(self, samples: Samples) -> _Sums:
-        """Return the deviation of each week, further samples included."""
-        week = (samples.time + self._site.tau / 2) // _WEEK_S
-        return _sums_by(self._weeks, np.stack((week, _deviation(self._site, samples))))

@@ -427,7 +427,7 @@ def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
         if value is not None:
             entry = f"{parameter.name}: {json.dumps(value)}"
             note = (notes or {}).get(parameter.name, parameter.meaning)
-            lines.append(f"{entry:<30}# {parameter.unit:<7} {note}\n")
+            lines.append(f"{entry:<29} # {parameter.unit:<7} {note}\n")
     return "".join(lines)
 
 

@@ -263,7 +263,7 @@ def test_every_bit_regardless_of_the_blocks(monkeypatch: pytest.MonkeyPatch) -> 
         for k, (x1, x2, command, rain, flows) in enumerate(drawn(4 * 288 + 1, seed=1))
     ]
     for size in (1, 7, 1000):
-        monkeypatch.setattr(metrics_module, "_BLOCK_BYTES", size * 8 * len(metrics_module._TICK))
+        monkeypatch.setattr(metrics_module, "_BLOCK_BYTES", size * 8 * len(metrics_module.TICK))
         metrics = metrics_of(site, ticks)
         results.append((metrics.results(), metrics.weekly_deviations()))
         assert results[-1] == (metrics.results(), metrics.weekly_deviations())
@@ -281,7 +281,7 @@ def test_a_long_run_is_not_copied(monkeypatch: pytest.MonkeyPatch) -> None:
     results = []
     for many, ticks_each in ((4096, 4096), (1, 1), (5, 7), (100, 64)):
         monkeypatch.setattr(metrics_module, "_MANY", many)
-        size = ticks_each * 8 * len(metrics_module._TICK)
+        size = ticks_each * 8 * len(metrics_module.TICK)
         monkeypatch.setattr(metrics_module, "_BLOCK_BYTES", size)
         metrics = metrics_of(site, ticks)
         results.append((metrics.results(), metrics.events(), metrics.weekly_deviations()))

@@ -53,6 +53,8 @@ class Case:
         forecast_files: files of forecasts, by the attribute of the choice that names them.
         bound_block: time (s) that shares a variable when the minimum possible deviation is
             computed; 0 to compute no bound.
+        together: duration of a tick (s) and N, if it can run with others that have the same; None
+            if it runs alone.
     """
 
     inputs: RunInputs
@@ -61,6 +63,7 @@ class Case:
     weather_name: str
     forecast_files: Mapping[str, InputFile]
     bound_block: float
+    together: tuple[float, int] | None
 
     @property
     def controller(self) -> str:

@@ -1,20 +1,29 @@
-"""One run of a study, on any machine."""
+"""The runs of a study, alone or many at once, on any machine."""
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from greenroof_ros.analysis.study.case import Case
+from greenroof_ros.analysis.workers.progress import ShareFile
 from greenroof_ros.controllers.outlet import PRICE
+from greenroof_ros.experiment.batch_runs import simulate_runs
 from greenroof_ros.experiment.clairvoyant import clairvoyant_bound
 from greenroof_ros.experiment.closed_loop import Simulation, record
 from greenroof_ros.experiment.discharge_bound import simulate_frontier
+from greenroof_ros.experiment.run import Run
 from greenroof_ros.recording.events_table import EVENTS, format_events
 from greenroof_ros.recording.results_table import summary_columns
 from greenroof_ros.recording.trajectory import TRAJECTORY
+from greenroof_ros.weather.reading import read_weather
 
+# Fewer cases are quicker alone; of more, an interruption would lose too many, and memory grows.
+_MIN_GROUP, _MAX_GROUP = 4, 100
 
 @dataclass(frozen=True)
 class Outcome:
@@ -27,6 +36,61 @@ class Outcome:
 
     results: dict[str, Any]
     files: dict[str, bytes]
+
+
+def group_cases(
+    cases: Sequence[Case], workers: int, trajectory_every: float | None
+) -> list[tuple[Case, ...]]:
+    """Return cases in groups, each of which a worker runs at once; most are groups of one.
+
+    Args:
+        cases: to run.
+        workers: number of groups that are run at the same time.
+        trajectory_every: as for :func:`run_case`.
+    """
+    together: dict[object, list[Case]] = {}
+    for case in cases:
+        alone = case.together is None or trajectory_every is not None
+        together.setdefault(case.identity if alone else case.together, []).append(case)
+    groups: list[tuple[Case, ...]] = []
+    for alike in together.values():
+        # Those with the same weather next to each other.
+        alike.sort(key=lambda case: (case.weather_name, case.start))
+        if len(alike) < _MIN_GROUP:
+            parts = len(alike)
+        else:
+            rounds = -(-len(alike) // (workers * _MAX_GROUP))
+            parts = min(workers * rounds, len(alike) // _MIN_GROUP)
+        ends = [number * len(alike) // parts for number in range(parts + 1)]
+        groups += [tuple(alike[first:last]) for first, last in pairwise(ends)]
+    return groups
+
+
+def run_cases(
+    directory: Path, cases: Sequence[Case], trajectory_every: float | None, progress: ShareFile
+) -> list[Outcome | Exception]:
+    """Run a group of :func:`group_cases`; return the outcome of each case, or why it failed.
+
+    Args:
+        directory: with the cases' input files.
+        cases: to run.
+        trajectory_every: as for :func:`run_case`.
+        progress: gets the share that is done.
+    """
+    if len(cases) == 1:
+        return [run_case(directory, cases[0], trajectory_every)]
+    read = functools.cache(read_weather)
+    results: dict[str, Outcome | Exception] = {}
+    runs: dict[str, Run] = {}
+    for case in cases:
+        try:
+            runs[case.identity] = case.find_inputs(directory).build(read)
+        except Exception as error:  # of this case alone
+            results[case.identity] = error
+    summaries = simulate_runs(list(runs.values()), progress.write)
+    for identity, made in zip(runs, summaries, strict=True):
+        results[identity] = _make_outcome(made, {})
+    return [results[case.identity] for case in cases]
 
 
 def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Outcome:
@@ -49,9 +113,13 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
     else:
         every = run.count_ticks_between(trajectory_every)
         files[TRAJECTORY] = record(run, simulation.ticks(), every).to_parquet()
-    results = simulation.summary()
-    files[EVENTS] = format_events(results["events"]).encode()
-    return Outcome(summary_columns(results), files)
+    return _make_outcome(simulation.summary(), files)
+
+
+def _make_outcome(results: Mapping[str, Any], files: Mapping[str, bytes]) -> Outcome:
+    """Return the outcome of a run, from the content of its ``summary.json`` and further files."""
+    events = format_events(results["events"]).encode()
+    return Outcome(summary_columns(results), {**files, EVENTS: events})
 
 
 def bound_case(directory: Path, case: Case) -> float:

@@ -23,6 +23,7 @@ from greenroof_ros.common.files import (
 from greenroof_ros.common.ranges import Range
 from greenroof_ros.controllers.outlet import find_horizon
 from greenroof_ros.controllers.registry import BUILT_IN, ControllerChoice, find_controller
+from greenroof_ros.experiment.batch_runs import is_covered
 from greenroof_ros.experiment.clairvoyant import BLOCK_S
 from greenroof_ros.experiment.inputs import RunInputs, make_inputs
 from greenroof_ros.experiment.run import Run, count_ticks
@@ -168,6 +169,9 @@ class _Grid:
             file, weather,
             self._weathers.setdefault(weather, unique_name(Path(name), self._weathers.values())),
             forecast_files, self._bound_block(site),
+            (site.tau, run.steps) if is_covered(
+                site, inputs.controller.kind, inputs.sensor_and_pump, run.steps
+            ) else None,
         )
 
     def _expand_sites(self) -> Iterator[tuple[Site, InputFile]]:
@@ -179,8 +183,7 @@ class _Grid:
                     with self._at(values.lines, "file", f"{file.name} with these values: "):
                         site = read_site(file, own)
                     label = "_".join(
-                        f"{name}-{value if isinstance(value, str) else format_exactly(value)}"
-                        for name, value in own.items()
+                        f"{name}-{_label(value)}" for name, value in own.items()
                     )
                     path = file.with_name(f"{file.stem}_{label.replace('/', '-')}.yaml")
                 yield site, self._input(path, format_site(site).encode())
@@ -424,3 +427,10 @@ class _Grid:
             line = lines.get(error.key or "", lines[otherwise])
             what = f"{prefix}{error.wrong}" if prefix else str(error)
             raise ConfigurationError(what, file=self._path, line=line) from error
+
+
+def _label(value: Any) -> str:
+    """Return a value of a site as a part of a file's name; quiet hours are a list."""
+    if isinstance(value, list):
+        return "+".join(map(_label, value))
+    return value if isinstance(value, str) else format_exactly(value)

@@ -120,7 +120,8 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
         try:
             task = partial(_on_worker, plugin)
             yield Workers(
-                partial(executor.submit, task), lambda future: future.result(), check
+                partial(executor.submit, task), lambda future: future.result(), check,
+                sum(client.nthreads().values()),
             )
         except CancelledError as error:  # not by this process: the scheduler is gone
             raise lost from error

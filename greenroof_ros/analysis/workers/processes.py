@@ -40,6 +40,8 @@ class Workers(NamedTuple):
     """returns what the function of a future returned, or raises what it raised"""
     check: Callable[[], None]
     """raises :class:`WorkersLostError` if no worker is left"""
+    slots: int
+    """number of tasks that run at the same time"""
 
 
 @contextmanager
@@ -53,7 +55,7 @@ def this_process(files: Mapping[str, bytes]) -> Iterator[Workers]:
             future.set_result(function(inputs, *arguments))
             return future
 
-        yield Workers(submit, lambda future: future.result(), check=lambda: None)
+        yield Workers(submit, lambda future: future.result(), lambda: None, 1)
 
 
 @contextmanager
@@ -88,7 +90,7 @@ def processes(
         executor = ProcessPoolExecutor(jobs, context, _prepare, (str(scratch), os.getpid()))
         try:
             task = partial(_to_file, inputs)
-            yield Workers(partial(executor.submit, task), _from_file, check=lambda: None)
+            yield Workers(partial(executor.submit, task), _from_file, lambda: None, jobs)
         except (BrokenProcessPool, EOFError, ConnectionError) as error:  # or as a worker starts
             raise WorkersLostError(
                 "a worker process was killed, perhaps because memory ran out; then use fewer --jobs"
