@@ -20,20 +20,20 @@ from greenroof_ros.nodes.plant import PlantNode
 from greenroof_ros.nodes.recorder import RecorderNode
 from greenroof_ros.nodes.weather import WeatherNode
 
-# How long messages of a node that is not composed are still received after the last tick (s): one
-# that publishes twice a tick can be found only then.
+# How long messages of a node that is not composed here are still received after the last tick (s):
+# a node that publishes twice per tick can be found only then.
 _EXTRA_S = 0.5
-# How often the progress is shown: each of this many checks of the wall clock.
+# How often the progress is shown: at every this many checks of the wall clock.
 _SHOWN_EVERY = 4
 
 
 class Composition:
     """Plant, weather, controller and recorder of one run, as nodes of this process.
 
-    Used in a ``with`` statement, in which :meth:`end` must be called, no matter how the run ends.
+    It is used in a ``with`` statement, in which :meth:`end` must be called however the run ends.
 
     Attributes:
-        refused: how many values the nodes refused, by topic.
+        refused: number of values that the nodes rejected, by topic.
         tick: the tick that the plant has reached; -1 before the first.
     """
 
@@ -41,14 +41,14 @@ class Composition:
         self, run: Run, arguments: Sequence[str], *, record: bool, external: bool,
         progress: RunProgress,
     ) -> None:
-        """Make no node yet.
+        """Set the run; no node is made yet.
 
         Args:
-            run: what is simulated.
-            arguments: of ROS, for all nodes.
+            run: the run to simulate.
+            arguments: ROS arguments for all nodes.
             record: whether there is a recorder.
             external: whether a node of the run is not composed here.
-            progress: shows the run.
+            progress: progress bar that shows the run.
         """
         self._run, self._record = run, record
         self._external = external
@@ -60,7 +60,7 @@ class Composition:
         self._ends = ExitStack()
 
     def __enter__(self) -> Composition:
-        """Return the composition, after ROS was initialised."""
+        """Return the composition after initialising ROS."""
         self._ends.enter_context(ros(self._arguments))
         return self
 
@@ -73,10 +73,10 @@ class Composition:
         """End the nodes, and close the bag.
 
         Args:
-            failure: why the run has failed; None if it has not.
+            failure: why the run failed; None if it did not.
 
         Returns:
-            The first error, also one of the end; None if there was none.
+            The first error, including errors while ending; None if there was none.
         """
         return end_nodes(list(self._nodes.values()), failure)
 
@@ -84,12 +84,12 @@ class Composition:
         """Make the nodes, and run them to the end of the run.
 
         Args:
-            check: called 20 times a second; can raise to end the run with an error.
+            check: called 20 times a second; it can raise an error to end the run.
 
         Raises:
-            LockstepError: the graph cannot go on.
-            ConfigurationError: a parameter is wrong.
-            OSError: a node cannot go on, for instance on a full disk.
+            LockstepError: if the graph cannot go on.
+            ConfigurationError: if a parameter is wrong.
+            OSError: if a node cannot go on, for instance on a full disk.
         """
         run = self._run
         plant = self._nodes["plant"] = PlantNode()
@@ -109,7 +109,7 @@ class Composition:
             spin(list(self._nodes.values()), may_end)
 
     def _finished(self) -> bool:
-        """Whether the run is over for all nodes, and nothing more has come."""
+        """Whether the run is over for all nodes, and nothing more has arrived."""
         now = time.monotonic()
         if not all(node.finished for node in self._nodes.values()):
             self._finished_at = now
@@ -142,7 +142,7 @@ class Composition:
 
     @property
     def refused(self) -> dict[str, int]:
-        """How many values the nodes refused, by topic."""
+        """The number of values that the nodes rejected, by topic."""
         refused: Counter[str] = Counter()
         for node in self._nodes.values():
             refused.update({
@@ -158,7 +158,7 @@ class Composition:
 
     @property
     def results(self) -> dict[str, Any]:
-        """The numbers of a run that is done, for its summary."""
+        """The numbers of a finished run, for its summary."""
         controller = self._nodes.get(self._run.controller.name)
         solver = {"solver": None} if controller is None else controller.result
         recorder = self._nodes[RECORDER].result if self._record else {"messages": None}

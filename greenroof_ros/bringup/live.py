@@ -1,4 +1,4 @@
-"""Keep a live site running: ``greenroof live``; see :mod:`greenroof_ros.live.site_run`."""
+"""Keeps a live site running: ``greenroof live``; see :mod:`greenroof_ros.live.site_run`."""
 
 from __future__ import annotations
 

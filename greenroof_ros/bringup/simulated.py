@@ -1,4 +1,4 @@
-"""Run a simulated site as a ROS 2 graph: ``greenroof run``."""
+"""Runs a simulated site as a ROS 2 graph: ``greenroof run``."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof run",
         usage="%(prog)s [options] [--ros-args ...]",
-        description="Run plant, weather, controller and recorder as ROS 2 nodes of one process, "
+        description="Run plant, weather, controller and recorder as ROS 2 nodes in one process, "
         "in lockstep on simulated time. While it runs, "
         "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
-        "A site with sensors, at which nothing is simulated, is 'greenroof live'.",
+        "For a site with sensors, where nothing is simulated, use 'greenroof live'.",
         epilog="examples:\n"
         "  greenroof run --controller lookahead --initial high-low --horizon 12\n"
         "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
@@ -68,15 +68,15 @@ def make_parser() -> Parser:
         "                                         # greenroof check-controller --help\n"
         "  greenroof run --ros-args -r plant:/roof/level:=/raw\n\n"
         "ROS arguments: -r FROM:=TO remaps a topic in all nodes of the run, -r NODE:FROM:=TO in "
-        "one of them; -r __ns:=/NAME is --namespace; -p NAME:=VALUE is a parameter of the "
-        "controller. Nodes cannot be renamed. Other commands, such as watch, do not know a "
-        "remapped topic.\n\n"
+        "one of them; -r __ns:=/NAME is the same as --namespace; -p NAME:=VALUE sets a parameter "
+        "of the controller. Nodes cannot be renamed. Other commands, such as watch, do not know "
+        "about a remapped topic.\n\n"
         "exit codes: 0 done, 1 a node failed, 2 bad usage, configuration or code of "
         "a controller, 3 a graph is already running, 130 interrupted",
     )
     add_run_arguments(parser)
     output = add_output_arguments(parser)
-    output.add_argument("--no-record", action="store_true", help="no bag")
+    output.add_argument("--no-record", action="store_true", help="do not write a bag")
     add_graph_arguments(parser, "internal")
     return parser
 
@@ -85,7 +85,7 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
     """Build and check the run that the command line describes.
 
     Raises:
-        ConfigurationError: an option or a file that it names is wrong.
+        ConfigurationError: if an option or a file that it names is wrong.
     """
     run = build_run(arguments)
     if arguments.pump == EXTERNAL:
@@ -97,9 +97,9 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
     """Create the run's directory, run the nodes and write the summary; return the exit code.
 
     Raises:
-        ConfigurationError: an option is wrong, a graph runs already, ROS 2 is missing, or the
-            directory cannot be created.
-        OSError: the summary cannot be written.
+        ConfigurationError: if an option is wrong, a graph is already running, ROS 2 is missing, or
+            the directory cannot be created.
+        OSError: if the summary cannot be written.
     """
     with require_ros():
         from greenroof_ros.bringup.composition import Composition

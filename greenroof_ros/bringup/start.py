@@ -1,6 +1,6 @@
-"""Start a graph of any kind, with its watchers if options ask for them.
+"""Starts a graph of any kind, with its watchers if options ask for them.
 
-A watcher is a process of its own; a run neither waits for it nor fails with it.
+A watcher is a separate process; a run neither waits for it nor fails with it.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from greenroof_ros.common.command_line import EXIT_DONE, EXIT_INTERRUPTED
 from greenroof_ros.common.processes import InterruptedRun, Signals, child_environment
 from greenroof_ros.common.standard_error import print_line
 
-# How long the watcher may take to end (s); then it is killed.
+# How long the watcher may take to end (s) before it is killed.
 _ENDING_S = 3.0
 
 
 def bring_up(
     arguments: argparse.Namespace, start: Callable[[Signals], int], stopped: int = EXIT_INTERRUPTED
 ) -> int:
-    """Start a graph, with ``--watch`` and ``--foxglove`` its watchers; return the exit code.
+    """Start a graph, and its watchers with ``--watch`` and ``--foxglove``; return the exit code.
 
     Args:
         arguments: the command line.
         start: runs the graph and returns the exit code.
-        stopped: the exit code if a signal comes before any node was started, or after the run.
+        stopped: the exit code if a signal arrives before any node was started, or after the run.
 
     Raises:
-        ConfigurationError: Foxglove cannot be served at the port.
+        ConfigurationError: if Foxglove cannot be served at the port.
     """
     watchers: dict[str, tuple[str, ...]] = {"watch": ()} if arguments.watch else {}
     if arguments.foxglove is not None:
@@ -58,13 +58,13 @@ def bring_up(
 def _watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
     """Run ``greenroof watch`` during a run; print its output, which begins with its address.
 
-    The watcher ends with the run, however that ends. If it cannot start or ends early, a line
-    states this, and the run goes on.
+    The watcher ends with the run, however the run ends. If it cannot start or ends early, a line
+    says so, and the run goes on.
 
     Args:
-        name: of the watcher, for its lines.
-        namespace: of the graph.
-        options: of the command.
+        name: name of the watcher, for its lines.
+        namespace: namespace of the graph.
+        options: options of the command.
     """
     process = subprocess.Popen(
         [

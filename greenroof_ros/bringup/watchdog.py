@@ -12,20 +12,20 @@ from types import FrameType
 from greenroof_ros.common.command_line import EXIT_FAILED
 from greenroof_ros.common.errors import HangError
 
-# How often it is checked whether the callbacks return (s).
+# How often the watchdog checks whether the callbacks return (s).
 _CHECK_S = 0.25
-# How long after the limit Python code may still take to end (s). What is not Python code, such as a
-# disk that hangs, cannot be ended.
+# How long after the limit Python code may still take to end (s). Whatever is not Python code, such
+# as a disk that hangs, cannot be ended.
 _LAST_S = 5.0
 
 
 class Watchdog:
     """Watches the main thread, which must report between its callbacks; used in a ``with``.
 
-    Nodes of one process share its thread. So a callback that does not return would stop them all,
-    and Ctrl-C, too. After the limit it gets a :class:`HangError`, which ends the run with its bag
-    closed; if that does not help, the process ends, and the bag must be recovered. A pause of the
-    whole process does not count.
+    The nodes of a process share its thread. So a callback that does not return would stop them all,
+    and Ctrl-C, too. After the limit, a :class:`HangError` is raised in it, which ends the run with
+    its bag closed; if that does not help, the process ends, and the bag must be recovered. A pause
+    of the whole process does not count.
     """
 
     def __init__(self, limit: Callable[[], float]) -> None:

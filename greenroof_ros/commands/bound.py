@@ -1,4 +1,4 @@
-"""What no controller could beat, deviation or discharge in wet weather: ``greenroof bound``."""
+"""What no controller could beat, in deviation or wet-weather discharge: ``greenroof bound``."""
 
 from __future__ import annotations
 
@@ -50,16 +50,16 @@ def _table(result: dict[str, Any]) -> Table:
         ("bound", f"{result['bound_m3']:.2f}", "m3, total deviation that no controller can beat"),
         (
             "plan", f"{result['plan_m3']:.2f}",
-            "m3, of lookahead with all weather known, run through the exact plant",
+            "m3, from lookahead with all weather known, run through the exact plant",
         ),
         (
             "gap", "-" if gap is None else f"{100 * gap:.4f} %",
-            "between the bound and the plan; the optimum lies in it. On a measured soil "
-            "mostly due to the bound, whose program replaces the soil by straight lines",
+            "between the bound and the plan; the optimum lies within it. On field-capacity soil, "
+            "it is mostly due to the bound, whose program replaces the soil with straight lines",
         ),
         (
             "pumped", f"{result['pumped_m3']:.4f}",
-            f"m3 by the plan, at a command of at most {result['max_command']:g}",
+            f"m3 in the plan, at a command of no more than {result['max_command']:g}",
         ),
         ("block", f"{result['block_s']:g} s", "that share one variable"),
     )
@@ -72,11 +72,11 @@ def make_parser() -> Parser:
         prog="greenroof bound",
         usage="%(prog)s [options]",
         description="Compute a lower bound of the total deviation that any controller could "
-        "reach if it knew all weather, and the result of lookahead's plan in the exact plant. "
-        "The optimum lies in between. It is the same for every controller. With --of discharge, "
-        "at a site with a valve on the low outlet: a lower bound of the discharge in wet weather "
-        "for some amounts of mains water, whatever commands the valve, for the irrigation of "
-        "on/off control.",
+        "achieve if it knew all weather in advance, and the result of lookahead's plan in the "
+        "exact plant. The optimum lies between the two. It is the same for every controller. With "
+        "--of discharge, at a site with a valve on the low outlet: compute a lower bound of the "
+        "discharge in wet weather for some amounts of mains water, whatever commands the valve, "
+        "with the irrigation of on/off control.",
         epilog="examples:\n"
         "  greenroof bound --start 2021-07-08T05:00\n"
         "  greenroof bound --block 1 --hours 2 --max-command 0.1\n"
@@ -87,16 +87,16 @@ def make_parser() -> Parser:
     group = parser.add_argument_group("the bound")
     group.add_argument(
         "--of", choices=("deviation", "discharge"), default="deviation",
-        help="what is bounded (default: %(default)s)",
+        help="quantity to bound (default: %(default)s)",
     )
     group.add_argument(
         "--block", type=make_number_type(1e-9, 1e9), metavar="S",
-        help="seconds that share one variable: shorter is tighter and slower, one tick is exact "
+        help="seconds that share one variable: fewer are tighter and slower; one tick is exact "
         f"and takes a minute for 12 h (default: {BLOCK_S:g}, or one tick if that is longer)",
     )
     group.add_argument(
         "--max-command", type=make_number_type(1e-9, 100.0), default=1.0, metavar="U",
-        help="maximum command, a share of the maximum flow (default: %(default)g)",
+        help="maximum command, as a share of the maximum flow (default: %(default)g)",
     )
     group.add_argument("--json", action="store_true", help="print JSON instead of a table")
     return parser
@@ -123,7 +123,7 @@ def _show_frontier(run: Run) -> Frontier:
 
 
 def _print_frontier(run: Run, as_json: bool) -> None:
-    """Print the minimum discharge in wet weather for each amount of mains water."""
+    """Print the minimum discharge in wet weather for every amount of mains water."""
     frontier = _show_frontier(run)
     result = {
         **describe_setting(run), "wet_discharge_m3": frontier.wet_discharge_m3,
@@ -151,7 +151,7 @@ def _print_frontier(run: Run, as_json: bool) -> None:
 
 @command
 def main() -> int:
-    """Compute the bound of the run on the command line."""
+    """Compute the bound for the run on the command line."""
     parser = make_parser()
     arguments = parser.parse_args()
     if arguments.of == "discharge" and (arguments.block, arguments.max_command) != (None, 1.0):

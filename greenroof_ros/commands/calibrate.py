@@ -1,4 +1,4 @@
-"""Fit a site's roof to a measured record: ``greenroof calibrate MEASURED``."""
+"""Fits a site's roof to a measured record: ``greenroof calibrate MEASURED``."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ from greenroof_ros.model.site import Site, read_site
 
 _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
-drainage time and crop coefficient, as far as the record determines them. The first half of its rain
-is fitted, the second validates the fit. If the record has the pumps' state and the cistern's level,
-the pump curve is fitted first, to how fast the cistern falls.
+drainage time and crop coefficient, as far as the record determines them. The fit uses the first
+half of the rain, and the second half validates it. If the record contains the pumps' state and the
+cistern's level, the pump curve is fitted first, to the speed at which the cistern's level falls.
 """
 _EPILOG = """\
-MEASURED is a bag of this project, or CSV with rows at most a day apart; empty
+MEASURED is a bag of this project, or CSV with rows no more than a day apart; empty
 cells and missing rows are gaps:
 
   time, rain [mm], runoff [mm], level [m], temperature [degC]
 
 The model has no snow: if winters were recorded, state which months count, as in --months 4-10.
 
-It writes the site file, and a page next to it with its name and .html.
+The command writes the site file, and next to it a page with the same name and .html.
 
 examples:
   greenroof calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
@@ -66,15 +66,15 @@ def make_parser() -> Parser:
     parser.add_argument(
         "measured", type=Path, metavar="MEASURED", help="the record: CSV, a bag, or an .mcap file",
     )
-    add_site(parser, "site file with which the fit starts")
+    add_site(parser, "site file from which the fit starts")
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE.yaml",
-        help="site file to write; not one that exists",
+        help="site file to write, which must not exist",
     )
     parser.add_argument(
         "--months", metavar="FIRST-LAST",
         help="months of the record that are fitted and judged, such as 4-10, or 11-3 over new "
-        "year; the others are simulated only (default: all)",
+        "year; the other months are only simulated (default: all)",
     )
     return parser
 
@@ -101,8 +101,8 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
 
     Args:
         measured: the record.
-        months: of it that count, as --months has them; None for all.
-        site_file: the file with which the fit starts.
+        months: months of it that count, as in --months; None for all.
+        site_file: the file from which the fit starts.
     """
     with require_extra("study"):
         from greenroof_ros.analysis.calibration.page import render
@@ -120,7 +120,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
     pumps = fit_pumps(site, record.select(counts))
     site = pumps.site
     if pumps.parameters:
-        record = read(site)  # the fitted pumps turn their state into another flow
+        record = read(site)  # with the fitted pumps, their state means a different flow
     counted = record.select(counts)
     warnings = check_record(counted, site)
     for warning in warnings:
@@ -159,30 +159,34 @@ def _list_notes(
     compared = sum(int(np.count_nonzero(steps)) for steps in halves.values()) * days
     notes = [
         f"compared: {compared:.3g} of {record.steps * days:.3g} days; the others have gaps, are in "
-        "months that do not count, or follow a time in which a storm may have come unrecorded"
+        "months that do not count, or follow a time in which a storm may have gone unrecorded"
     ]
     if fitted.z_veg != before.z_veg:
         notes.append(
             f"target: z_veg was {before.z_veg:g} m, and the fitted roof holds "
             f"{fitted.roof_level(fitted.z_cap):.3g} m; it is set to {fitted.z_veg:g} m, where half "
-            "of what plants can take is left (FAO-56, chapter 8): choose your own"
+            "of what plants can take is left (FAO-56, chapter 8): choose your own target"
         )
     if pumps.runs:
         notes.append(
-            f"pumps: {1000 * pumps.flow:.3g} l/s at full command, {1000 * pumps.half:.2g} l/s "
-            f"either way (95 %), with {pumps.level:.2f} m in the cistern; from {pumps.runs} runs"
+            f"pumps: {1000 * pumps.flow:.3g} l/s at full command, plus or minus "
+            f"{1000 * pumps.half:.2g} l/s (95 %), with {pumps.level:.2f} m in the cistern; from "
+            f"{pumps.runs} runs"
         )
     elif record.command is not None and record.cistern is not None:
-        notes.append("pumps: fewer than ten runs in which nothing else moves the cistern's level")
+        notes.append(
+            "pumps: not fitted, since there are fewer than ten runs in which nothing else changes "
+            "the cistern's level"
+        )
     return notes
 
 
 def _refuse_dry(record: StepRecord, halves: Mapping[str, Steps]) -> None:
-    """Refuse a record if there is nothing to fit, or nothing to judge the fit."""
+    """Reject a record if there is nothing to fit, or nothing to judge the fit by."""
     for half, steps in zip(("first", "second"), halves.values(), strict=True):
         if not steps.any() or all(np.ptp(each[steps]) == 0 for each in record.measured.values()):
             raise ConfigurationError(
-                f"in the {half} half of its rain nothing that was measured changes, and each half "
+                f"in the {half} half of its rain, nothing that was measured changes, and each half "
                 "must have runoff or levels that do, to fit and to judge the fit; leave out rows "
                 "at the dry end, or record longer, with fewer gaps", file=record.source,
             )

@@ -1,4 +1,4 @@
-"""Fetch a forecast from the internet into a file: ``greenroof fetch-forecast``."""
+"""Fetches a forecast from the internet into a file: ``greenroof fetch-forecast``."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof fetch-forecast",
         usage="%(prog)s [options]",
-        description="Ask Open-Meteo for the forecast at the site, and write the file that a "
-        "live site reads. The data are under the licence CC BY 4.0; the service is free for "
+        description="Request the forecast for the site from Open-Meteo, and write the file that a "
+        "live site reads. The data are licensed under CC BY 4.0; the service is free for "
         "non-commercial use.",
         epilog="examples:\n"
         "  greenroof fetch-forecast --site site.yaml --ensemble\n"
         "  greenroof fetch-forecast --site site.yaml --keep forecasts/    # each hour, by cron\n"
         "  greenroof verify forecasts/ --site site.yaml --weather gauge.csv\n\n"
         "'greenroof live --forecast open-meteo' does the same every half hour.\n\n"
-        "exit codes: 0 done, 1 the service gave no forecast, 2 wrong usage or configuration, "
+        "exit codes: 0 done, 1 the service returned no forecast, 2 wrong usage or configuration, "
         "130 ended by Ctrl-C",
     )
     add_site(parser, "site file, with its place and its plants")
     parser.add_argument(
         "--ensemble", action="store_true",
-        help="all members of an ensemble, as lookahead uses them; otherwise one forecast",
+        help="request all members of an ensemble, for lookahead; otherwise a single forecast",
     )
     parser.add_argument(
         "--model", default="", metavar="NAME",
-        help="weather model by the service's name, such as icon_seamless (default: the service's "
+        help="weather model, by the service's name, such as icon_seamless (default: the service's "
         "choice for the place)",
     )
     parser.add_argument(
         "--days", type=make_number_type(1, MAX_DAYS, int), default=7, metavar="N",
-        help="days that it covers, from today (default: %(default)s)",
+        help="number of days that it covers, from today (default: %(default)s)",
     )
     parser.add_argument(
         "--url", default="",
@@ -62,12 +62,12 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("forecast.csv"), metavar="FILE",
-        help="file to write; each newer forecast replaces it (default: %(default)s)",
+        help="file to write; every newer forecast replaces it (default: %(default)s)",
     )
     parser.add_argument(
         "--keep", type=Path, metavar="DIR",
-        help="directory that keeps each new forecast, 2 GB at most; verify, and "
-        "--forecast of simulate, read it",
+        help="directory that keeps every new forecast, up to 2 GB; verify, and --forecast of "
+        "simulate, read it",
     )
     return parser
 

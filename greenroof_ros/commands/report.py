@@ -11,7 +11,7 @@ from greenroof_ros.common.files import add_path_to_errors
 from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.experiment.run_directory import writable
 
-# A report's directory holds this file and figures/.
+# A report's directory contains this file and figures/.
 _PAGE = "report.html"
 
 _DESCRIPTION = """\
@@ -19,10 +19,10 @@ Evaluate and plot runs: figures of deviation, levels and flows, and tables of de
 balance, energy and pump starts, on one page that needs nothing but a browser.
 """
 _EPILOG = """\
-The output holds report.html, and each figure as SVG and PNG in figures/. A bag needs
-/cistern/level, /roof/level, /pump/command and /pump/flow, under a namespace perhaps; what else is
-missing is treated as 0, and the report notes this. The pumps' efficiency is pump_efficiency of the
-site.
+The output consists of report.html, and all figures as SVG and PNG in figures/. A bag needs
+/cistern/level, /roof/level, /pump/command and /pump/flow, possibly in a namespace; anything else
+that is missing is treated as 0, and the report notes this. The pumps' efficiency is the site's
+pump_efficiency.
 
 examples:
   greenroof report studies/paper                   a study
@@ -40,16 +40,16 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH",
-        help="a study, a run or a bag (their directories), or an .mcap file",
+        help="a study, a run or a bag (the directory), or an .mcap file",
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="directory of the report, new, empty or with an earlier report, which is replaced; "
+        help="directory of the report: new, empty or with an earlier report, which is replaced; "
         "other files are never replaced (default: report in the first PATH)",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
-        help="site of the bags (default: configuration/site.yaml next to each, else the paper's)",
+        help="site of the bags (default: configuration/site.yaml next to each, or the paper's)",
     )
     return parser
 
@@ -58,18 +58,18 @@ def _former_figures(directory: Path, own: Callable[[str], bool]) -> list[Path]:
     """Return the figures of an earlier report, which the new one replaces.
 
     Args:
-        directory: of the new report.
-        own: returns by its name whether a file in ``figures/`` belongs to a report.
+        directory: directory of the new report.
+        own: returns, from its name, whether a file in ``figures/`` belongs to a report.
 
     Raises:
-        ConfigurationError: there are other files.
+        ConfigurationError: if there are other files.
     """
     figures = directory / "figures"
     others = [file for file in directory.glob("*") if file not in (figures, directory / _PAGE)]
     others += [file for file in figures.glob("*") if not (file.is_file() and own(file.name))]
     if others:
         raise ConfigurationError(
-            f"holds {min(others).relative_to(directory)}, which does not belong to a report; "
+            f"contains {min(others).relative_to(directory)}, which does not belong to a report; "
             "choose another directory", key="--output", value=str(directory),
         )
     return list(figures.glob("*"))

@@ -1,4 +1,4 @@
-"""Simulate a run in one process, without ROS: ``greenroof simulate``."""
+"""Simulates a run in one process, without ROS: ``greenroof simulate``."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof simulate",
         usage="%(prog)s [options]",
-        description="Run cistern, roof, pumps and controller over real weather in one process, "
-        "without ROS. The numbers equal the node graph's (greenroof run), bit for bit.",
+        description="Run cistern, roof, pumps and controller with real weather in one process, "
+        "without ROS. The numbers equal those of the node graph (greenroof run), bit for bit.",
         epilog="examples:\n"
         "  greenroof simulate --controller lookahead --horizon 12 --trajectory\n"
         "  greenroof simulate --start 2021-07-08T05:00 --hours 6 --trajectory\n"
@@ -50,24 +50,24 @@ def make_parser() -> Parser:
     group = add_output_arguments(parser)
     group.add_argument(
         "--trajectory", action="store_true",
-        help="write every tick 0..N to trajectory.csv in the run's directory, which greenroof "
-        "report draws; the digits are exact",
+        help="write every tick 0..N to trajectory.csv in the run's directory, from which greenroof "
+        "report draws; the numbers are written exactly",
     )
     group.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
-        help="the same with a tick every S seconds, and the last, instead of all: at a hundred "
-        "bytes per tick a year takes gigabytes",
+        help="write a tick only every S seconds, and the last one, instead of all: at a hundred "
+        "bytes per tick, a year takes gigabytes",
     )
     return parser
 
 
 @command
 def main() -> None:
-    """Simulate the run that the command line asks for."""
+    """Simulate the run that the command line describes."""
     arguments = make_parser().parse_args()
     run = build_run(arguments)
     every = run.count_ticks_between(arguments.trajectory_every)
-    simulation = Simulation(run)  # a controller that cannot be made leaves no directory
+    simulation = Simulation(run)  # if a controller cannot be made, there is no directory
     directory = make_run_directory(arguments.output, run.controller.name)
     with _described(run, simulation, directory):
         write_configuration(directory, run, {})
@@ -85,7 +85,7 @@ def main() -> None:
 
 @contextmanager
 def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[None]:
-    """Keep a summary of a run until it is done: that it runs, then how it ended without results."""
+    """Keep a summary of a run until it is done: that it is running, or how it ended early."""
     def write(status: str, reason: str | None = None) -> None:
         last = simulation.site.tick - 1
         summary.write(summary.make_unfinished_summary(
@@ -107,7 +107,7 @@ def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[No
 def _paced(
     run: Run, ticks: Iterator[Tick], speed: float, progress: RunProgress
 ) -> Iterator[Tick]:
-    """Yield the ticks, at a speed if it is not 0, and show the progress."""
+    """Yield the ticks, at a certain speed if it is not 0, and show the progress."""
     began = shown = time.monotonic()
     for tick in ticks:
         yield tick
@@ -121,7 +121,7 @@ def _paced(
 
 
 def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterator[Tick]:
-    """Yield the ticks, and write the first of so many, and the last, to a new file."""
+    """Yield the ticks, and write every n-th of them, and the last one, to a new file."""
     columns = columns_of(run.site)
     values = attrgetter(*(column.tick for column in columns))
     with add_path_to_errors(file), file.open("x", newline="") as stream:

@@ -59,8 +59,8 @@ _NOTES = {
 
 _DESCRIPTION = """\
 Run every combination of a grid - sites, weather windows, initial states, controllers and their
-parameters - in parallel, and put the results in one table, results.csv. The paper's 30 runs, unless
-another grid is given. After an interruption or a kill, run the same command again to continue.
+parameters - in parallel, and collect the results in one table, results.csv. Without a grid, these
+are the paper's 30 runs. After an interruption or a kill, run the same command again to continue.
 """
 _EPILOG = """\
 exit codes: 0 done, 1 a run failed (the others are in the table) or the workers are gone (run
@@ -82,28 +82,29 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "grid", nargs="?", type=Path, metavar="GRID.yaml",
-        help="the grid, yours or of this package (default: config/studies/paper.yaml, the paper's)",
+        help="the grid, your own or this package's (default: the paper's, "
+        "config/studies/paper.yaml)",
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="directory of the study, new or begun before (default: studies/ and the grid's name)",
+        help="directory of the study, new or begun earlier (default: studies/ and the grid's name)",
     )
     parser.add_argument(
         "--weather", type=Path, metavar="DIR",
-        help="directory of weather files that the grid names and that are not next to it, such as "
+        help="directory of weather files that the grid names but that are not next to it, such as "
         "the record of years for config/studies/seasons.yaml",
     )
     add_worker_arguments(parser, "runs")
     trajectories = parser.add_mutually_exclusive_group()
     trajectories.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
-        help="keep a sample of each run every S seconds, in whole ticks: half a year in ticks of a "
-        "second takes a gigabyte of memory (default: every tick)",
+        help="keep a sample of each run every S seconds, in whole ticks: with one-second ticks, "
+        "half a year takes a gigabyte of memory (default: every tick)",
     )
     trajectories.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep only the table and the events of rain, for thousands of runs. Runs of onoff in "
-        "ticks of a minute or so are then several times as fast. A report has no figures of "
+        help="keep only the table and the rain events, for thousands of runs. Runs of onoff in "
+        "ticks of about a minute are then several times as fast. A report has no figures of "
         "weather, commands and volumes",
     )
     return parser

@@ -1,4 +1,4 @@
-"""Compare forecasts with records: ``greenroof verify FORECASTS --weather FILE``."""
+"""Compares forecasts with records: ``greenroof verify FORECASTS --weather FILE``."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import find_files, read_weather
 
 _DESCRIPTION = """\
-Score rain forecasts against records: by lead time, and by sums over hours, with the events among
-them. FORECASTS are an archive, a file or a directory of files as --forecast of simulate takes
-them.
+Score rain forecasts against records, by lead time and by sums over hours, including the events
+among these sums. FORECASTS are an archive: a file or a directory of files, as for --forecast of
+simulate.
 """
 _EPILOG = """\
   bias   forecast rain over observed rain
   r      correlation
   POD    probability of detection: events that were forecast over events
-  FAR    false alarm ratio: forecast events that did not come over forecast
-         events
+  FAR    false alarm ratio: forecast events that did not occur over forecast
+  events
   ETS    equitable threat score: 1 is perfect, 0 is no skill
   Brier  mean squared error of the event's probability
-  CRPS   error of the whole distribution (mm), the fair one, alike for any
-         number of members; of a single forecast the mean error
+  CRPS   error of the whole distribution (mm), in its fair form, comparable for
+         any number of members; for a single forecast, the mean error
 
-For an ensemble the first five use member 0, the last two all members.
+For an ensemble, the first five use member 0, the last two all members.
 
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
@@ -55,10 +55,10 @@ examples:
 
 exit codes: 0 done, 2 bad usage, configuration or file
 """
-# Default sums: hours, and the mm from which such a sum is an event.
+# Default sums: hours, and the mm from which such a sum counts as an event.
 _SUMS = ((1, 1.0), (6, 2.0), (12, 3.0), (24, 5.0))
 _MAX_HOURS = 384
-# Notes of files that are printed; an archive can have one for each of its issues.
+# Notes about files that are printed; an archive can have one for every issue.
 _MAX_NOTES = 20
 
 
@@ -75,21 +75,21 @@ def make_parser() -> Parser:
     whole_hours = make_number_type(1, _MAX_HOURS, int)
     parser.add_argument(
         "--sums", type=whole_hours, nargs="+", metavar="H",
-        help="hours of a sum; several may be given (default: 1, 6, 12 and 24, if they divide "
+        help="hours of a sum, or of several sums (default: 1, 6, 12 and 24, if they divide "
              "--lead)",
     )
     parser.add_argument(
         "--events", type=make_number_type(1e-3, 1e3), nargs="+", metavar="MM",
-        help="for each of --sums, the mm from which a sum is an event (default: 1, 2, 3 and 5)",
+        help="for each of --sums, the mm from which it counts as an event (default: 1, 2, 3 and 5)",
     )
     parser.add_argument(
         "--lead", type=whole_hours, default=24, metavar="H",
-        help="hours of lead time that are scored together, a multiple of each sum (default: "
+        help="hours of lead time that are scored together, a multiple of every sum (default: "
         "%(default)s, days)",
     )
     parser.add_argument(
         "--horizon", type=whole_hours, default=120, metavar="H",
-        help="how many hours ahead are scored (default: %(default)s)",
+        help="number of hours ahead that are scored (default: %(default)s)",
     )
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.csv", help="write all scores as CSV",
@@ -149,7 +149,7 @@ def _read_sums(arguments: argparse.Namespace) -> list[Sum]:
     if arguments.sums is None and arguments.events is None:
         return [Sum(*values) for values in _SUMS if arguments.lead % values[0] == 0]
     if arguments.sums is None or arguments.events is None:
-        raise ConfigurationError("must be given together", key="--sums and --events")
+        raise ConfigurationError("must be used together", key="--sums and --events")
     if len(arguments.sums) != len(arguments.events):
         raise ConfigurationError(
             f"must be as many as --sums, {len(arguments.sums)}, not {len(arguments.events)}",
@@ -158,7 +158,7 @@ def _read_sums(arguments: argparse.Namespace) -> list[Sum]:
     for hours in arguments.sums:
         if arguments.lead % hours or arguments.sums.count(hours) > 1:
             raise ConfigurationError(
-                f"must each divide --lead, {arguments.lead} h, and be given once",
+                f"must each divide --lead, {arguments.lead} h, and appear only once",
                 key="--sums", value=hours,
             )
     return [Sum(*values) for values in zip(arguments.sums, arguments.events, strict=True)]

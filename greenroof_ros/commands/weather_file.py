@@ -1,4 +1,4 @@
-"""Describe weather files, and write them as one plain CSV: ``greenroof weather FILE``."""
+"""Describes weather files, and writes them as one plain CSV: ``greenroof weather FILE``."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from greenroof_ros.weather.series import Weather
 _DESCRIPTION = """\
 Read weather as simulate does, and describe it: service, place, period, columns, sums of rain,
 gaps, what is odd, and how evapotranspiration would be computed. Several files are joined. Your own
-file needs only the times and a column 'rain [mm]': the amount of each row, which begins at its
-time. Rows are an hour apart, or less at a regular step. With a column 'temperature [degC]'
-evapotranspiration is computed by Hargreaves; without it the site's monthly means are used, and no
-frost is assumed.
+file needs only the times and a column 'rain [mm]': the amount in each row, which begins at its
+time. Rows are at a regular interval of an hour or less. With a column 'temperature [degC]',
+evapotranspiration is computed with Hargreaves' equation; without it, the site's monthly means are
+used, and no frost is assumed.
 """
 _EPILOG = """\
 your own file:
@@ -49,9 +49,9 @@ examples:
 
 exit codes: 0 done, 2 bad usage, configuration or file
 """
-# Above this number of months, rain is summed over years.
+# For more months than this, rain is summed by year.
 _MAX_MONTHS = 24
-# Spans of hours, and implausible things, that the table names.
+# Maximum number of spans of hours, and of implausible things, that the table names.
 _MAX_NAMED = 3
 
 
@@ -64,11 +64,11 @@ def make_parser() -> Parser:
     add_site(parser, "site file, for place, time zone and monthly means")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.csv",
-        help="write a new CSV in this project's format; a run gives the same numbers with it",
+        help="write a new CSV in this project's format, with which a run yields the same numbers",
     )
     parser.add_argument(
         "--stamped", choices=STAMPS,
-        help="what the time of a row of your own file is: its start, or its end (default: as the "
+        help="whether the time of a row in your own file is its start or its end (default: as the "
         "comment 'stamped: end' states, otherwise start)",
     )
     return parser
@@ -82,7 +82,7 @@ def main() -> None:
     if output is not None:
         refuse_unwritable(output, (".csv",), "--output")
     site = read_site(arguments.site)
-    # A file of another place is described, too; a run refuses it, or warns.
+    # A file for another place is described, too; a run rejects it, or warns.
     anywhere = replace(site, latitude=None, longitude=None, elevation=None)
     measured = read_measured(find_files(arguments.files, "FILE"), anywhere, arguments.stamped)
     table = grid("Weather", _describe(measured, site))
@@ -120,7 +120,7 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
         )
     yield from _sum_rain(measured)
     if measured.rain_late:
-        yield "rain", "1 h late", "its time is the end of its hour; a run takes it as the start"
+        yield "rain", "1 h late", "its time is the end of its hour; a run treats it as the start"
     if measured.rain_kind:
         yield "rain", measured.rain_kind, measured.rain_note
     missing = {name: np.isnan(weather.values[name]) for name in measured.values}
@@ -141,7 +141,7 @@ def _name_formats(measured: Records) -> str:
 
 
 def _describe_places(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
-    """Yield a row for each place of the records, with its distance if the site's is known."""
+    """Yield a row for every place in the records, with its distance if the site's is known."""
     for place in dict.fromkeys(measured.places.values()):
         away = ""
         if site.latitude is not None and site.longitude is not None:
@@ -152,11 +152,11 @@ def _describe_places(measured: Records, site: Site) -> Iterator[tuple[str, str, 
             )
         yield "place", format_place(*place), away
     if not measured.places:
-        yield "place", "not given", ""
+        yield "place", "not stated", ""
 
 
 def _sum_rain(measured: Records) -> Iterator[tuple[str, str, str]]:
-    """Yield the rain of each month (mm) by the records' clock, of long records of each year."""
+    """Yield the rain by month (mm) on the records' clock, or by year for long records."""
     rain = measured.values[PRECIPITATION]
     first = np.datetime64(measured.first.replace(tzinfo=None), "h")
     months = (first + np.arange(len(rain))).astype("datetime64[M]")
@@ -173,7 +173,7 @@ def _sum_rain(measured: Records) -> Iterator[tuple[str, str, str]]:
 
 
 def _describe_evapotranspiration(weather: Weather, unknown: str) -> tuple[str, str, str]:
-    """Return the row of evapotranspiration: its method and mean; or why there is none."""
+    """Return the row of evapotranspiration: its method and mean, or why there is none."""
     if unknown:
         return "EVAPOTRANSPIRATION", "unknown", unknown
     known = weather.evapotranspiration[~np.isnan(weather.evapotranspiration)]
@@ -185,7 +185,7 @@ def _describe_evapotranspiration(weather: Weather, unknown: str) -> tuple[str, s
 
 
 def _average_months(weather: Weather, site: Site) -> Iterator[tuple[str, str, str]]:
-    """Yield the monthly means of reference grass, as a site file has them, if all are known."""
+    """Yield the monthly means for reference grass, as in a site file, if all are known."""
     first = np.datetime64(weather.first.replace(tzinfo=None), "h")
     months = (first + np.arange(weather.hours)).astype("datetime64[M]").astype(int) % 12
     known = ~np.isnan(weather.evapotranspiration)
@@ -201,6 +201,6 @@ def _count_missing(separator: str, missing: int) -> str:
 
 
 def _shorten(texts: Sequence[str]) -> str:
-    """Return the first of some texts, and how many there are besides."""
+    """Return the first of some texts, and how many more there are."""
     more = len(texts) - _MAX_NAMED
     return "; ".join([*texts[:_MAX_NAMED], *([f"and {more} more"] if more > 0 else [])])

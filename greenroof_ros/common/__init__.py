@@ -1,1 +1,1 @@
-"""Code that every part shares: errors, files, command line, times, the interface."""
+"""Code that all parts share: errors, files, the command line, times and the interface."""

@@ -1,4 +1,4 @@
-"""The record of a site's alarms, ``alarms.jsonl``, and how it is read."""
+"""The record of a site's alarms, ``alarms.jsonl``, and the code that reads it."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from greenroof_ros.common.alarms import Alarm, Change
 from greenroof_ros.common.disk import DISK
 from greenroof_ros.common.times import iso
 
-# The file's name in the directory of a site, next to the bag, and its name once it is full.
+# The file's name in the site's directory, next to the bag, and the name it takes once it is full.
 ALARMS = "alarms.jsonl"
 _OLDER = f"{ALARMS}.1"
 _SUMMARY = "summary.json"
-# Size at which the file is renamed, replacing the one before: over a thousand alarms (bytes).
+# Size at which the file is renamed, replacing the previous one: over a thousand alarms (bytes).
 _FULL = 1_000_000
-# Number kept in memory and in the summary; all are counted.
+# Number of alarms kept in memory and in the summary; all of them are counted.
 _NEWEST = 200
 _TIMES = "since", "ended"
 
 
 def to_record(alarm: Alarm) -> dict[str, Any]:
-    """Return an alarm as it is in the file and in a summary."""
+    """Return an alarm as it is written to the file and to a summary."""
     record = {**asdict(alarm), "about": list(alarm.about)}
     for key in _TIMES:
         if record[key] is not None:
@@ -37,11 +37,11 @@ def to_record(alarm: Alarm) -> dict[str, Any]:
 
 
 def _read_record(record: Mapping[str, Any]) -> Alarm:
-    """Return the alarm of a record.
+    """Return the alarm that a record describes.
 
     Raises:
-        ValueError: it is not an alarm's.
-        TypeError: likewise.
+        ValueError: if the record is not an alarm's.
+        TypeError: in the same case.
     """
     times = {
         key: None if record.get(key) is None else datetime.fromisoformat(record[key]).timestamp()
@@ -51,19 +51,19 @@ def _read_record(record: Mapping[str, Any]) -> Alarm:
 
 
 def read_alarms(directory: Path) -> list[Alarm]:
-    """Return the newest recorded alarms of a live site, in order of number.
+    """Return the newest recorded alarms of a live site, ordered by number.
 
     Each line of the file is an alarm as it was known when the line was written; the last line with
-    a number counts. Without the file, which a full disk may have prevented, those of the summary
-    count.
+    a given number is the valid one. If there is no file, because a full disk prevented it, the
+    alarms in the summary are returned.
 
     Args:
-        directory: of the site.
+        directory: directory of the site.
 
     Raises:
-        OSError: a file cannot be read.
-        ValueError: something in it is not an alarm. An incomplete last line, cut by a crash, is
-            ignored, and so is a summary that is none.
+        OSError: if a file cannot be read.
+        ValueError: if something in it is not an alarm. An incomplete last line, cut off by a crash,
+            is ignored, and so is a summary that is not valid.
     """
     alarms: dict[int, Alarm] = {}
     for path in (directory / _OLDER, directory / ALARMS):
@@ -92,20 +92,20 @@ def _read_file(path: Path) -> Iterator[Alarm]:
 
 
 class AlarmLog:
-    """Prints each change of an alarm, and stores it at once.
+    """Prints every change of an alarm and stores it immediately.
 
     Attributes:
-        last_number: number of the last alarm of earlier starts.
-        count: number of alarms since, without warnings and what followed from others.
-        changes: how often something has changed.
+        last_number: number of the last alarm before this start.
+        count: number of alarms since this start, not counting warnings and consequences of others.
+        changes: number of changes so far.
     """
 
     def __init__(self, print_line: Callable[[str], None], file: Path) -> None:
-        """Continue the file of earlier starts; an alarm that lasted then ends now.
+        """Continue the file of earlier starts; alarms that were still active then end now.
 
         Args:
-            print_line: prints a line for people.
-            file: where the disk thread stores each change.
+            print_line: prints a line for people to read.
+            file: file in which the disk thread stores every change.
         """
         self.last_number = self.count = self.changes = 0
         self._print_line, self._file = print_line, file
@@ -117,7 +117,7 @@ class AlarmLog:
             print_line(f"warning: {error}; the alarms of earlier starts are not shown")
 
     def _resume(self) -> None:
-        if self._file.is_file():  # a crash may have cut its last line
+        if self._file.is_file():  # a crash may have cut off its last line
             os.truncate(self._file, self._file.read_bytes().rfind(b"\n") + 1)
         began = time.time()
         for alarm in read_alarms(self._file.parent):
@@ -130,7 +130,7 @@ class AlarmLog:
         return [to_record(alarm) for alarm in self._newest.values()]
 
     def add(self, changes: Iterable[Change]) -> None:
-        """Print and store changes of alarms; of a new level or cause, nothing is printed."""
+        """Print and store changes of alarms; a new level or cause is stored but not printed."""
         for what, alarm in changes:
             title = f"{'alarm' if alarm.is_serious else 'warning'} {alarm.number}"
             if what == "begins":
@@ -155,10 +155,10 @@ class AlarmLog:
         DISK.do(partial(self._write, alarm, tuple(self._lasting.values())))
 
     def _write(self, alarm: Alarm, lasting: Sequence[Alarm]) -> None:
-        """Write an alarm on the disk thread; if the file is full, begin a new one.
+        """Write an alarm (on the disk thread); if the file is full, begin a new one.
 
-        A new file begins with what still lasts, so that this is never lost. A full disk stops
-        nothing: the summary has the alarm, too.
+        A new file begins with the alarms that are still active, so that none of them is lost. A
+        full disk stops nothing: the alarm is also in the summary.
         """
         written = [alarm]
         try:
@@ -172,7 +172,7 @@ class AlarmLog:
 
 
 def add_alarm_count(text: str, count: int) -> str:
-    """Return how a site ended, with the number of alarms, if any."""
+    """Return the sentence about how a site ended, with the number of alarms, if any."""
     if count == 0:
         return text
     return f"{text}, with {count} alarm{'s' if count > 1 else ''}"

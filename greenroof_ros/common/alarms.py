@@ -1,13 +1,14 @@
-"""The judge of what nodes report: alarms, each with its beginning, its end and its cause.
+"""The judge of what nodes report: it makes alarms, each with a beginning, an end and a cause.
 
-This module alone decides what is an alarm, by the table of conditions. It is given reports, and
-returns alarms. The supervisor of a live site gives it the reports on its sockets; page, status and
-bridge give it those on /diagnostics. A node sends the same report by both ways, with the code of
-what is wrong, when that began and how long it has lasted. So each place has the same alarms: the
-same node, part and code since the same time. A node that died is lost since its last report on
-/diagnostics, also if it is back before its silence alone would be noticed. The supervisor prints
-and records the alarms (:mod:`greenroof_ros.common.alarm_log`), beside the bag, and the bag has the
-reports themselves: nothing needs to publish alarms, and a dead supervisor hides none.
+This module alone decides what is an alarm, using the table of conditions. It receives reports and
+returns alarms. The supervisor of a live site passes it the reports from its sockets; the page, the
+status command and the bridge pass it those from /diagnostics. A node sends the same report both
+ways, with the code of what is wrong, when that began and how long it has lasted. So everyone sees
+the same alarms: the same node, part and code since the same time. A node that died counts as lost
+since its last report on /diagnostics, even if it is back before its silence alone would have been
+noticed. The supervisor prints the alarms and records them next to the bag
+(:mod:`greenroof_ros.common.alarm_log`), and the bag contains the reports themselves: nothing needs
+to publish alarms, and a dead supervisor hides none.
 """
 
 from __future__ import annotations
@@ -30,23 +31,24 @@ from greenroof_ros.common.states import ENDED, FINISHED, PUMP, STARTING
 
 OK, WARN, ERROR, STALE = range(4)
 LEVELS = "ok", "warn", "error", "stale"
-# After this silence (s) a node does not respond: it reports at least once a second, so it may miss
-# two reports.
+# After this silence (s) a node counts as not responding: it reports at least once a second, so it
+# may miss two reports.
 SILENT_S = 3.5
-# If it has been silent for this time (s) when another process reports under its name, it has died.
+# If it has been silent for this long (s) when another process reports under its name, it has died.
 _DIED_S = 1.5
 # An alarm that comes back within this time (s) is the same one.
 _AGAIN_S = 10.0
-# While all nodes have run for less than this (s), the site starts: what is late may still come.
+# While all nodes have run for less than this (s), the site is starting: what is late may still
+# come.
 _START_S = 60.0
-# How far a node's stamps may be ahead of the graph's time (s).
+# How far a node's time stamps may be ahead of the graph's time (s).
 _AHEAD_S = 60.0
-# How many alarms that are over are kept, and how many names a diagnosis is about.
+# How many alarms that are over are kept, and how many names a diagnosis may be about.
 _MAX_OVER, _MAX_ABOUT = 20, 10
-# What is done in a terminal of the site's machine, for a person at the pump.
-_RESET = "greenroof reset, in a terminal of its machine"
+# What has to be done in a terminal on the site's machine, for a person at the pump.
+_RESET = "greenroof reset, in a terminal on its machine"
 
-# Ends of the names of statuses about what a node receives: they explain nothing elsewhere.
+# Endings of the names of statuses about what a node receives: they explain nothing elsewhere.
 _OF_INPUTS = ": inputs", ": refused"
 
 OTHER = "There is no advice for this; read the log of the node that reports it."
@@ -56,18 +58,18 @@ FOREIGN = "Reported by another device or program, not by the green roof: see its
 
 @dataclass(frozen=True)
 class StatusDiagnosis:
-    """What is wrong now, by one status.
+    """What is wrong now, according to one status.
 
     Attributes:
         level: WARN, ERROR or STALE.
-        sentence: for people.
-        code: of the condition; another device may have none.
+        sentence: the diagnosis in words.
+        code: code of the condition; another device may have none.
         role: role of the node in the interface; empty for another device.
-        about: the topics that it is about, or the nodes that are waited for.
-        fault: a device's own fault or warning; with another one it is another alarm.
+        about: the topics that it is about, or the nodes that are being waited for.
+        fault: a device's own fault or warning; a different one makes a different alarm.
         since: when it began (s since 1970); None if that is not reported.
         age_s: how long it had lasted when it was reported (steady clock, s).
-        was_good: for a part: whether it was ever good.
+        was_good: for a part, whether it was ever good.
     """
 
     level: int
@@ -82,17 +84,17 @@ class StatusDiagnosis:
 
     @property
     def identity(self) -> tuple[str, str]:
-        """With another one, it is another alarm under the same name; numbers in words change."""
+        """Code and fault, whose change makes another alarm; numbers in the sentence may change."""
         return self.code, self.fault
 
     @property
     def condition(self) -> Condition | None:
-        """Its row of the table; None for another device, or an unknown code."""
+        """The matching row of the table; None for another device or an unknown code."""
         return read_conditions().get(self.code) if self.role else None
 
     @property
     def has_lasted(self) -> bool:
-        """Whether it had lasted for as long as an alarm must when it was reported."""
+        """Whether, when reported, it had lasted long enough to be an alarm."""
         return self.condition is None or self.age_s >= self.condition.lasts
 
     @property
@@ -107,7 +109,7 @@ class StatusDiagnosis:
 def make_diagnosis(
     level: int, role: str, code: str, *cases: str, **values: Value
 ) -> StatusDiagnosis:
-    """Return a diagnosis that a receiver of reports makes itself."""
+    """Return a diagnosis made by the receiver of the reports itself."""
     return StatusDiagnosis(level, Diagnosis.of(code, *cases, **values).sentence, code, role)
 
 
@@ -115,9 +117,9 @@ def advise(code: str, role: str, node: str) -> str:
     """Return what to do about a condition.
 
     Args:
-        code: of the condition.
+        code: code of the condition.
         role: role of the node in the interface; empty for another device.
-        node: its full name, for the commands that the advice names.
+        node: full name of the node, for the commands that the advice names.
     """
     if not role:
         return FOREIGN
@@ -127,21 +129,21 @@ def advise(code: str, role: str, node: str) -> str:
 
 @dataclass(frozen=True)
 class Alarm:
-    """Something that was wrong, as people are told; so it is in ``alarms.jsonl``, too.
+    """Something that was wrong, as people are told and as it is stored in ``alarms.jsonl``.
 
     Attributes:
-        number: 1, 2, ... in the order of their beginning.
+        number: 1, 2, ... in the order in which the alarms began.
         node: full name of the node that reports it, or that does not respond.
         part: part of the node; empty for the node itself.
         role: role of the node in the interface; empty for another device.
-        code: of the condition.
+        code: code of the condition.
         level: ``error``, ``stale`` (no report) or, for a warning, ``warn``.
         sentence: in words, as last reported.
-        since: when it began, as its node reports (s since 1970; in a file UTC, ISO 8601).
-        ended: when it ended, likewise; None while it lasts.
-        seconds: how long it lasted, by the steady clock; None while it lasts, or if unknown.
+        since: when it began, as its node reports it (s since 1970; in the file UTC, ISO 8601).
+        ended: when it ended, in the same form; None while it lasts.
+        seconds: how long it lasted by the steady clock; None while it lasts or if this is unknown.
         follows: node and part of the alarm that causes it; empty if there is none.
-        about: the topics that it is about, or the nodes that are waited for.
+        about: the topics that it is about, or the nodes that are being waited for.
         fault: a device's own fault or warning.
     """
 
@@ -166,12 +168,12 @@ class Alarm:
 
     @property
     def is_serious(self) -> bool:
-        """Whether it is treated as an alarm, not a warning; other devices cause only warnings."""
+        """Whether it is an alarm rather than a warning; other devices cause only warnings."""
         return bool(self.role) and self.level != LEVELS[WARN]
 
     @property
     def is_known(self) -> bool:
-        """Whether its advice is about its code."""
+        """Whether there is advice for its code."""
         return bool(self.role) and self.code in read_conditions()
 
     @property
@@ -185,8 +187,8 @@ class PartReport:
     """A part of a node, or another device, as last received.
 
     Attributes:
-        diagnosis: what it reports; also if it is OK.
-        received_at: steady clock (s).
+        diagnosis: what it reports, even if that is OK.
+        received_at: time of receipt (steady clock, s).
         again: whether it was received more than once.
     """
 
@@ -199,16 +201,17 @@ class PartReport:
         cls, before: PartReport | None, wall: float, level: int, sentence: str,
         values: Mapping[str, str], role: str = "", namespace: str = "",
     ) -> PartReport:
-        """Return the report that follows one; the topics in it lose the namespace.
+        """Return the report that follows another; the namespace is removed from its topics.
 
         Args:
-            before: the report before; None for the first.
+            before: the previous report; None for the first.
             wall: now (steady clock, s).
             level: OK, WARN, ERROR or STALE.
-            sentence: for people.
-            values: with the code, its beginning and its age, and what the sentence is made of.
+            sentence: the report in words.
+            values: the code, its beginning and its age, and the values from which the sentence is
+                made.
             role: role of the node in the interface; empty for another device.
-            namespace: of the node.
+            namespace: namespace of the node.
         """
         about = (values.get("topics") or values.get("topic", "")).split()[:_MAX_ABOUT]
         code, fault = identity_of(values)
@@ -225,19 +228,19 @@ class NodeReport:
 
     Attributes:
         name: full name of the node.
-        role: as in the interface.
+        role: role of the node in the interface.
         process: the operating-system process: its machine and number.
-        state: one of :mod:`greenroof_ros.common.states`.
-        values: what else it reports.
-        began: when it was first received; this and the next two by the steady clock (s).
+        state: one of the states in :mod:`greenroof_ros.common.states`.
+        values: the other values that it reports.
+        began: when it was first received; like the next two, by the steady clock (s).
         received_at: when it was last received; at first ``began``.
         since: when it entered its state; at first ``began``.
         heard: when it was last received, in the graph's time (s since 1970).
         parts: its parts, by name.
-        refused_at: when its count of refused values last grew (steady clock, s).
+        refused_at: when its count of rejected values last grew (steady clock, s).
         refused: the topics of those values.
-        ended: how its process ended, in words, if that is known from elsewhere.
-        lost: of the process before it, if that died: when it was last heard, and received.
+        ended: how its process ended, in words, if this is known from another source.
+        lost: if the previous process died: when that was last heard, and last received.
     """
 
     name: str
@@ -262,7 +265,7 @@ class NodeReport:
         return self.state in (FINISHED, ENDED)
 
     def is_online(self, wall: float) -> bool:
-        """Return whether its reports arrive now."""
+        """Return whether its reports are arriving now."""
         return not self.has_ended and not self.ended and wall - self.received_at <= SILENT_S
 
     def receive(self, wall: float, now: float, state: str, values: Mapping[str, Any]) -> None:
@@ -276,7 +279,7 @@ class NodeReport:
         self.ended = ""
 
     def replace_process(self, before: NodeReport | None) -> None:
-        """Replace the process that reported under its name; if that died, it is lost until now."""
+        """Take the place of the process that used its name; if that died, it was lost until now."""
         if before is not None and not before.has_ended and (
             self.began - before.received_at > _DIED_S
         ):
@@ -292,7 +295,7 @@ class NodeReport:
         )
 
     def diagnoses(self, wall: float) -> Iterator[tuple[str, StatusDiagnosis]]:
-        """Yield what is wrong with it and its parts, each by the name of its status."""
+        """Yield what is wrong with the node and its parts, each with the name of its status."""
         if self.has_ended:
             failure = self.values.get("failure")
             if isinstance(failure, str) and failure:
@@ -323,7 +326,7 @@ class NodeReport:
             refused = make_diagnosis(WARN, self.role, "values_refused", topics=topics)
             yield f"{self.name}: refused", replace(refused, about=self.refused)
         for part, report in self.parts.items():
-            # What was wrong when a silent node last reported stays.
+            # Whatever was wrong when a silent node last reported stays.
             if online and self.received_at - report.received_at > SILENT_S:
                 yield f"{self.name}: {part}", lost
             elif report.diagnosis.level != OK:
@@ -331,14 +334,14 @@ class NodeReport:
 
 
 def _read_counts(values: Mapping[str, Any]) -> dict[str, int]:
-    """Return how many values of each topic a node has refused so far."""
+    """Return how many values of each topic a node has rejected so far."""
     refused = values.get("refused")
     counts = refused.items() if isinstance(refused, dict) else ()
     return {topic: count for topic, count in counts if isinstance(count, int)}
 
 
 def _parse_time(text: str) -> float | None:
-    """Return a time in ISO 8601 (s since 1970); None if it is none."""
+    """Return a time in ISO 8601 as s since 1970; None if the text is not such a time."""
     try:
         return datetime.fromisoformat(text).timestamp()
     except (ValueError, OverflowError, OSError):
@@ -346,7 +349,7 @@ def _parse_time(text: str) -> float | None:
 
 
 def _parse_number(text: str) -> float:
-    """Return a number of seconds; 0 if it is none."""
+    """Return a number of seconds; 0 if the text is not a number."""
     try:
         seconds = float(text)
     except ValueError:
@@ -355,7 +358,7 @@ def _parse_number(text: str) -> float:
 
 
 def is_starting(nodes: Sequence[NodeReport], wall: float) -> bool:
-    """Return whether the site starts: every node that is online began less than 60 s ago."""
+    """Return whether the site is starting: every online node began less than 60 s ago."""
     up = [node.values.get("up_s") for node in nodes if node.is_online(wall)]
     return bool(up) and all(isinstance(age, (int, float)) and age < _START_S for age in up)
 
@@ -368,7 +371,7 @@ class Change(NamedTuple):
 
     Attributes:
         what: ``begins``, ``changes`` (its level or cause), ``ends`` or ``returns``.
-        alarm: the alarm, after it.
+        alarm: the alarm after the change.
     """
 
     what: str
@@ -376,7 +379,7 @@ class Change(NamedTuple):
 
 
 class _Lasting(NamedTuple):
-    """A present diagnosis: what it is, and since when by the steady clock and in graph time (s)."""
+    """A present diagnosis, with its beginning by the steady clock and in graph time (s)."""
 
     identity: tuple[str, str]
     began: float
@@ -384,24 +387,24 @@ class _Lasting(NamedTuple):
 
 
 class Judge:
-    """Makes alarms from diagnoses. Times called ``wall`` are of the steady clock (s).
+    """Makes alarms from diagnoses. Times called ``wall`` are from the steady clock (s).
 
     Attributes:
-        alarms: the present alarms and the newest that are over, by the names of their statuses.
-        diagnoses: what was wrong at the last update, likewise.
-        causes: the diagnosis from which each other one follows, likewise.
-        missing: what is not there yet while the site starts, likewise.
+        alarms: the present alarms and the newest past ones, by the names of their statuses.
+        diagnoses: what was wrong at the last update, by the same names.
+        causes: for every diagnosis that follows from another, the name of that other one.
+        missing: what is not there yet while the site is starting, by the same names.
     """
 
     def __init__(self, number: int = 0) -> None:
-        """Start without alarms, after those up to a number."""
+        """Start without alarms; the first one has the number after this one."""
         self.alarms: dict[str, Alarm] = {}
         self.diagnoses: Mapping[str, StatusDiagnosis] = {}
         self.causes: dict[str, str] = {}
         self.missing: dict[str, StatusDiagnosis] = {}
         self._number = number
         self._lasting: dict[str, _Lasting] = {}
-        # When the alarms began, and when those ended that are over (steady clock, s).
+        # When the present alarms began, and when the past ones ended (steady clock, s).
         self._began: dict[str, float] = {}
         self._ended: dict[str, float] = {}
 
@@ -420,13 +423,13 @@ class Judge:
         self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis], *,
         starting: bool = False,
     ) -> list[Change]:
-        """Update the alarms, and return what has changed.
+        """Update the alarms and return what has changed.
 
         Args:
             wall: steady clock (s).
             now: the graph's time (s since 1970).
-            diagnoses: all that is wrong now, by the names of the statuses.
-            starting: whether the site starts: then what is only late is no alarm.
+            diagnoses: everything that is wrong now, by the names of the statuses.
+            starting: whether the site is starting: then what is merely late is not an alarm.
         """
         before, self._lasting = self._lasting, {}
         for name, diagnosis in diagnoses.items():
@@ -447,7 +450,7 @@ class Judge:
             if starting and self._may_come(name, diagnosis)
         }
         changes = [*self._end(wall, now, diagnoses)]
-        # Causes first: what follows from something that is no alarm yet is none, either.
+        # Causes first: what follows from something that is not yet an alarm is not one, either.
         for name in sorted(diagnoses, key=lambda name: name in self.causes):
             if name not in self.missing:
                 changes += self._judge(wall, name, diagnoses[name], self.causes.get(name, ""))
@@ -466,12 +469,12 @@ class Judge:
     def _end(
         self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis]
     ) -> Iterator[Change]:
-        """End the alarms whose diagnosis is gone, or is another one."""
+        """End the alarms whose diagnosis is gone or has been replaced by another one."""
         for name, alarm in self.present.items():
             diagnosis = diagnoses.get(name)
             if diagnosis is None or diagnosis.identity != (alarm.code, alarm.fault):
                 seconds = round(wall - self._began[name], 1)
-                ahead = 0 < alarm.since - now <= _AHEAD_S  # else the clock was set back
+                ahead = 0 < alarm.since - now <= _AHEAD_S  # otherwise the clock was set back
                 ended = alarm.since if ahead else now
                 self.alarms[name] = replace(alarm, ended=ended, seconds=seconds)
                 self._ended[name] = wall
@@ -497,7 +500,7 @@ class Judge:
             return
         condition = diagnosis.condition
         lasts = condition.lasts if condition is not None else 0.0
-        # What follows from something that is no alarm yet is none, either.
+        # What follows from something that is not yet an alarm is not one, either.
         waits = cause and not news["follows"] and self._lasting[cause].began <= lasting.began
         if waits or wall - lasting.began < lasts:
             return
@@ -516,15 +519,15 @@ class Judge:
 
 
 def find_causes(diagnoses: Mapping[str, StatusDiagnosis]) -> dict[str, str]:
-    """Return the name of the root cause of each diagnosis that follows from another one.
+    """Return the name of the root cause for every diagnosis that follows from another one.
 
-    The pump's state follows from the part that reports more about its reason. Missing input of a
-    node follows from what is wrong with the publisher. An error does not follow from a warning, and
-    a state of the pump that needs a person at it follows from nothing: advice on its cause would
-    hide that.
+    The pump's state follows from the part that reports more about its reason. A node's missing
+    input follows from what is wrong with the publisher. An error does not follow from a warning. A
+    state of the pump that needs a person at the pump follows from nothing: advice about its cause
+    would hide that.
 
     Args:
-        diagnoses: of the graph's own nodes, by the names of their statuses, the older ones first.
+        diagnoses: those of the graph's own nodes, by the names of their statuses, oldest first.
     """
     causes: dict[str, str] = {}
     for name, diagnosis in diagnoses.items():
@@ -543,16 +546,16 @@ def find_causes(diagnoses: Mapping[str, StatusDiagnosis]) -> dict[str, str]:
 def _find_candidates(
     name: str, diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
 ) -> Iterator[str]:
-    """Yield the diagnoses that may cause this one, the likeliest first."""
+    """Yield the diagnoses that may cause this one, the most likely first."""
     node, _, part = name.partition(": ")
     condition = diagnosis.condition
     if condition is not None and condition.needs_operator and part == PUMP:
         return
-    if part and node in diagnoses:  # the node as a whole, such as a silent node
+    if part and node in diagnoses:  # the node as a whole, for example if it is silent
         yield node
     if condition is None:
         return
-    if not part:  # nodes wrong as a whole that are waited for
+    if not part:  # awaited nodes that are wrong as a whole
         for name, other in diagnoses.items():
             waited_for = {name.rpartition("/")[2], other.role} & {*diagnosis.about}
             if name != node and ": " not in name and waited_for:
@@ -564,7 +567,7 @@ def _find_candidates(
         more = condition.interlock.parts if part == PUMP else ()
     yield from (name for name in (f"{node}: {part}" for part in more) if name in diagnoses)
     if part == "inputs":
-        # A part of the pump node that stops the pump because of that input reports more.
+        # A part of the pump node that stops the pump because of that input reports more about it.
         yield from (
             name for name, other in diagnoses.items()
             if other.role == PUMP and not name.endswith(_OF_INPUTS)
@@ -582,7 +585,7 @@ def find_publishers(
     Args:
         topics: names in the interface.
         reader: role of a node that reads them, which is left out; empty if there is none.
-        diagnoses: of the graph's own nodes, by the names of their statuses.
+        diagnoses: those of the graph's own nodes, by the names of their statuses.
     """
     interface, roles = read_topics(), set[str]()
     for topic in interface.keys() & {*topics}:

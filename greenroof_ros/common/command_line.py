@@ -1,4 +1,4 @@
-"""What every command has in common: exit codes, error reports, and the parser of its options."""
+"""What all commands share: exit codes, error reports, and the option parser."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ EXIT_INTERRUPTED = INTERRUPTED
 
 
 def exit_code(error: Exception) -> int:
-    """Return the exit code of a wrong set-up: 3 if another graph is in the way, otherwise 2."""
+    """Return the exit code for a wrong set-up: 3 if another graph is in the way, otherwise 2."""
     return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal asks the command to end; the message names it.
+    """A signal asks the command to end; the message names the signal.
 
-    After a KeyboardInterrupt itself Python may end by the signal, with any exit code.
+    After a plain KeyboardInterrupt, Python may end itself by the signal, with any exit code.
     """
 
 
 class _Interrupts:
-    """The handler of signals: raises, and again every second until the command has ended.
+    """The handler of signals: raises, and raises again every second until the command has ended.
 
-    Compiled code can discard an exception, or turn it into another one. A module that is being
-    imported can do so, too, or go on without what it tried to import; so it is raised after the
-    import, or in it if that takes long.
+    Compiled code can discard an exception or turn it into another one. A module that is being
+    imported can do so, too, or go on without what it tried to import; so the exception is raised
+    after the import, or during it if that takes long.
     """
 
     _IMPORT_S, _MAX_IMPORTS, _REPEAT_S = 0.05, 40, 1.0
@@ -72,14 +72,14 @@ class _Interrupts:
         while frame is not None and self.received <= self._MAX_IMPORTS:
             is_importing |= frame.f_code.co_filename.startswith("<frozen importlib")
             frame = frame.f_back
-        # As the signal again, for the handler that there may be by then.
+        # As the signal again, for whatever handler is installed by then.
         signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
         signal.setitimer(signal.ITIMER_REAL, self._IMPORT_S if is_importing else self._REPEAT_S)
         if not is_importing:
             raise Interrupted(signal.Signals(number).name)
 
     def end(self) -> None:
-        """End the process at once if a signal comes from now on."""
+        """From now on, end the process immediately if a signal arrives."""
         for number in self._numbers:
             signal.signal(number, end_interrupted)
         if self.received:
@@ -87,21 +87,21 @@ class _Interrupts:
 
 
 def end_repeats() -> None:
-    """Raise :class:`Interrupted` no more: the command has begun to end, and writes how."""
+    """Stop raising :class:`Interrupted`: the command has begun to end, and is writing how."""
     signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def check_interrupts() -> None:
-    """Raise :class:`Interrupted` if a signal was received, though other code may have taken it.
+    """Raise :class:`Interrupted` if a signal was received, even if other code swallowed it.
 
-    A class that a user gives can handle signals itself, or discard a KeyboardInterrupt.
+    A user's class can handle signals itself, or discard a KeyboardInterrupt.
     """
     if (received := find_signal()) is not None:
         raise Interrupted(received.name)
 
 
 def _discard_what_cannot_be_printed() -> None:
-    """Keep the end of the interpreter from trying to print it again, which would be an error."""
+    """Keep the interpreter from trying to print it again at its end, which would be an error."""
     try:
         print(end="", flush=True)
     except OSError:
@@ -111,18 +111,18 @@ def _discard_what_cannot_be_printed() -> None:
 def command(
     main: Callable[[], int | None], *, failed: int | None = None
 ) -> Callable[[], NoReturn]:
-    """Turn a function into a command, which exits with the code that the function returns, or 0.
+    """Turn a function into a command that exits with the code the function returns, or with 0.
 
     A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 if
     another graph is in the way. A file or an output that cannot be written becomes one line and
-    exit code 1, and a signal that asks to end, such as Ctrl-C, exit code 130. None of them leaves a
-    traceback. If no one reads the output any more, as after ``| head``, nothing is printed and the
-    exit code is 1.
+    exit code 1; a signal that asks the command to end, such as Ctrl-C, becomes exit code 130. None
+    of them leaves a traceback. If no one reads the output any more, as after ``| head``, nothing is
+    printed and the exit code is 1.
 
     Args:
         main: the function.
-        failed: the exit code instead of 1, 2 and 3 above, for a command whose own results have
-            these codes; None for none.
+        failed: the exit code used instead of 1, 2 and 3 above, for a command whose own results use
+            these codes; None if it has no such results.
     """
 
     def run() -> str | int | None:
@@ -130,7 +130,7 @@ def command(
         try:
             try:
                 code = main()
-            except SystemExit as end:  # by argparse: after --help, or on wrong usage
+            except SystemExit as end:  # from argparse: after --help or wrong usage
                 code = end.code and (failed or end.code)
             print(end="", flush=True)
         except (ConfigurationError, argparse.ArgumentError) as error:
@@ -138,7 +138,7 @@ def command(
             code = failed or exit_code(error)
         except OSError as error:
             if not isinstance(error, BrokenPipeError):
-                # Of a copy, it is the second file that has no room.
+                # When copying, it is the second file that has no room.
                 parts = (error.filename2 or error.filename, error.strerror or str(error))
                 print("error:", ": ".join(filter(None, parts)), file=sys.stderr)
             code = failed or EXIT_FAILED
@@ -148,7 +148,7 @@ def command(
     @functools.wraps(main)
     def wrapper() -> NoReturn:
         end_with_parent()
-        if isinstance(sys.stdout, io.TextIOWrapper):  # not one that a Python caller put there
+        if isinstance(sys.stdout, io.TextIOWrapper):  # not if a Python caller replaced it
             sys.stdout.reconfigure(line_buffering=True)
         interrupts = _Interrupts()
         try:
@@ -169,7 +169,7 @@ def command(
 
 
 class _HelpFormatter(argparse.HelpFormatter):
-    """Fills the paragraphs of a description to the terminal's width; indented lines stay."""
+    """Fills the paragraphs of a description to the terminal's width; keeps indented lines as is."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         filled: list[str] = []
@@ -186,12 +186,12 @@ class _HelpFormatter(argparse.HelpFormatter):
 class Parser(argparse.ArgumentParser):
     """The parser of a command's options.
 
-    An option must be written in full: an abbreviation that is clear today would be ambiguous as
-    soon as a later version adds an option that begins likewise. In the help, lines of a description
-    or an epilog that are indented, such as examples, stay as they are; the others are filled.
+    Options must be written in full: an abbreviation that is clear today would become ambiguous as
+    soon as a later version adds an option that begins the same way. In a description or an epilog,
+    indented lines, such as examples, stay as they are; the others are filled.
 
     Attributes:
-        hint: what the message about an unknown option adds; empty for nothing.
+        hint: text added to the message about an unknown option; empty for none.
     """
 
     def __init__(self, **settings: Any) -> None:
@@ -199,7 +199,7 @@ class Parser(argparse.ArgumentParser):
         self.hint = ""
 
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
-        """Parse a command line; for an unknown option, name the options that it may mean."""
+        """Parse a command line; for an unknown option, name the options that may be meant."""
         parsed, unknown = self.parse_known_args(args, namespace)
         if unknown:
             option = next((word[2:] for word in unknown if word.startswith("--")), "")
@@ -214,7 +214,7 @@ class Parser(argparse.ArgumentParser):
         return parsed
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse a value that is not among the option's choices; state what it may mean."""
+        """Reject a value that is not one of the option's choices; name what may be meant."""
         if action.choices is not None and value not in action.choices:
             wrong = f"{value!r} {describe_choices([*action.choices], str(value))}"
             raise argparse.ArgumentError(action, wrong)
@@ -223,13 +223,13 @@ class Parser(argparse.ArgumentParser):
 def make_number_type(
     low: float, high: float, kind: type[float] = float, *, word: str = ""
 ) -> Callable[[str], float]:
-    """Return a parser of an option that must be a number in a range; a whole number for ``int``.
+    """Return a parser for an option whose value is a number in a range (whole for ``int``).
 
     Args:
         low: the minimum value.
         high: the maximum value.
         kind: ``float`` or ``int``.
-        word: a word that the option accepts, too; it stands for 0.
+        word: a word that the option also accepts; it stands for 0.
     """
     allowed = Range(low, high, whole=kind is int, words=(word,) if word else ())
 
@@ -239,19 +239,19 @@ def make_number_type(
         except ValueError as error:
             raise argparse.ArgumentTypeError(f"{error}, not {text}") from None
 
-    # The documentation shows this as what the option accepts.
+    # The documentation shows this as the value that the option accepts.
     parse.__name__ = str(allowed).removeprefix("a ")
     return parse
 
 
 def refuse(*rules: tuple[object, str, object, str]) -> None:
-    """Refuse a command line if it breaks a rule; report the first one that it breaks.
+    """Reject a command line that breaks a rule; report the first rule that it breaks.
 
     Args:
         rules: each is (whether it is broken, the option, its value, what is expected).
 
     Raises:
-        ConfigurationError: a rule is broken.
+        ConfigurationError: if a rule is broken.
     """
     for broken, option, value, expected in rules:
         if broken:
@@ -259,7 +259,7 @@ def refuse(*rules: tuple[object, str, object, str]) -> None:
 
 
 def parse_namespace(text: str) -> str:
-    """Return a namespace as ROS writes it, ``/site1``; empty if there is none."""
+    """Return a namespace the way ROS writes it, ``/site1``; empty if there is none."""
     name = text.strip("/")
     if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
         raise ValueError
@@ -271,10 +271,10 @@ parse_namespace.__name__ = "namespace: letters, digits and _, no digit first, su
 
 
 def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Add the option that names the graph of a command which joins one, with more help on it."""
+    """Add the option that names the graph which a command joins, with more help on it."""
     parser.add_argument(
         "--namespace", type=parse_namespace, default="", metavar="NAME",
-        help=f"namespace of the graph, as given to greenroof run or live{more} (default: none)",
+        help=f"namespace of the graph, as passed to greenroof run or live{more} (default: none)",
     )
 
 
@@ -289,7 +289,7 @@ def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> No
 
 
 def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
-    """Add the option that serves a graph to Foxglove; its port is the one that viewers suggest."""
+    """Add the option that serves a graph to Foxglove; viewers suggest the same default port."""
     parser.add_argument(
         "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
         help=f"{about} PORT is 8765 unless given, and 0 means any that is free. Needs the extra "
@@ -302,9 +302,9 @@ class CheckResult:
     """The result of one check.
 
     Attributes:
-        check: what the part must do.
+        check: what the part is required to do.
         problem: what it does instead; empty if the check passed.
-        result: of the check, if it passed and this is worth showing.
+        result: the result of the check, if it passed and the result is worth showing.
     """
 
     check: str
@@ -330,7 +330,7 @@ def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
 
 
 def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
-    """Refuse a file that has the wrong ending, already exists, or cannot be written.
+    """Reject a file that has the wrong ending, already exists, or cannot be written.
 
     Args:
         file: the file to write.
@@ -338,7 +338,7 @@ def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
         key: the option that names the file.
 
     Raises:
-        ConfigurationError: the file is refused.
+        ConfigurationError: if the file is rejected.
     """
     def error(expected: str) -> ConfigurationError:
         return ConfigurationError(expected, key=key, value=str(file))

@@ -1,4 +1,4 @@
-"""What can be wrong, ``msg_defs/conditions.yaml``: codes, sentences, advice, and the interlocks.
+"""What can be wrong (``msg_defs/conditions.yaml``): codes, sentences, advice and interlocks.
 
 Codes and values travel; the sentence is made from them only where people read it.
 """
@@ -20,18 +20,18 @@ LATCHED, INHIBIT, PERMISSIVE = "latched", "inhibit", "permissive"
 
 @dataclass(frozen=True)
 class Interlock:
-    """Why a condition keeps the pump off, and how it clears.
+    """Why a condition keeps the pump off, and how that is cleared.
 
     Attributes:
         kind: latched, inhibit or permissive.
-        source: the module that finds it.
+        source: the module that detects it.
         limit: the parameters that decide when it is active.
         follows: whether it is left out if an earlier interlock of its kind is active, because it
-            may merely be a consequence of that one.
-        by: what clears it, if that differs from its kind: a person, a service or a transition.
-        on_page: whether the page can also clear it.
-        input: the part of the pump node that reports the input which is unknown; empty if the
-            interlock is about something else.
+            may be a mere consequence of that one.
+        by: what clears it, if this differs from its kind: a person, a service or a transition.
+        on_page: whether it can also be cleared on the page.
+        input: the part of the pump node that reports the unknown input; empty if the interlock is
+            about something else.
         explained_by: other parts of the pump node that give more detail.
     """
 
@@ -52,7 +52,7 @@ class Interlock:
 
 @dataclass(frozen=True)
 class Condition:
-    """What the table states about one code; the file explains each attribute."""
+    """What the table states about one code; the file explains every attribute."""
 
     meaning: str
     advice: str
@@ -68,7 +68,7 @@ class Condition:
 
     @property
     def needs_operator(self) -> bool:
-        """Whether the pump needs a person at it, regardless of the cause."""
+        """Whether a person has to go to the pump, regardless of the cause."""
         return self.by_hand or (self.interlock is not None and self.interlock.kind == LATCHED)
 
     def advise(self, node: str, role: str = "", reset: str = "") -> str:
@@ -87,7 +87,7 @@ class Condition:
 
 
 def command_for(node: str, name: str) -> str:
-    """Return how a command of ``greenroof`` is called for the graph of a node."""
+    """Return how to call a command of ``greenroof`` for the graph of a node."""
     namespace = node.rpartition("/")[0].strip("/")
     return f"greenroof {name}" + (f" --namespace {namespace}" if namespace else "")
 
@@ -118,10 +118,10 @@ class Diagnosis:
     """A condition that is present.
 
     Attributes:
-        code: of the condition.
-        text: a sentence from elsewhere, such as a record; empty if the table's is the one.
-        values: what the table's sentence is made of, for programs: ``case`` has the names of its
-            sentences, if it has several; a value can be another diagnosis.
+        code: code of the condition.
+        text: a sentence from elsewhere, such as a record; empty to use the table's sentence.
+        values: what the table's sentence is made of, for programs: ``case`` holds the names of its
+            sentences, if there are several; a value can be another diagnosis.
     """
 
     code: str
@@ -133,15 +133,15 @@ class Diagnosis:
         """Return a condition.
 
         Args:
-            code: of the condition.
-            cases: which of its sentences, one after the other, if the table has several.
-            values: for the placeholders.
+            code: code of the condition.
+            cases: which of its sentences to use, one after another, if the table has several.
+            values: values for the placeholders.
         """
         return cls(code, values={**values, "case": " ".join(cases)} if cases else values)
 
     @functools.cached_property
     def sentence(self) -> str:
-        """It for people."""
+        """The diagnosis as a sentence for people."""
         if self.text:
             return self.text
         condition = read_conditions()[self.code]
@@ -154,11 +154,11 @@ class Diagnosis:
         return self.sentence
 
     def change_code(self, code: str) -> Diagnosis:
-        """Return it under another code, with the same sentence and values."""
+        """Return the diagnosis under another code, with the same sentence and values."""
         return replace(self, code=code, text=self.sentence)
 
     def add_case(self, case: str, **values: Value) -> Diagnosis:
-        """Return it with one more of its sentences."""
+        """Return the diagnosis with one more of its sentences."""
         return Diagnosis.of(self.code, str(self.values["case"]), case, **{**self.values, **values})
 
     @classmethod
@@ -173,7 +173,7 @@ Value = float | str | Diagnosis
 def identity_of(values: Mapping[str, Any]) -> tuple[str, str]:
     """Return the code in a report's values, and the device's own fault or warning.
 
-    With another one it is another alarm under the same name; numbers in words may change.
+    If they differ, it is another alarm of the same name; numbers in the sentence may change.
     """
     return values.get("code", ""), values.get("fault") or values.get("warning") or ""
 
@@ -181,11 +181,11 @@ def identity_of(values: Mapping[str, Any]) -> tuple[str, str]:
 def join_diagnoses(
     diagnoses: Sequence[Diagnosis], worst: Diagnosis | None = None
 ) -> Diagnosis | None:
-    """Return diagnoses as one, with the code and the values of the worst; None if there is none.
+    """Join diagnoses into one, with the code and values of the worst; None if there are none.
 
     Args:
         diagnoses: in the order of their sentences.
-        worst: by default the first.
+        worst: the worst of them; by default the first.
     """
     if not diagnoses:
         return None

@@ -1,4 +1,4 @@
-"""Writes to disks in a thread of its own, so that time-critical code never waits for a disk."""
+"""Disk access in a thread of its own, so that time-critical code never waits for a disk."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _T = TypeVar("_T")
 
 # The most that may wait, and the overhead of one job (bytes): enough for minutes of a live site.
 _ROOM, _JOB = 32_000_000, 200
-# A job that waits for longer than this (s) is late: the disk hangs.
+# A job that waits for longer than this (s) is late: the disk does not respond.
 PATIENCE_S = 2.0
 
 
 class DiskThread:
-    """Runs jobs that read or write, one after the other. A job that waits too long is late.
+    """Runs jobs that read or write, one after another. A job that waits too long is late.
 
     The thread starts with the first job and ends with the process, which does not wait for it.
 
     Attributes:
-        refused: how many jobs were not accepted, because there was no room or no thread.
+        refused: number of jobs that were not accepted, because there was no room or no thread.
     """
 
     def __init__(self) -> None:
@@ -48,9 +48,9 @@ class DiskThread:
         """Queue a job, and return whether it was accepted.
 
         Args:
-            job: handles its own errors. A job that equals a waiting one is not queued again:
-                a method that writes the newest value waits only once.
-            size: the memory that it holds (bytes).
+            job: handles its own errors. A job that equals a waiting one is not queued again, so a
+                method that writes the newest value waits only once.
+            size: the memory that the job holds (bytes).
         """
         size += _JOB
         with self._changed:
@@ -66,17 +66,17 @@ class DiskThread:
 
     @property
     def late(self) -> bool:
-        """Whether a job was requested more than 2 s ago and is not done yet."""
+        """Whether a job was requested more than 2 s ago and is still not done."""
         with self._changed:
             return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > PATIENCE_S
 
     def wait(self, within: float) -> bool:
-        """Wait until all jobs are done, at most this long (s); return whether they are."""
+        """Wait at most this long (s) until all jobs are done; return whether they are."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._jobs, within)
 
     def _started(self) -> bool:
-        """Start the thread if need be; return False if the system cannot create one."""
+        """Start the thread if necessary; return False if the system cannot create one."""
         if self._thread is None:
             thread = threading.Thread(target=self._do_all, name="disk", daemon=True)
             try:
@@ -106,17 +106,17 @@ DISK = DiskThread()
 
 
 class LatestWriter(Generic[_T]):
-    """Writes the newest of its values; a newer value replaces a value that still waits.
+    """Writes the newest of its values; a newer value replaces one that is still waiting.
 
     Attributes:
-        problem: why the last value could not be written, in words; empty if it was.
+        problem: why the last value could not be written, in words; empty if it was written.
     """
 
     def __init__(self, write: Callable[[_T], None], explain: Callable[[Exception], str]) -> None:
         """Start without a value.
 
         Args:
-            write: called in the disk thread, with one value after the other.
+            write: called in the disk thread with one value after another.
             explain: puts an error into words.
         """
         self.problem = ""
@@ -132,7 +132,7 @@ class LatestWriter(Generic[_T]):
         try:
             self._write(self._value)
             self.problem = ""
-        except Exception as error:  # whatever it is, the next value is tried
+        except Exception as error:  # whatever it is, the next value is still tried
             self.problem = self._explain(error)
 
 
@@ -140,13 +140,13 @@ _CLOSE_S = 2.0
 
 
 class NumberFile:
-    """A file of named numbers. The disk thread writes it, since a disk may hang.
+    """A file of named numbers. The disk thread writes it, because a disk may stop responding.
 
-    The file is replaced as a whole: after a power cut it is the old one or the new one.
+    The file is replaced as a whole: after a power cut it is either the old one or the new one.
     """
 
     def __init__(self, file: Path) -> None:
-        """Set the file, which need not exist."""
+        """Set the file, which need not exist yet."""
         self._file = file
         self._newest = LatestWriter[dict[str, float]](
             lambda values: replace_text(file, json.dumps(values, indent=1), parents=True), str
@@ -161,7 +161,8 @@ class NumberFile:
         """Return the numbers in the file; an empty mapping if there is no file.
 
         Raises:
-            ConfigurationError: it cannot be read, or is not a mapping of names to finite numbers.
+            ConfigurationError: if it cannot be read, or is not a mapping of names to finite
+                numbers.
         """
         try:
             content: Any = json.loads(self._file.read_text(encoding="utf-8"))

@@ -14,7 +14,7 @@ _MAX_VALUE, _MAX_MESSAGE = 300, 4000
 
 
 class _Repr(reprlib.Repr):
-    """Writes a few items of a collection, since a file may hold any number, one in another."""
+    """Writes only a few items of a collection, since a file may hold many, also nested."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -22,7 +22,7 @@ class _Repr(reprlib.Repr):
         self.maxlist = self.maxtuple = self.maxdict = 20
 
     def repr1(self, x: Any, level: int) -> str:
-        """Return an item; a subclass of dict is one, too."""
+        """Return an item; a subclass of dict counts as one, too."""
         return self.repr_dict(x, level) if isinstance(x, dict) else super().repr1(x, level)
 
 
@@ -30,7 +30,7 @@ _REPR = _Repr()
 
 
 def describe_value(value: object) -> str:
-    """Return a value for a message, as Python writes it, but at most 300 characters of it."""
+    """Return a value for a message, as Python writes it, but no more than 300 characters."""
     try:
         return _shorten(_REPR.repr(value), _MAX_VALUE)
     except ValueError:  # from Python
@@ -38,7 +38,7 @@ def describe_value(value: object) -> str:
 
 
 def _shorten(text: str, max_length: int) -> str:
-    """Return a text, without its middle if it is too long."""
+    """Return a text, with its middle left out if it is too long."""
     half = max_length // 2
     return text if len(text) <= max_length else f"{text[:half]} ... {text[-half:]}"
 
@@ -52,7 +52,7 @@ class ConfigurationError(Exception):
         wrong: the message without file and line.
         expected: what would be right.
         file: the wrong file; None if it is another input.
-        key: what has the wrong value; None if the message names nothing.
+        key: the key with the wrong value; None if the message names no key.
         value: the wrong value; None if the message shows none.
     """
 
@@ -78,10 +78,10 @@ class ConfigurationError(Exception):
 
 @contextmanager
 def rename_keys(names: Mapping[str, str]) -> Iterator[None]:
-    """Name the inputs in errors as the user knows them, such as ``--hours`` for ``hours``.
+    """In errors, call inputs by the names that the user knows, such as ``--hours`` for ``hours``.
 
     Args:
-        names: by the keys of errors; others, and the keys of files, stay.
+        names: the user's names, by the keys of errors; other keys, and those of files, stay.
     """
     try:
         yield
@@ -101,7 +101,7 @@ class OccupiedError(ConfigurationError):
 
 
 def describe_extra(extra: str) -> str:
-    """Return a clause for a message: how to get the packages of an extra.
+    """Return a clause for a message on how to get the packages of an extra.
 
     It names no command, since the package may come from an index, a wheel or a checkout.
     """
@@ -116,7 +116,7 @@ def require_extra(extra: str) -> Iterator[None]:
         extra: the extra of this package that installs it, such as ``study``.
 
     Raises:
-        ConfigurationError: the package is missing; the message states what to install.
+        ConfigurationError: if the package is missing; the message states what to install.
     """
     try:
         yield
@@ -125,7 +125,7 @@ def require_extra(extra: str) -> Iterator[None]:
         raise ConfigurationError(f"needs {package}: {describe_extra(extra)}") from error
 
 
-# The minimum similarity of two names, 0 to 1: one of three letters may be wrong.
+# The minimum similarity of two names, 0 to 1: in a name of three letters, one may be wrong.
 _ALIKE, _SHORT_ALIKE = 0.6, 0.5
 
 
@@ -143,7 +143,7 @@ def find_similar(name: str, known: Collection[str]) -> list[str]:
 
 
 def suggest_names(name: str, known: Collection[str]) -> str:
-    """Return a clause for a message: what a name probably means, or all known names."""
+    """Return a clause for a message: what a name probably means, or else all known names."""
     meant = find_similar(name, known)
     return f"did you mean {' or '.join(meant)}?" if meant else f"choose from {', '.join(known)}"
 
@@ -154,7 +154,7 @@ def describe_choices(known: Collection[str], name: str, otherwise: str = "") -> 
     Args:
         known: the right names.
         name: the wrong one.
-        otherwise: what else it may be, at the end of the list, such as ``, or a FILE.yaml``.
+        otherwise: what else is allowed, at the end of the list, such as ``, or a FILE.yaml``.
     """
     if find_similar(name, known):
         return f"is unknown; {suggest_names(name, known)}"

@@ -1,4 +1,4 @@
-"""Where the package's own config/ and msg_defs/ are, and how its YAML files are read."""
+"""Finds the package's own config/ and msg_defs/, and reads YAML files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ except ImportError:  # PyYAML without libyaml
 
 
 class _Loader(_LibYaml):
-    """Gives no tag to what has none in the file, so that every tag is the file's own."""
+    """Adds no tags of its own, so that every tag is one written in the file."""
 
     def resolve(self, kind: type[yaml.Node], value: Any, implicit: Any) -> str:
         return ""
@@ -35,7 +35,7 @@ def shared_directory() -> Path:
     """Return the directory that holds ``config/`` and ``msg_defs/``.
 
     In a checkout, or an editable install of one, that is the checkout itself; otherwise it is
-    ``share/greenroof_ros`` under the prefix to which the package was installed to (a virtual
+    ``share/greenroof_ros`` under the prefix to which the package was installed (a virtual
     environment, ``~/.local``, or a colcon ``install/greenroof_ros``).
     """
     package = Path(__file__).resolve().parent
@@ -53,24 +53,24 @@ def shared_directory() -> Path:
 
 
 def default_site_file() -> Path:
-    """Return the paper's site file, the default of every command and node."""
+    """Return the paper's site file, the default of all commands and nodes."""
     return shared_directory() / "config" / "site.yaml"
 
 
 def find_shipped(file: Path) -> Path:
-    """Return a file, or the package's own of that name if there is none, as outside a checkout."""
+    """Return the file, or if it does not exist (as outside a checkout) the package's own copy."""
     shipped = shared_directory() / file
     return shipped if shipped.is_file() and not file.exists() else file
 
 
 def state_directory() -> Path:
-    """Return the default directory for state files: the user's, by the XDG rules."""
+    """Return the default directory for state files: the user's, following the XDG rules."""
     directory = os.environ.get("XDG_STATE_HOME")
     return (Path(directory) if directory else Path.home() / ".local" / "state") / "greenroof_ros"
 
 
 def unique_name(file: Path, existing: Container[str]) -> str:
-    """Return a name that no existing file has: the file's own, or one with -2, -3, ..."""
+    """Return a name that no existing file has: the file's own, or one ending in -2, -3, ..."""
     name, number = file.name, 1
     while name in existing:
         number += 1
@@ -84,9 +84,9 @@ was started with, each under its full path"""
 
 
 def as_started(file: Path) -> Path:
-    """Return where a file is read: a live site's nodes read its copy, if there is one.
+    """Return where to read a file: a live site's nodes read their copy of it, if there is one.
 
-    So a restarted node is not given what was edited since; messages name the file itself.
+    So a restarted node does not pick up later edits; messages name the original file.
     """
     copies = os.environ.get(COPIES)
     copy = Path(f"{copies}{file.absolute()}") if copies else file
@@ -94,7 +94,7 @@ def as_started(file: Path) -> Path:
 
 
 def is_there(path: Path) -> bool:
-    """Return whether a file of this name can be found; a text may be too long for a name."""
+    """Return whether the path exists; a text may also be too long for a file name."""
     try:
         return path.exists()
     except OSError:
@@ -107,11 +107,11 @@ def file_digest(path: Path) -> str:
 
 
 MAX_BYTES = 100_000_000
-"""Most that is read of a file of a user (bytes): 100 years of hourly weather, a minute's record of
-three years, or the hourly runs of a year with one member. So no file exhausts the memory."""
+"""Maximum size of a user's file (bytes): 100 years of hourly weather, three years of a record by
+the minute, or a year of hourly forecast runs with one member. So no file exhausts the memory."""
 
 
-# How files of other kinds begin, what they are, and what to do.
+# How files of other kinds begin, what they are, and what to do about it.
 _OTHER_KINDS = (
     (rb"\x1f\x8b", "is compressed by gzip: unpack it with gunzip"),
     (rb"\xfd7zXZ|BZh|\x28\xb5\x2f\xfd|7z\xbc\xaf", "is compressed: unpack it"),
@@ -119,7 +119,7 @@ _OTHER_KINDS = (
      "or save the sheet as CSV in UTF-8"),
     (rb"\xd0\xcf\x11\xe0", "is a workbook of Excel (.xls): save the sheet as CSV in UTF-8"),
     (rb"\xff\xfe|\xfe\xff", "is text in UTF-16: save it in UTF-8"),
-    (rb"%PDF-", "is a PDF: it has no values to read"),
+    (rb"%PDF-", "is a PDF, which has no values to read"),
     (rb"CDF[\x01\x02\x05]|\x89HDF", "is NetCDF or HDF5: write its values as CSV"),
     (rb"GRIB|BUFR", "is GRIB or BUFR: write its values as CSV"),
     (rb"SQLite format 3", "is a database of SQLite: write its values as CSV"),
@@ -129,7 +129,7 @@ _OTHER_KINDS = (
 
 
 def _refuse_other_kinds(path: Path, head: bytes) -> None:
-    """Refuse a file that begins like one of another kind, and state what it is."""
+    """Reject a file that begins like one of another kind, and state which kind it is."""
     start = head.removeprefix(codecs.BOM_UTF8)
     for pattern, what in _OTHER_KINDS:
         if re.match(pattern, start, re.IGNORECASE):
@@ -137,7 +137,7 @@ def _refuse_other_kinds(path: Path, head: bytes) -> None:
 
 
 class TextInMemory(PosixPath):
-    """A text in memory, which is read as a file of this name would be; :attr:`text` is set."""
+    """A text in memory that is read as if it were a file of this name; :attr:`text` is set."""
 
     text = ""
 
@@ -156,14 +156,15 @@ class TextInMemory(PosixPath):
 def read_lines(path: Path) -> Iterator[str]:
     """Read a UTF-8 text file line by line; a byte order mark at its start is dropped.
 
-    A line is refused when it is reached, so an error near the start of a large file shows at once.
+    A line is rejected as soon as it is reached, so an error near the start of a large file is
+    reported immediately.
 
     Yields:
-        Each line, with its end.
+        Each line, including its line ending.
 
     Raises:
-        ConfigurationError: the file cannot be read, is too large or empty, or a line is not UTF-8
-            text.
+        ConfigurationError: if the file cannot be read, is too large or empty, or contains a line
+            that is not UTF-8 text.
     """
     source = as_started(path)
     if source.exists() and not source.is_file():
@@ -205,14 +206,14 @@ def read_text(path: Path) -> str:
     return "".join(read_lines(path))
 
 
-# Maximum depth of nesting: far more than our files have, far less than a thread's stack allows.
+# Maximum depth of nesting: far more than our files need, far less than a thread's stack allows.
 _DEEPEST = 200
-# Most that is read of a YAML file (characters): the metadata of a bag of 3,000 files. And how many
-# values its aliases may add: a few lines of nested ones would make billions.
+# Maximum size of a YAML file (characters): the metadata of a bag of 3,000 files. And the number of
+# values that its aliases may add: a few lines of nested aliases would make billions.
 _MAX_YAML, _MAX_ALIASED = 1_000_000, 10_000
-# PyYAML, unlike libyaml, takes seconds for a text above this length (characters).
+# PyYAML, unlike libyaml, takes seconds for a text longer than this (characters).
 _EXPLAINED = 20_000
-# Longer integers are read as floating-point numbers (digits): no quantity has so many.
+# Longer integers (digits) are read as floating-point numbers: no quantity needs so many digits.
 _MAX_DIGITS = 20
 _TRUE = {"yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
 _FALSE = {"no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
@@ -223,7 +224,7 @@ _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
 class YamlMapping(dict[str, Any]):
-    """A mapping from a YAML file, which remembers the line of each key."""
+    """A mapping from a YAML file that remembers the line of every key."""
 
     def __init__(
         self, values: Mapping[str, Any] | None = None, lines: Mapping[str, int] | None = None
@@ -233,9 +234,9 @@ class YamlMapping(dict[str, Any]):
 
 
 def _parse_plain(text: str) -> Any:
-    """Return the value of an unquoted text, with the numbers of YAML 1.2.
+    """Return the value of an unquoted text, with numbers as in YAML 1.2.
 
-    PyYAML follows YAML 1.1, which reads 5.78e5 as a text, 016 as 14 and 3:0 as 180.
+    PyYAML follows YAML 1.1, which reads 5.78e5 as text, 016 as 14 and 3:0 as 180.
     """
     if text in _TRUE | _FALSE:
         return text in _TRUE
@@ -264,7 +265,7 @@ def _parse_as_rcl(text: str) -> bool | int | float | str | None:
 
 
 def _measure_nesting(text: str) -> int:
-    """Return the maximum depth to which a YAML text can be nested, by brackets and indentation."""
+    """Return an upper bound of a YAML text's nesting depth, from its brackets and indentation."""
     depth = deepest = 0
     for bracket in re.findall(r"[][{}]", text):
         depth = max(0, depth + (1 if bracket in "[{" else -1))
@@ -276,7 +277,7 @@ def _measure_nesting(text: str) -> int:
 def _compose(text: str) -> yaml.Node | None:
     """Parse YAML with libyaml; if that finds an error, report PyYAML's more detailed message.
 
-    Every process reads the interface when it starts. Libyaml is ten times as fast as PyYAML there.
+    Every process reads the interface when it starts, and libyaml is ten times as fast as PyYAML.
     """
     try:
         return yaml.compose(text, Loader=_Loader)
@@ -287,10 +288,10 @@ def _compose(text: str) -> yaml.Node | None:
 
 
 def read_ros_parameters(path: Path) -> YamlMapping:
-    """Read a ROS 2 parameter file, with each value as rcl reads it for a node.
+    """Read a ROS 2 parameter file, with every value as rcl would read it for a node.
 
     Raises:
-        ConfigurationError: as :func:`read_yaml`; or rcl would refuse a value.
+        ConfigurationError: as for :func:`read_yaml`, or if rcl would reject a value.
     """
     def check(mapping: YamlMapping) -> None:
         for key, value in mapping.items():
@@ -300,7 +301,7 @@ def read_ros_parameters(path: Path) -> YamlMapping:
             elif {*map(type, items)} not in ({bool}, {int}, {float}, {str}):
                 raise ConfigurationError(
                     "must have a value, or a list of values of one type, such as [1.0, 2.0]; ROS "
-                    "refuses this file", file=path, line=mapping.lines[key], key=key, value=value,
+                    "rejects this file", file=path, line=mapping.lines[key], key=key, value=value,
                 )
 
     content = read_yaml(path, _parse_as_rcl)
@@ -309,12 +310,12 @@ def read_ros_parameters(path: Path) -> YamlMapping:
 
 
 def check_private(file: Path) -> None:
-    """Check that only one user may read or change a file with a secret, or that there is none.
+    """Check that only one user can read or change a file with a secret; it need not exist.
 
     Raises:
-        ConfigurationError: other users may, too.
+        ConfigurationError: if other users can, too.
     """
-    with suppress(OSError):  # reading it reports the error
+    with suppress(OSError):  # the error is reported when it is read
         if as_started(file).stat().st_mode & 0o077:
             raise ConfigurationError(
                 "other users may read or change it: protect it with chmod 600, and replace the "
@@ -327,10 +328,11 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMap
 
     Args:
         path: the file.
-        plain: returns the value of an unquoted text; a block such as ``|-`` is not quoted.
+        plain: returns the value of an unquoted text; a block such as ``|-`` does not count as
+            quoted.
 
     Raises:
-        ConfigurationError: it cannot be read or holds no mapping, or as :func:`parse_yaml`.
+        ConfigurationError: if it cannot be read or holds no mapping, or as for :func:`parse_yaml`.
     """
     content = parse_yaml(read_text(path), path, plain)
     if not isinstance(content, YamlMapping):
@@ -339,16 +341,17 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMap
 
 
 def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain) -> Any:
-    """Return the value of a YAML text; each mapping is a :class:`YamlMapping`.
+    """Return the value of a YAML text; every mapping in it is a :class:`YamlMapping`.
 
     Args:
-        text: the text.
-        path: its file, for errors.
-        plain: returns the value of an unquoted text; a block such as ``|-`` is not quoted.
+        text: the YAML text.
+        path: the file that it is from, for errors.
+        plain: returns the value of an unquoted text; a block such as ``|-`` does not count as
+            quoted.
 
     Raises:
-        ConfigurationError: it is not YAML, too long or nested too deeply, has a tag, gives a key
-            twice, or repeats too much by aliases.
+        ConfigurationError: if it is not YAML, is too long or nested too deeply, has a tag, contains
+            a key twice, or repeats too much through aliases.
     """
     if len(text) > _MAX_YAML:
         raise ConfigurationError(f"is longer than {_MAX_YAML / 1e6:g} MB", file=path)
@@ -361,7 +364,7 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
 
     @functools.cache
     def size_of(node: yaml.Node) -> int:
-        """Return the number of values in a node, each as often as it is repeated."""
+        """Return the number of values in a node, counting each as often as it is repeated."""
         if isinstance(node, yaml.MappingNode):
             return 1 + sum(size_of(value) for _, value in node.value)
         return 1 + (sum(map(size_of, node.value)) if isinstance(node, yaml.SequenceNode) else 0)
@@ -381,7 +384,7 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
             key = str(key_node.value)
             if key in mapping:
                 before = mapping.lines[key]
-                raise refuse(key_node, f"{key} is given twice, here and in line {before}")
+                raise refuse(key_node, f"{key} appears twice, here and in line {before}")
             mapping[key] = value_of(value_node)
             mapping.lines[key] = key_node.start_mark.line + 1
         return mapping
@@ -407,10 +410,10 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
 
 @contextmanager
 def add_path_to_errors(path: Path) -> Iterator[None]:
-    """Add a path to an error that lacks it, as the errors of reading and writing an open file do.
+    """Add a path to an error that lacks it, such as an error of reading or writing an open file.
 
     Raises:
-        OSError: as raised inside, with a path.
+        OSError: the error raised inside, with a path.
     """
     try:
         yield
@@ -421,22 +424,22 @@ def add_path_to_errors(path: Path) -> Iterator[None]:
 
 
 def replace_text(file: Path, text: str, *, parents: bool = False) -> None:
-    """Write a text as :func:`replace_file` writes a file."""
+    """Write a text the way :func:`replace_file` writes a file."""
     replace_file(file, lambda stream: stream.write(text.encode()), parents=parents)
 
 
 def replace_file(
     file: Path, write: Callable[[BinaryIO], object], *, parents: bool = False
 ) -> None:
-    """Write a file as a whole: after a power cut it is the old one or the new one.
+    """Write a file as a whole: after a power cut it is either the old one or the new one.
 
     Args:
-        file: the file; one process at a time may replace it.
+        file: the file; only one process at a time may replace it.
         write: writes its content.
-        parents: whether a missing directory is made. Not where the file's disk may be gone.
+        parents: whether a missing directory is created; not where the file's disk may be gone.
 
     Raises:
-        OSError: it cannot be written; the old one is unchanged.
+        OSError: if it cannot be written; the old file is then unchanged.
     """
     if parents:
         file.parent.mkdir(parents=True, exist_ok=True)

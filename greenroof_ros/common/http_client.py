@@ -1,4 +1,4 @@
-"""Requests to services on the internet, with limits of time and size, and why one has failed."""
+"""Requests to services on the internet, limited in time and size, and reasons for failures."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.text import clean_text
 
 ANSWER_S = 60.0
-"""longest answer (s)"""
-# Longest silence (s), and the largest answer (bytes): 64 members of 36 days are 3 MB.
+"""maximum time for a complete answer (s)"""
+# Maximum silence (s) and maximum size of an answer (bytes): 64 members of 36 days are 3 MB.
 _SILENCE_S, _MAX_BYTES = 30.0, 50_000_000
-# Longest message of an error, and longest reason of a service in it (characters).
+# Maximum length of an error message, and of a service's reason in it (characters).
 _MAX_MESSAGE, _MAX_REASON = 800, 200
-# A value of a URL's own query that is as long as this is a key, perhaps, and no one is shown it.
+# A value in a URL's own query that is at least this long may be a key, and is shown to no one.
 _KEY_LENGTH = 6
-# Refusals that end by themselves: a slow request, and too many of them; and errors of the server.
+# Status codes that pass by themselves: a slow request, too many requests, and server errors.
 _PASSING = (408, 429, *range(500, 600))
 
 
@@ -34,8 +34,8 @@ class ServiceError(Exception):
     """A service gave no usable answer; the message states why, and can be printed anywhere.
 
     Attributes:
-        wait: how long the service asks to be left alone (s); None if it does not state this.
-        is_passing: whether the same request can succeed later.
+        wait: how long the service asks not to be called again (s); None if it does not say so.
+        is_passing: whether the same request may succeed later.
     """
 
     def __init__(self, why: str, wait: float | None = None, *, is_passing: bool = True) -> None:
@@ -49,18 +49,18 @@ class Answer(NamedTuple):
 
     body: bytes
     date: str
-    """its clock, as in the header; empty if there is none"""
+    """the service's clock, from the header; empty if there is none"""
 
 
 def check_url(url: str, parameters: Collection[str]) -> str:
-    """Return a URL, which must be of the web; it may have a query, as with a key.
+    """Return a URL after checking it; it must be http or https, and may have a query with a key.
 
     Args:
-        url: of an interface.
-        parameters: that requests add to its query.
+        url: URL of an interface.
+        parameters: parameters that requests add to its query.
 
     Raises:
-        ConfigurationError: it is not of the web, or its query has one of the parameters.
+        ConfigurationError: if it is not http or https, or its query has one of the parameters.
     """
     if not url.startswith(("http://", "https://")):
         raise ConfigurationError("must begin with http:// or https://", key="url")
@@ -92,12 +92,12 @@ def request(url: str, parameters: Mapping[str, str | float]) -> Answer:
     """Return a service's answer.
 
     Args:
-        url: of the interface, as :func:`check_url` passes it.
-        parameters: added to the URL's own query.
+        url: URL of the interface, after :func:`check_url`.
+        parameters: parameters that are added to the URL's own query.
 
     Raises:
-        ServiceError: the service cannot be reached, refuses, breaks off, or sends too much or too
-            slowly.
+        ServiceError: if the service cannot be reached, rejects the request, breaks off, or sends
+            too much or too slowly.
     """
     name, parts = name_url(url), urlsplit(url)
     own = parse_qsl(parts.query, keep_blank_values=True)
@@ -125,10 +125,10 @@ def _hide(text: str, keys: Collection[str]) -> str:
 
 
 def _request(name: str, url: str) -> Answer:
-    """Return the answer to a URL, which is called by a shorter name in messages."""
+    """Return the answer from a URL; messages call it by a shorter name."""
     until = time.monotonic() + ANSWER_S
     try:
-        response = urlopen(url, timeout=_SILENCE_S)  # noqa: S310 - of the web, as was checked
+        response = urlopen(url, timeout=_SILENCE_S)  # noqa: S310 - http or https, as checked before
     except HTTPError as error:
         response = error
     body = b""
@@ -156,19 +156,20 @@ def _late(seconds: float) -> TimeoutError:
 
 
 def _within(seconds: float, get: Callable[[], Answer]) -> Answer:
-    """Return what a request returns, or raise what it raises; give up after a time (s).
+    """Return what a request returns, or raise what it raises; give up after some time (s).
 
-    The library's timeout is for each part of the answer, and its head may come byte by byte.
+    The library's timeout applies to each part of an answer, and even the header may come byte by
+    byte.
 
     Raises:
-        TimeoutError: it took longer. Its thread ends when the service does.
+        TimeoutError: if it takes longer. Its thread ends when the service does.
     """
     results: SimpleQueue[Answer | Exception] = SimpleQueue()
 
     def work() -> None:
         try:
             results.put(get())
-        except Exception as error:  # raised by the caller
+        except Exception as error:  # raised again by the caller
             results.put(error)
 
     threading.Thread(target=work, daemon=True).start()
@@ -182,12 +183,12 @@ def _within(seconds: float, get: Callable[[], Answer]) -> Answer:
 
 
 def read_reason(body: bytes) -> str:
-    """Return the text of a refusal, cut to a line."""
+    """Return the text of an error response, cut to one line."""
     return " ".join(body.decode("utf-8", "replace").split())[:_MAX_REASON]
 
 
 def _read_wait(text: str, now: datetime) -> float | None:
-    """Return the wait (s) in a Retry-After header, seconds or a date; None if it is neither."""
+    """Return the wait (s) from a Retry-After header (seconds or a date); None if it is neither."""
     if text.isascii() and text.isdecimal():
         return float(text)
     try:

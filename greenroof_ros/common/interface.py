@@ -1,4 +1,4 @@
-"""The interface, ``msg_defs/topics.yaml``: every topic of the graph."""
+"""The interface, ``msg_defs/topics.yaml``: all topics of the graph."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from greenroof_ros.common.ranges import Range
 
 @dataclass(frozen=True)
 class Qos:
-    """A quality of service profile; history is always keep-last, liveliness automatic.
+    """A quality-of-service profile; history is always keep-last, liveliness always automatic.
 
     Attributes:
         name: the profile's name in the interface.
         reliability: ``reliable`` or ``best_effort``.
         durability: ``transient_local`` or ``volatile``.
-        depth: how many messages are kept.
-        lease_s: liveliness lease (s), infinite unless given.
+        depth: number of messages that are kept.
+        lease_s: liveliness lease (s), infinite by default.
     """
 
     name: str
@@ -39,10 +39,10 @@ class Qos:
 class Display:
     """How a topic's values are shown to an operator, in every tool.
 
-    Attributes:
-        label: what the value is, in an operator's words.
+    label: what the value is, in the operator's words.
+        unit: unit of the shown value, such as ``mm``; empty for a plain number.
         unit: of the shown value, such as ``mm``; empty for a plain number.
-        factor: from the topic's unit to the shown unit: 1000 from m to mm.
+        factor: factor from the topic's unit to the shown unit: 1000 from m to mm.
         decimals: number of decimals of the shown value.
     """
 
@@ -54,12 +54,12 @@ class Display:
 
 @dataclass(frozen=True)
 class Age:
-    """The maximum age of a topic's values in a live graph, as a parameter of its readers.
+    """The maximum age of a topic's values in a live graph, as a parameter of the nodes reading it.
 
     Attributes:
-        parameter: its name.
+        parameter: name of the parameter.
         quantity: what the values are, in words.
-        default: s.
+        default: default of the parameter (s).
         max: maximum value of the parameter (s).
     """
 
@@ -71,7 +71,7 @@ class Age:
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of the graph; ``msg_defs/topics.yaml`` explains each attribute."""
+    """One topic of the graph; ``msg_defs/topics.yaml`` explains every attribute."""
 
     name: str
     type: str
@@ -102,13 +102,13 @@ class Topic:
 
     @property
     def graph_name(self) -> str:
-        """The name in a node's code: relative, so that a whole graph can be put in a namespace."""
+        """Its name in a node's code: relative, so that a whole graph can be put in a namespace."""
         return self.name if self.absolute else self.name.removeprefix("/")
 
 
 @functools.cache
 def _topics() -> dict[str, Topic]:
-    """Read the interface, once per process: every site, node and page asks for it."""
+    """Read the interface once per process, because every site, node and page needs it."""
     interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
     profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
     ages = {name: Age(parameter=name, **age) for name, age in interface["max_ages"].items()}
@@ -132,7 +132,7 @@ def _make_topic(
     }
     return Topic(
         name=name, qos=qos,
-        # Without limits a value must still be finite.
+        # Even without limits, a value must be finite.
         low=max(low, -sys.float_info.max), high=min(high, sys.float_info.max),
         undecided=array("d", undecided) if isinstance(undecided, list) else undecided,
         display=None if display is None else Display(**display), **fields,
@@ -140,7 +140,7 @@ def _make_topic(
 
 
 def read_topics() -> dict[str, Topic]:
-    """Return the interface, in the order of the file, which each tick of a bag has, too."""
+    """Return the interface in the order of the file, in which a bag stores every tick, too."""
     return dict(_topics())
 
 
@@ -165,13 +165,13 @@ def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
     """Return the topics of a controller's outputs, each with the controller's attribute.
 
     Raises:
-        ConfigurationError: a name is not an optional topic of the interface.
+        ConfigurationError: if a name is not an optional topic of the interface.
     """
     topics = {name: topic for name, topic in read_topics().items() if topic.optional}
     for name in outputs:
         if name not in topics:
             raise ConfigurationError(
-                f"is not an output of a controller; msg_defs/topics.yaml has {', '.join(topics)}",
+                f"is not an output of a controller; msg_defs/topics.yaml lists {', '.join(topics)}",
                 key="outputs", value=name,
             )
     return [(topic, outputs[name]) for name, topic in topics.items() if name in outputs]
@@ -185,9 +185,9 @@ def recorded_topics(outputs: Mapping[str, str], valve: bool) -> list[Topic]:
         valve: whether the cistern's low outlet has a valve.
 
     Raises:
-        ConfigurationError: one of them is not an optional topic of the interface.
+        ConfigurationError: if one of them is not an optional topic of the interface.
     """
-    optional_topics(outputs)  # refuses others
+    optional_topics(outputs)  # rejects others
     return [
         topic for topic in read_topics().values()
         if topic.per_tick and (not topic.optional or topic.name in outputs)
@@ -200,15 +200,15 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
 
     Args:
         names: topic names, such as ``/site1/roof/level``.
-        needed: topics of the interface, such as ``/roof/level``, that a graph must have.
+        needed: topics of the interface, such as ``/roof/level``, that the graph must have.
         bag: the bag with these topics, for messages.
 
     Returns:
-        The prefix of the names, such as ``/site1``; empty if they have none, or if no namespace
-        has all needed topics.
+        The prefix of the names, such as ``/site1``; empty if there is none, or if no namespace has
+        all the needed topics.
 
     Raises:
-        ConfigurationError: more than one namespace has them.
+        ConfigurationError: if more than one namespace has them.
     """
     first = needed[0]
     namespaces = [
@@ -219,7 +219,7 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
     ]
     if len(namespaces) > 1:
         raise ConfigurationError(
-            "must be of one graph, but has topics of the namespaces "
+            "must be from one graph, but has topics from the namespaces "
             + ", ".join(namespace or "/" for namespace in sorted(namespaces)),
             file=bag,
         )

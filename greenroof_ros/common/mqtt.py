@@ -1,8 +1,8 @@
-"""Where an MQTT broker is, and a client that connects to it.
+"""The address of an MQTT broker, and a client that connects to it.
 
-MQTT 3.1.1 with a clean session: the broker keeps no messages for a client that is away. A client
-connects automatically and tries again after each failure. Messages of quality of service 0 that it
-should publish while it is not connected are dropped.
+It uses MQTT 3.1.1 with a clean session: the broker keeps no messages for a client that is away. A
+client connects automatically and tries again after every failure. Messages of quality of service 0
+that are to be published while it is not connected are dropped.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ _PORT, _TLS_PORT = 1883, 8883
 _KEEP_ALIVE_S = 5
 # Waits between two attempts to connect (s): the first and the longest.
 _FIRST_WAIT_S, _MAX_WAIT_S = 1, 5
-# The reason code if a connection ends without one.
+# The reason code when a connection ends without one.
 _UNSPECIFIED = 0x80
 
 
 @dataclass(frozen=True)
 class Broker:
-    """Where an MQTT broker is, and how to log in.
+    """The address of an MQTT broker, and how to log in.
 
     Attributes:
-        host: name or address.
+        host: host name or IP address.
         port: TCP port.
         tls: whether the connection is encrypted and the broker's certificate is checked.
-        login: file with ``username`` and ``password``, of one user only; None for no login.
-        authority: file of trusted certificates (PEM); None for the system's.
+        login: file with ``username`` and ``password``, private to one user; None for no login.
+        authority: file with trusted certificates (PEM); None for the system's.
     """
 
     host: str
@@ -60,7 +60,7 @@ class Broker:
 
 
 def parse_host(text: str) -> tuple[str, str, int | None] | None:
-    """Return scheme, host and port of ``SCHEME://HOST[:PORT]``; None if it is not such a text."""
+    """Return scheme, host and port of ``SCHEME://HOST[:PORT]``; None if the form is different."""
     match = _ADDRESS.fullmatch(text)
     if match is None or not 0 < int(match[3] or 1) < 65536:
         return None
@@ -72,12 +72,12 @@ def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> B
 
     Args:
         text: ``mqtt://HOST[:PORT]``, or ``mqtts://HOST[:PORT]`` over TLS.
-        key: name of the address in error messages.
+        key: name of the address for error messages.
         login: file with ``username`` and ``password``; empty for no login.
-        authority: file of trusted certificates (PEM); empty for the system's.
+        authority: file with trusted certificates (PEM); empty for the system's.
 
     Raises:
-        ConfigurationError: it is not such an address, or has certificates but no TLS.
+        ConfigurationError: if it is not such an address, or has certificates but no TLS.
     """
     scheme, host, port = parse_host(text) or ("", "", None)
     if scheme not in ("mqtt", "mqtts"):
@@ -98,7 +98,7 @@ def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> B
 def parse_topic(
     text: str, key: str, login: str = "", authority: str = ""
 ) -> tuple[Broker, str]:
-    """Return the broker and the topic of an address ``mqtt://HOST[:PORT]/TOPIC``.
+    """Return the broker and the topic from an address ``mqtt://HOST[:PORT]/TOPIC``.
 
     Args:
         text: the address.
@@ -107,7 +107,7 @@ def parse_topic(
         authority: as for :func:`parse_broker`.
 
     Raises:
-        ConfigurationError: it is not such an address.
+        ConfigurationError: if it is not such an address.
     """
     scheme, mark, rest = text.partition("://")
     place, _, topic = rest.partition("/")
@@ -119,7 +119,7 @@ def parse_topic(
 
 
 def parse_path(path: str) -> list[str | int]:
-    """Return the names and indices of a path in JSON, such as ``sensors[0].distance``."""
+    """Return the names and indices in a JSON path such as ``sensors[0].distance``."""
     return [int(index) if index else name for index, name in _STEP.findall(path)]
 
 
@@ -127,7 +127,7 @@ def value_at(content: Any, path: str) -> Any:
     """Return the value at a path in JSON.
 
     Raises:
-        LookupError: there is none.
+        LookupError: if there is none.
     """
     try:
         for step in parse_path(path):
@@ -144,21 +144,22 @@ def make_client(
     on_disconnect: Callable[[str], None] = lambda why: None,
     will: tuple[str, str] | None = None,
 ) -> Client:
-    """Return a client that is not connected yet; its ``loop_start`` starts its thread.
+    """Return a client that is not connected yet; call ``loop_start`` to start its thread.
 
-    ``connect_async`` has been called: the thread connects, and tries again after each failure.
+    ``connect_async`` has been called: the thread connects, and tries again after every failure.
 
     Args:
         broker: where to connect.
-        name: begin of the client id; the rest is random, since a broker disconnects a client if
-            another one connects with its id.
-        on_connect: called in the client's thread after each connection, to subscribe.
-        on_message: called in its thread with topic, payload, and whether the message was retained.
-        on_disconnect: called in its thread with the reason why a connection ended or failed.
+        name: beginning of the client id; the rest is random, because a broker disconnects a client
+            when another one connects with the same id.
+        on_connect: called in the client's thread after every connection, to subscribe.
+        on_message: called in that thread with topic, payload, and whether the message was retained.
+        on_disconnect: called in that thread with the reason why a connection ended or failed.
         will: topic and payload that the broker publishes, retained, if the client is lost.
 
     Raises:
-        ConfigurationError: the MQTT library is missing, or the login or certificate file is wrong.
+        ConfigurationError: if the MQTT library is missing, or the login or certificate file is
+            wrong.
     """
     with require_extra("mqtt"):
         from paho.mqtt.client import Client, MQTTv311
@@ -195,13 +196,13 @@ def make_client(
         lost = "the connection was lost"
         if not answered and not broker.tls:
             lost += " before an answer; if the broker expects TLS, its address is mqtts://"
-        if not refused:  # otherwise the reason was already reported
+        if not refused:  # otherwise the reason has already been reported
             on_disconnect(lost if code.value == _UNSPECIFIED else str(code))
         refused = answered = False
 
     client.on_connect = connected
     client.on_disconnect = disconnected
-    # Paho calls this while it handles the error.
+    # Paho calls this while it is handling the error.
     client.on_connect_fail = lambda client, data: on_disconnect(
         _why_not_connected(broker, sys.exc_info()[1])
     )

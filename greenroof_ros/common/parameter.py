@@ -1,10 +1,10 @@
-"""Values that a user sets, each with its default, unit, range and meaning in one place; and files.
+"""User-set values, each with default, unit, range and meaning in one place; and their files.
 
-Frozen dataclasses are read from YAML; an error names file, line, key and value. The default of each
-field is an `entry`: it gives the meaning and the allowed values of the key, both to the code that
-reads a file and to the code that writes its documentation. If a key may hold one of several
-dataclasses, all but the first have a static method ``fits``, which reports whether a mapping is for
-that dataclass.
+Frozen dataclasses are read from YAML; an error names the file, line, key and value. The default of
+every field is an `entry`: it gives the meaning and the allowed values of the key, both to the code
+that reads a file and to the code that writes its documentation. If a key may hold one of several
+dataclasses, all but the first have a static method ``fits``, which reports whether a mapping is
+meant for that dataclass.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ _HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,16}")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value that a user sets: of a controller, of the pump's limits, or of a node.
+    """A value that a user sets: of a controller, the pump's limits, or a node.
 
-    It defines the node's declared parameter and its ``--help``, the check of parameter files and of
-    a study's grid, the command-line option, and the table in the documentation.
+    From it come the node's declared parameter and its ``--help``, the checks of parameter files and
+    of a study's grid, the command-line option, and the table in the documentation.
 
     Attributes:
-        name: lower case, with underscores.
-        default: value unless given. Its type is the parameter's: a number, a whole number, true or
-            false, a text, or a list of texts.
-        unit: of the value, ``1`` if it has none; empty if the meaning gives it.
-        low: minimum value of a number.
-        high: maximum value of a number.
-        meaning: one line, without the unit.
-        may_change: whether it may change during a run; a controller then has an attribute of
-            that name, which is set between two ticks.
-        among: the only texts allowed; empty if any text is.
-        measured: default on a roof with a measured soil; None if it is the same.
-        usual: range of its usual values, for people; None if it is not stated.
+        name: the name, in lower case with underscores.
+        default: the default value. Its type is the parameter's type: a number, a whole number, true
+            or false, a text, or a list of texts.
+        unit: unit of the value, ``1`` if it has none; empty if the meaning states it.
+        low: minimum, for a number.
+        high: maximum, for a number.
+        meaning: the meaning in one line, without the unit.
+        may_change: whether it may change during a run; a controller then has an attribute of that
+            name, which is set between two ticks.
+        among: the only texts allowed; empty if any text is allowed.
+        measured: default on a roof with field-capacity soil; None if it is the same.
+        usual: range of usual values, for people; None if none is stated.
     """
 
     name: str
@@ -82,16 +82,16 @@ class Parameter:
         self, value: Any, *, file: Path | None = None, line: int | None = None,
         key: str = "",
     ) -> Any:
-        """Return a value that a user gives, checked; a number as Python's.
+        """Return a user's value, checked; a number becomes a Python number.
 
         Args:
-            value: what is given.
-            file: where, for the error.
-            line: likewise.
-            key: likewise.
+            value: the user's value.
+            file: file that it is from, for the error.
+            line: line that it is from, for the error.
+            key: key of the value, for the error.
 
         Raises:
-            ConfigurationError: it is not in the range, or none of the allowed texts.
+            ConfigurationError: if it is out of range, or is not one of the allowed texts.
         """
         if not self.among:
             return self.range.read(value, file=file, line=line, key=key)
@@ -121,12 +121,12 @@ def entry(
     """Return a dataclass field that is a key of a file.
 
     Args:
-        meaning: for the documentation, and for the error if the key is missing.
-        low: the minimum number.
-        high: the maximum number.
-        unit: of the number, ``1`` if it has none; empty if the meaning gives it.
+        meaning: meaning of the key, for the documentation and for the error if the key is missing.
+        low: minimum, for a number.
+        high: maximum, for a number.
+        unit: unit of the number, ``1`` if it has none; empty if the meaning states it.
         choices: the only texts allowed.
-        default: the default of an optional key.
+        default: default of an optional key.
         factory: makes the default, if that is a mapping.
         usual: the range of usual values.
     """
@@ -148,9 +148,9 @@ class Key:
     optional: bool
 
 
-@functools.cache  # a district makes thousands of sites
+@functools.cache  # a district creates thousands of sites
 def keys(kind: Any) -> tuple[Key, ...]:
-    """Return the keys that a dataclass reads: its fields that were made by `entry`."""
+    """Return the keys that a dataclass reads: the fields that were made with `entry`."""
     hints = get_type_hints(kind)
     return tuple(
         Key(
@@ -163,7 +163,7 @@ def keys(kind: Any) -> tuple[Key, ...]:
 
 
 def parameters_of(kind: Any) -> list[Parameter]:
-    """Return the keys of a dataclass as parameters; a required key has the default None."""
+    """Return the keys of a dataclass as parameters; a required key has None as its default."""
     return [key.entry for key in keys(kind)]
 
 
@@ -178,15 +178,15 @@ def read_record(
     """Read a YAML file as a dataclass, and check it.
 
     Args:
-        kind: a frozen dataclass with fields made by `entry`.
+        kind: a frozen dataclass whose fields were made with `entry`.
         file: the file.
-        mistakes: yields the key of each mistake, such as ``registers.control`` (names, and for
-            items of lists numbers from 1), and what is wrong with its value, or what is missing;
-            called with the dataclass and the content of the file.
+        mistakes: called with the dataclass and the content of the file; for every mistake it yields
+            the key, such as ``registers.control`` (names, and numbers from 1 for items of lists),
+            and what is wrong with its value, or what is missing.
 
     Raises:
-        ConfigurationError: the file cannot be read; a key is unknown or missing; a value is of the
-            wrong kind or out of range; or there is a mistake.
+        ConfigurationError: if the file cannot be read; a key is unknown or missing; a value is of
+            the wrong kind or out of range; or there is a mistake.
     """
     content = read_yaml(file)
     try:
@@ -204,24 +204,24 @@ def read_record(
 
 
 def make_record(kind: type[Record], values: Mapping[str, Any]) -> Record:
-    """Return a dataclass from the values of its keys, checked as those of a file.
+    """Return a dataclass from the values of its keys, checked like those in a file.
 
     Args:
         kind: as for :func:`read_record`.
-        values: by key.
+        values: the values, by key.
 
     Raises:
-        ConfigurationError: a key is unknown or missing, or a value is of the wrong kind or out of
-            range.
+        ConfigurationError: if a key is unknown or missing, or a value is of the wrong kind or out
+            of range.
     """
     record: Record = _record(kind, values, ())
     return record
 
 
 def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
-    """Return line and value of a key: names, and for items of lists numbers from 1.
+    """Return line and value of a key, given by names, and by numbers from 1 for items of lists.
 
-    If there is no such key: the line of the last part of it that exists, and None.
+    If there is no such key, return the line of the last part that exists, and None.
     """
     place: Any = content
     line = None
@@ -258,7 +258,7 @@ def _mapping(value: Any, parts: tuple[str, ...]) -> Mapping[str, Any]:
 
 
 def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> Any:
-    if hasattr(value, "tolist"):  # an array of numpy
+    if hasattr(value, "tolist"):  # a NumPy array
         value = value.tolist()
     origin, inner = get_origin(kind), get_args(kind)
     if origin in (types.UnionType, Union):
@@ -288,7 +288,7 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
 
 
 def _key(kind: Any, key: str, entry: Parameter, parts: tuple[str, ...]) -> Any:
-    """Return a mapping's key in its own type; `files.read_yaml` returns keys as text."""
+    """Return a mapping's key in its proper type; `files.read_yaml` returns keys as text."""
     if kind is str:
         return key
     return _scalar(kind, int(key) if key.isdecimal() else key, entry, parts)
@@ -323,7 +323,7 @@ def replace_infinity(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def suggest_parameter(name: str, names: Iterable[str]) -> str:
-    """Return that there is no parameter of a name, and the closest of the names that there are."""
+    """Return a message that there is no parameter of this name, and which name is closest."""
     return f"there is no such parameter; the closest is {find_closest(name, names)}"
 
 

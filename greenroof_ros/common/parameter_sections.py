@@ -1,7 +1,7 @@
-"""The sections of a ROS 2 parameter file, and the nodes to which each applies, by the rules of rcl.
+"""The sections of a ROS 2 parameter file, and the nodes that each applies to under rcl's rules.
 
-These are the forms that people write and ``ros2 param dump`` writes: ``/**``, ``node``, ``/node``,
-``/namespace/node``, or a namespace that holds nodes; parameters in groups have dots in their names.
+These are the forms that people and ``ros2 param dump`` write: ``/**``, ``node``, ``/node``,
+``/namespace/node``, or a namespace that holds nodes; grouped parameters have dots in their names.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class ParameterSection:
     """Parameters of one or several nodes.
 
     Attributes:
-        name: the nodes, such as ``/**/onoff``, as the file has it.
-        line: of the section in the file.
-        values: by the parameters' names.
-        lines: of the values in the file.
+        name: the nodes, such as ``/**/onoff``, as written in the file.
+        line: line of the section in the file.
+        values: values by parameter name.
+        lines: lines of the values in the file.
     """
 
     name: str
@@ -35,7 +35,7 @@ class ParameterSection:
     lines: Mapping[str, int]
 
     def applies_to(self, node: str) -> bool:
-        """Whether it applies to a node, given with its namespace, such as ``/site1/onoff``."""
+        """Whether it applies to a node, named with its namespace, such as ``/site1/onoff``."""
         pattern = re.escape(f"/{self.name.removeprefix('/')}")
         # As in rcl: ** matches any number of names, * matches one.
         pattern = pattern.replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+")
@@ -43,10 +43,10 @@ class ParameterSection:
 
 
 def read_sections(file: Path) -> list[ParameterSection]:
-    """Return the sections of a parameter file; where several apply to a node, the last one wins.
+    """Return the sections of a parameter file; if several apply to a node, the last one wins.
 
     Raises:
-        ConfigurationError: it is no such file, rcl would refuse it, or a part has no effect.
+        ConfigurationError: if it is not such a file, rcl would reject it, or a part has no effect.
     """
     return list(_sections(file, read_ros_parameters(file), "", 1))
 

@@ -32,9 +32,9 @@ _PARENT = "GREENROOF_ROS_PARENT"
 
 
 def child_environment() -> dict[str, str]:
-    """Return the environment of a child: a command of this package that ends with this process.
+    """Return the environment for a child: a command of this package that ends with this process.
 
-    The child itself arranges that when it starts: Python code between fork and exec
+    The child arranges that itself when it starts: Python code between fork and exec
     (``preexec_fn``) can deadlock if the parent has threads.
     """
     return {**os.environ, _PARENT: str(os.getpid())}
@@ -44,7 +44,7 @@ def end_with_parent() -> None:
     """Have the kernel end this process when its parent dies, even by kill -9, if so requested.
 
     The signal is SIGTERM, since background processes of a shell may ignore SIGINT. If the parent
-    died before this call, the process ends, too.
+    died before this call, the process ends as well.
     """
     parent = os.environ.pop(_PARENT, None)  # children of this process have another parent
     if parent is None:
@@ -55,29 +55,29 @@ def end_with_parent() -> None:
 
 
 def end_with(process: int) -> None:
-    """End this process at once when another process, parent or not, has ended in any way."""
+    """End this process immediately when another process, parent or not, has ended in any way."""
 
     def watch() -> None:
         try:
             select.select([os.pidfd_open(process)], [], [])
-        finally:  # also if it had ended before
+        finally:  # even if it had ended before
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
 
 
 _FLAGS = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-# Length of an address of a Unix socket (bytes), and what the kernel reports of its listener:
+# Length of the address of a Unix socket (bytes), and what the kernel reports about its listener:
 # process, user and group.
 _MAX_ADDRESS = 107
 _CREDENTIALS = struct.Struct("3i")
 
 
 class LockedError(Exception):
-    """Another process has the lock.
+    """Another process holds the lock.
 
     Attributes:
-        holder: its process number; None if it is unknown.
+        holder: number of that process; None if it is unknown.
     """
 
     def __init__(self, lock: Path | str, holder: int | None) -> None:
@@ -86,18 +86,18 @@ class LockedError(Exception):
 
 
 def acquire_name_lock(name: str) -> socket.socket:
-    """Return a lock on a name, for all users of this machine; it is held until it is closed.
+    """Return a lock on a name, valid for all users of this machine; it is held until closed.
 
     The lock is a socket in Linux's abstract namespace. It has no file, which a cleaner of ``/tmp``
     or the end of a login session could remove while the lock is held, and it ends with its process.
-    Like network ports, it is shared by processes of one network namespace.
+    Like network ports, it is shared by the processes of one network namespace.
 
     Args:
-        name: of what is locked; long names are shortened to a digest.
+        name: name of what is locked; long names are shortened to a digest.
 
     Raises:
-        LockedError: another process has the lock.
-        OSError: the system refuses such sockets.
+        LockedError: if another process holds the lock.
+        OSError: if the system does not allow such sockets.
     """
     address = f"\0greenroof_ros-{name}"
     if len(address.encode()) > _MAX_ADDRESS:
@@ -123,25 +123,25 @@ def _find_listener(address: str) -> int | None:
             credentials = visitor.getsockopt(
                 socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size
             )
-        except OSError:  # it has just ended, or no one can connect any more
+        except OSError:  # it has just ended, or no one can connect any longer
             return None
     return int(_CREDENTIALS.unpack(credentials)[0]) or None  # 0: in another process namespace
 
 
 LOCK_BYTES = 32
-"""length of the holder's number in the file of a lock (bytes); what follows it is the holder's"""
+"""length of the holder's number in a lock file (bytes); what follows it belongs to the holder"""
 
 
 def acquire_file_lock(path: Path) -> FileIO:
     """Return the open file of a lock; the lock is held until the file is closed.
 
     Args:
-        path: the lock's file, which is created if need be; symbolic links are not followed. The
+        path: the lock's file, which is created if necessary; symbolic links are not followed. The
             holder of the lock may remove the file.
 
     Raises:
-        LockedError: another process has the lock.
-        OSError: the file cannot be opened.
+        LockedError: if another process holds the lock.
+        OSError: if the file cannot be opened.
     """
     while True:
         lock = FileIO(os.open(path, _FLAGS, 0o600), "r+")
@@ -155,7 +155,7 @@ def acquire_file_lock(path: Path) -> FileIO:
         if path.exists() and path.stat().st_ino == os.fstat(lock.fileno()).st_ino:
             break
         lock.close()
-    with contextlib.suppress(OSError):  # a full disk: the lock holds all the same
+    with contextlib.suppress(OSError):  # the disk is full: the lock holds all the same
         lock.write(f"{os.getpid()}\n".ljust(LOCK_BYTES).encode())
     return lock
 
@@ -168,13 +168,13 @@ _SCRATCH = "greenroof_ros_scratch-"
 
 @contextlib.contextmanager
 def scratch_directory(place: str | None = None) -> Iterator[Path]:
-    """Make a directory for temporary files, and remove what killed processes left.
+    """Make a directory for temporary files, and remove those that killed processes left behind.
 
-    Its process has it locked. A lock, unlike a process number, also holds between containers that
-    share ``/dev/shm``.
+    Its process holds a lock on it. A lock, unlike a process number, also works between containers
+    that share ``/dev/shm``.
 
     Args:
-        place: where; by default the system's directory for temporary files.
+        place: where to make it; by default the system's directory for temporary files.
     """
     for stale in Path(place or tempfile.gettempdir()).glob(f"{_SCRATCH}*"):
         with contextlib.suppress(OSError), _lock_directory(stale):  # another user's, or in use
@@ -183,7 +183,7 @@ def scratch_directory(place: str | None = None) -> Iterator[Path]:
         directory, locked = Path(), False
         while not (locked and directory.exists()):
             directory, locked = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=place)), False
-            # Until it is locked, another process may think it stale, and remove it.
+            # Until it is locked, another process may take it for a stale one and remove it.
             with contextlib.suppress(FileNotFoundError, BlockingIOError):
                 ends.enter_context(_lock_directory(directory))
                 locked = True
@@ -196,7 +196,7 @@ def _lock_directory(directory: Path) -> Iterator[None]:
     """Lock a directory.
 
     Raises:
-        OSError: another process has locked it, or it cannot be opened.
+        OSError: if another process has locked it, or it cannot be opened.
     """
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
@@ -206,7 +206,7 @@ def _lock_directory(directory: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-# Whether this process was forked from one in which polars had its threads.
+# Whether this process was forked from one in which polars was running threads.
 _lost_threads = False
 
 
@@ -222,30 +222,30 @@ def refuse_forked_polars() -> None:
     """Refuse to use polars where it would wait for ever for threads that a fork does not copy.
 
     Raises:
-        ConfigurationError: this process was forked after polars had been used.
+        ConfigurationError: if this process was forked after polars had been used.
     """
     if _lost_threads and os.getpid() != _IMPORTED_BY:
         raise ConfigurationError(
-            "cannot be made in a process that was forked after polars was used; start processes by "
-            "spawn: multiprocessing.get_context('spawn')", key="a data frame",
+            "cannot be made in a process that was forked after polars was used; start processes "
+            "with spawn: multiprocessing.get_context('spawn')", key="a data frame",
         )
 
 
 _IMPORTED_BY = os.getpid()
 os.register_at_fork(before=_watch_polars)
-# A pipe to which Python writes the number of each signal; None until it does.
+# A pipe to which Python writes the number of each signal; None until it is set up.
 _stored: int | None = None
 
 
 def store_signals() -> None:
-    """Store each signal from now on, whoever handles it in Python, for :func:`find_signal`."""
+    """Store every signal from now on, whoever handles it in Python, for :func:`find_signal`."""
     global _stored
     _stored, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
 
 
 def find_signal() -> signal.Signals | None:
-    """Return a signal to end that was stored since the last call; None if there is none."""
+    """Return a signal that asks to end and came since the last call; None if there was none."""
     if _stored is not None:
         with contextlib.suppress(BlockingIOError):
             for number in os.read(_stored, 4096):
@@ -259,11 +259,11 @@ class InterruptedRun(Exception):
 
 
 class Signals:
-    """Stores that a signal was received; the run checks for it where it can end cleanly.
+    """Remembers that a signal was received; the run checks for it where it can end cleanly.
 
     An exception from the handler could interrupt anything, even the ending of the nodes. A signal
-    that was ignored stays ignored: ``nohup`` ignores the end of the terminal, and a shell ignores
-    Ctrl-C for background processes.
+    that was ignored stays ignored: ``nohup`` ignores the end of the terminal, and a shell makes
+    background processes ignore Ctrl-C.
     """
 
     def __init__(self) -> None:
@@ -277,7 +277,7 @@ class Signals:
 
     @property
     def received(self) -> signal.Signals | None:
-        """The signal that was received, though other code may have handled it; None if none was."""
+        """The signal that was received, even if other code handled it; None if there was none."""
         self._received = self._received or find_signal()
         return self._received
 
@@ -294,13 +294,13 @@ class Signals:
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """End Python code of the main thread that takes too long, and once a second if it goes on.
+    """End Python code in the main thread that takes too long; again every second if it goes on.
 
-    Compiled code cannot be ended; standard error then has the place from which it was called. A
-    pause of the whole process counts as one step, a tenth of the limit.
+    Compiled code cannot be ended; the place from which it was called is then written to standard
+    error. A pause of the whole process counts as one step, a tenth of the limit.
 
     Raises:
-        HangError: it took longer than this (s).
+        HangError: if it took longer than this (s).
     """
     step = seconds / 10
     left = seconds
@@ -329,7 +329,7 @@ def notify(*lines: str) -> None:
     """Send lines to systemd if it started this process; otherwise do nothing.
 
     Args:
-        lines: such as ``READY=1`` and ``STATUS=all nodes are here``.
+        lines: lines such as ``READY=1`` and ``STATUS=all nodes are here``.
     """
     path = os.environ.get("NOTIFY_SOCKET")
     if not path:

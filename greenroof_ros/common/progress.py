@@ -12,20 +12,21 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from greenroof_ros.common.standard_error import ProgressLines
 from greenroof_ros.common.times import hours_minutes_seconds
 
-# Often enough for the eye, seldom enough to cost nothing.
+# Often enough for the eye, rarely enough to cost nothing.
 INTERVAL_S = 0.2
-# Warnings that are remembered, so that each is printed once; a text can contain a changing value.
+# How many warnings are remembered, so that each is printed once. There is a limit, since a text can
+# contain a changing value.
 _MAX_WARNED = 1000
 
 
 class ProgressBar(Progress):
-    """Shows the present task, and the share of all tasks that is done."""
+    """Shows the present task and the share of all tasks that is done."""
 
     def __init__(self, file: Any = None) -> None:
         """Make the bar.
 
         Args:
-            file: where it is drawn; standard error if None.
+            file: where the bar is drawn; standard error if None.
         """
         console = Console(stderr=True, file=file)
         super().__init__(
@@ -41,14 +42,14 @@ class ProgressBar(Progress):
         self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def show(self, text: str, share: float) -> None:
-        """Show the present task, and the share of all tasks that is done, 0 to 1."""
+        """Show the present task and the share of all tasks that is done, from 0 to 1."""
         self.update(self._task, description=text, completed=share)
         if self.disable:
             self._lines.update(f"{text}: {share:.0%}")
 
 
 class RunProgress(ProgressBar):
-    """Shows simulated time, both levels, the command and the speed of a run."""
+    """Shows the simulated time, both levels, the command and the speed of a run."""
 
     def __init__(self, steps: int, tau: float, file: Any = None) -> None:
         """Make the bar.
@@ -56,14 +57,14 @@ class RunProgress(ProgressBar):
         Args:
             steps: N, the last tick.
             tau: duration of a tick (s).
-            file: where it is drawn; standard error if None.
+            file: where the bar is drawn; standard error if None.
         """
         super().__init__(file)
         self._steps, self._tau = steps, tau
         self._warned: deque[str] = deque(maxlen=_MAX_WARNED)
 
     def warn(self, warnings: Iterable[str]) -> None:
-        """Print the warnings that were not printed yet above the bar."""
+        """Print those warnings above the bar that have not been printed yet."""
         for text in warnings:
             if text not in self._warned:
                 self._warned.append(text)
@@ -73,10 +74,10 @@ class RunProgress(ProgressBar):
         """Show a tick.
 
         Args:
-            tick: its index.
-            cistern: level (m).
-            roof: level (m).
-            command: share of the maximum flow (1).
+            tick: index of the tick.
+            cistern: level in the cistern (m).
+            roof: level on the roof (m).
+            command: command as a share of the maximum flow (1).
         """
         share_per_s = self.tasks[0].speed
         real = f", {share_per_s * self._steps * self._tau:.0f}x real time" if share_per_s else ""

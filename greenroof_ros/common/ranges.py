@@ -1,6 +1,7 @@
-"""Ranges of numbers: the only check of a number that a user gives, and the only sentence about it.
+"""Ranges of numbers: the only check of a user's number, and the only sentence about it.
 
-Site, controller, drive, sensor and node parameters, studies, options and topics use it.
+Parameters of sites, controllers, drives, sensors and nodes use it, and so do studies, options and
+topics.
 """
 
 from __future__ import annotations
@@ -16,16 +17,17 @@ from typing import Any
 
 from greenroof_ros.common.errors import ConfigurationError
 
-# A limit this near 0 only excludes 0.
+# A limit this close to 0 only excludes 0.
 _TINY = 1e-9
 _MAXIMUM = sys.float_info.max
 
 
 def read_number(text: str) -> float:
-    """Return the number in a text of a user: the only place where text becomes a number.
+    """Return the number in a user's text; only here does text become a number.
 
     Raises:
-        ValueError: it is none. Python also takes ``1_0`` for 10, and digits of other scripts.
+        ValueError: if it is not a number. Python would also read ``1_0`` as 10, and digits of other
+            scripts.
     """
     if "_" in text or not text.isascii():
         raise ValueError(f"is not a number: {text!r}")
@@ -37,11 +39,11 @@ class Range:
     """The numbers that a value may be.
 
     Attributes:
-        low: the minimum. Up to 1e-9 above 0 it means greater than 0.
-        high: the maximum, likewise. The maximum float means any finite number.
-        unit: of the numbers; empty or ``1`` if there is none to show.
+        low: the minimum. A value of up to 1e-9 above 0 means greater than 0.
+        high: the maximum, in the same way. The largest float means any finite number.
+        unit: unit of the numbers; empty or ``1`` if there is none to show.
         whole: whether they are whole numbers.
-        words: texts that are accepted as well, for messages.
+        words: texts that are also accepted, for messages.
     """
 
     low: float = -math.inf
@@ -56,12 +58,12 @@ class Range:
 
     @property
     def limits(self) -> str:
-        """Its ends, as in ``0 to 1``; empty if there are none."""
+        """Its limits, as in ``0 to 1``; empty if there are none."""
         return self._limits[1]
 
     @property
     def _limits(self) -> tuple[str, str]:
-        """The preposition after *a number*, and its ends; each can be empty."""
+        """The preposition after *a number*, and the limits; each can be empty."""
         low, high = (
             str(end) if isinstance(end, int) else f"{end:.9g}" for end in (self.low, self.high)
         )
@@ -90,13 +92,13 @@ class Range:
         return f"must be {self}{', with a decimal point' if comma else ''}"
 
     def check(self, value: Any) -> float:
-        """Return a value as a number of Python: an int if it must be whole, otherwise a float.
+        """Return a value as a Python number: an int if it must be whole, otherwise a float.
 
         Args:
-            value: a number of Python or NumPy; true and false are none.
+            value: a Python or NumPy number; true and false are not numbers.
 
         Raises:
-            ValueError: it is not a number of this range; the message is the sentence about it.
+            ValueError: if it is not a number in this range; the message is the sentence about it.
         """
         if value in self:
             with suppress(OverflowError):
@@ -115,17 +117,17 @@ class Range:
         self, value: Any, *, key: str, file: Path | None = None, line: int | None = None,
         about: str = "",
     ) -> float:
-        """Return the number under a key; a whole one may be written as 5.0.
+        """Return the number under a key; a whole number may also be written as 5.0.
 
         Args:
-            value: under the key.
-            key: its name.
-            file: the file; None if a program gives the value.
-            line: of the key.
+            value: the value under the key.
+            key: name of the key.
+            file: the file; None if a program passes the value.
+            line: line of the key.
             about: end of the message.
 
         Raises:
-            ConfigurationError: it is not a number of this range.
+            ConfigurationError: if it is not a number in this range.
         """
         plain = self.whole and isinstance(value, float) and value.is_integer()
         try:

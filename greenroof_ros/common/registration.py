@@ -1,4 +1,4 @@
-"""The name of the environment of Gymnasium, known from the import of either package on."""
+"""Registers the Gymnasium environment, whichever of the two packages is imported first."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ID = "GreenRoof-v1"
 
 
 class _Registration:
-    """Registers the environment when Gymnasium is imported, which this package does not do."""
+    """Registers the environment when Gymnasium is imported; this package does not import it."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -39,7 +39,7 @@ def _register(gymnasium: ModuleType) -> None:
 
 
 def register() -> None:
-    """Register the environment, at once or when Gymnasium is imported."""
+    """Register the environment now, or else when Gymnasium is imported."""
     known = sys.modules.get("gymnasium")
     if known is None:
         sys.meta_path.insert(0, _Registration())

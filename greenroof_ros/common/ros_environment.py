@@ -1,7 +1,7 @@
 """Checks the environment that ROS 2 is loaded from, before it is loaded.
 
-With a wrong one ROS ends the process by itself, raises an error that names no remedy, or silently
-takes another value, with which messages may leave the machine.
+In a wrong environment, ROS ends the process itself, raises an error that names no remedy, or
+silently uses another value, with which messages may leave the machine.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from greenroof_ros.common.ranges import Range
 
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-"""name the profiles file; Fast DDS 3 (ROS 2 Kilted) has the second, and warns of the first"""
+"""name the profiles file; Fast DDS 3 (ROS 2 Kilted) reads the second and warns about the first"""
 _RANGES = ("LOCALHOST", "SUBNET", "SYSTEM_DEFAULT", "OFF")
 _MIDDLEWARE = "RMW_IMPLEMENTATION"
 _PACKAGES = (
     "rclpy", "rcl_interfaces", "builtin_interfaces", "std_msgs", "std_srvs", "rosgraph_msgs",
     "diagnostic_msgs",
 )
-# Above it a domain's ports overlap the system's ephemeral ports.
+# From this number on, a domain's ports overlap the system's ephemeral ports.
 _LAST_DOMAIN = 101
 
 
 def check_environment() -> None:
-    """Check that ROS 2 can be loaded, and means what the environment says.
+    """Check that ROS 2 can be loaded and will do what the environment says.
 
     Raises:
-        ConfigurationError: ROS 2 is missing, is compiled for another Python, or lacks the
-            middleware that a variable names; or another variable has a value that ROS would not
-            take.
+        ConfigurationError: if ROS 2 is missing, is compiled for another Python, or lacks the
+            middleware that a variable names; or if another variable has a value that ROS would not
+            accept.
     """
     _check_ros()
     read_domain()
@@ -51,7 +51,7 @@ def check_environment() -> None:
 
 
 def end_without_ros() -> None:
-    """End this process, a node's, in one line with exit code 2 if ROS 2 cannot be loaded."""
+    """End this process (a node) with one line and exit code 2 if ROS 2 cannot be loaded."""
     try:
         _check_ros()
     except ConfigurationError as error:
@@ -63,7 +63,7 @@ def read_domain() -> int:
     """Return the ROS domain.
 
     Raises:
-        ConfigurationError: it is no number that has ports, or one that ROS reads as octal.
+        ConfigurationError: if it is not a number that has ports, or is one that ROS reads as octal.
     """
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not re.fullmatch("0|[1-9][0-9]{0,2}", text) or int(text) > _LAST_DOMAIN:
@@ -85,8 +85,8 @@ def _check_packages() -> None:
         spec = importlib.util.find_spec(package)
         if spec is None or spec.origin is None:
             raise ConfigurationError(
-                f"there is no ROS 2 here: source yours, or {describe_extra('ros')}; "
-                f"greenroof simulate needs none (No module named {package!r})"
+                f"there is no ROS 2 here: source your ROS 2, or {describe_extra('ros')}; "
+                f"greenroof simulate does not need it (No module named {package!r})"
             )
         directory = Path(spec.origin).parent
         others = {file.name.split(".")[1] for file in directory.glob("*.cpython-*.so")}
@@ -100,14 +100,14 @@ def _check_packages() -> None:
 
 
 def _check_middleware() -> None:
-    """Let another process load ROS: rcl ends one whose middleware is missing."""
+    """Let another process load ROS: rcl ends a process whose middleware is missing."""
     name = os.environ.get(_MIDDLEWARE)
     if name and subprocess.run(
         [sys.executable, "-c", "import rclpy"], capture_output=True, check=False
     ).returncode:
         raise ConfigurationError(
-            "this ROS 2 has no such middleware (from PyPI it has rmw_fastrtps_cpp alone): install "
-            f"it, or unset {_MIDDLEWARE}", key=_MIDDLEWARE, value=name,
+            "this ROS 2 has no such middleware (ROS 2 from PyPI has only rmw_fastrtps_cpp): "
+            f"install it, or unset {_MIDDLEWARE}", key=_MIDDLEWARE, value=name,
         )
 
 
@@ -116,6 +116,6 @@ def _check_profiles(variable: str, file: str) -> None:
         ElementTree.parse(file)  # noqa: S314 - the user's own file
     except (OSError, ElementTree.ParseError) as error:
         raise ConfigurationError(
-            f"must be a file of Fast DDS profiles, in XML ({error}); with another, all interfaces "
+            f"must be an XML file of Fast DDS profiles ({error}); with this one, all interfaces "
             "would be used", key=variable, value=file,
         ) from None

@@ -1,6 +1,6 @@
-"""What users read on standard error: lines that a thread writes, and lines of progress.
+"""What users read on standard error: lines written by a thread, and progress lines.
 
-Time-critical code has its lines written by a thread.
+Time-critical code lets a thread write its lines.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ _EVERY_S, _SELDOM_S = 10.0, 60.0
 
 
 class Lines:
-    """Lines to a file descriptor that may block: a full pipe, or a terminal stopped by Ctrl-S.
+    """Lines to a file descriptor that may block: a full pipe, or a terminal stopped with Ctrl-S.
 
-    A thread of their own writes them: logs and summary do not wait for the reader of standard
-    error. If too many lines wait, the oldest are dropped, and how many is printed.
+    A separate thread writes them, so that logs and summary do not wait for the reader of standard
+    error. If too many lines are waiting, the oldest are dropped, and their number is printed.
     """
 
     def __init__(self, number: int) -> None:
         """Start without lines.
 
         Args:
-            number: the file descriptor. Python's stream is bypassed: a thread that hangs in it
-                holds its lock, and the end of the interpreter would wait for that lock.
+            number: the file descriptor. Python's stream is bypassed, because a thread that hangs in
+                it holds its lock, and the interpreter would wait for that lock when it ends.
         """
         self._number = number
         self._waiting: deque[str] = deque()
@@ -43,11 +43,11 @@ class Lines:
         self._thread = DiskThread()
 
     def print_line(self, text: str) -> None:
-        """Queue one or more lines for writing; return at once."""
+        """Queue one or more lines for writing; return immediately."""
         self.write(f"{text}\n")
 
     def print_seldom(self, kind: str, text: str) -> None:
-        """Print what others can cause at will: once a minute, with how often it was left out.
+        """Print what others can cause at will only once a minute, with the number left out.
 
         Args:
             kind: what is printed once a minute, whatever its text.
@@ -63,7 +63,7 @@ class Lines:
         self.print_line(text + (f" (and {left_out} more like this before)" if left_out else ""))
 
     def write(self, text: str) -> None:
-        """Queue a text for writing; with the next two methods this is a file for progress bars."""
+        """Queue a text for writing; with the next two methods, this is a file for progress bars."""
         with self._lock:
             if len(self._waiting) == _MAX_LINES:
                 self._waiting.popleft()
@@ -79,7 +79,7 @@ class Lines:
         return os.isatty(self._number)
 
     def wait(self, within: float) -> bool:
-        """Wait until everything is written, at most this long (s); return whether it is."""
+        """Wait at most this long (s) until everything is written; return whether it is."""
         return self._thread.wait(within)
 
     def _write(self) -> None:
@@ -107,7 +107,7 @@ atexit.register(LINES.wait, _END_S)
 
 
 class ProgressLines:
-    """Prints progress every ten seconds; nothing within the first ten."""
+    """Prints progress every ten seconds, but nothing in the first ten."""
 
     def __init__(self, print_line: Callable[[str], None] = print_line) -> None:
         """Start the first ten seconds.

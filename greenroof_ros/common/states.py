@@ -1,4 +1,4 @@
-"""The words that nodes and their observers share: roles, and states. Needs no ROS."""
+"""The words that nodes and their observers share: roles and states. Needs no ROS."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
-# The states of a node: it waits for its peers; they are there; the run is over; it ends.
+# The states of a node: it waits for its peers; they are there; the run is over; it is ending.
 STARTING, READY, FINISHED, ENDED = STATES = ("starting", "ready", "finished", "ended")
 
-# Roles in the interface that code treats specially, and how to name one whose node is unknown.
+# Roles in the interface that the code treats specially, and how to call one whose node is unknown.
 PLANT, PUMP, RECORDER = "plant", "pump", "recorder"
 ROLES = {"controller": "the controller", PUMP: "the pump driver"}
 
@@ -30,12 +30,12 @@ PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unkno
 
 @dataclass(frozen=True)
 class PumpState:
-    """What a pump does: the content of /pump/state, a JSON object.
+    """What a pump is doing: the content of /pump/state, a JSON object.
 
     Attributes:
         state: one of ``PUMP_STATES``.
         why: the reason, for people.
-        codes: of the conditions that keep the pump off, the decisive one first.
+        codes: codes of the conditions that keep the pump off, the decisive one first.
     """
 
     state: str = "unknown"
@@ -46,12 +46,12 @@ class PumpState:
         return f"{self.state}: {self.why}" if self.why else self.state
 
     def message(self) -> str:
-        """Return it as the topic has it."""
+        """Return the state as it is published on the topic."""
         return json.dumps(asdict(self), ensure_ascii=False)
 
     @classmethod
     def read(cls, message: str) -> PumpState:
-        """Return a message's content; its text is the reason of an unknown state if it is wrong."""
+        """Return a message's content; if malformed, an unknown state with its text as reason."""
         try:
             content = json.loads(message)
         except (ValueError, RecursionError):

@@ -13,12 +13,12 @@ from greenroof_ros.common.errors import ConfigurationError
 # The years that the time stamps of ROS 2 and of bags cover in full.
 FIRST_YEAR, LAST_YEAR = 1971, 2037
 
-# The start of the paper's window; also the example time in messages.
+# The start of the paper's window, which is also the example time in messages.
 DEFAULT_START = "2021-07-07T02:00-05:00"
 _EPOCH = datetime.fromisoformat("1970-01-01T00:00+00:00")
 
-# A calendar date, a time of day and an offset of ISO 8601, all with or without separators. Python's
-# own parser accepts other forms in each version.
+# A calendar date, a time of day and an offset in ISO 8601, all with or without separators. Every
+# version of Python's own parser accepts other forms.
 _ISO = re.compile(
     r"(\d{4})(-?)(\d\d)\2(\d\d)"
     r"(?:[T ](\d\d)(?::?(\d\d)(?::?(\d\d)(?:[.,](\d+))?)?)?"
@@ -41,10 +41,10 @@ _HINTS = (
 def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
     """Read an ISO 8601 time, in a zone if it has no offset; a final ``Z`` stands for UTC.
 
-    Fractions of a second are cut to microseconds; 24:00 is the end of its day.
+    Fractions of a second are truncated to microseconds; 24:00 is the end of its day.
 
     Raises:
-        ValueError: it is not a time from :data:`FIRST_YEAR` to :data:`LAST_YEAR`.
+        ValueError: if it is not a time from :data:`FIRST_YEAR` to :data:`LAST_YEAR`.
     """
     match = _ISO.fullmatch(text.strip())
     if match is None:
@@ -70,7 +70,7 @@ def _zone(sign: str, hours: int, minutes: int, seconds: int) -> timezone:
 
 
 def time_hint(text: str) -> str:
-    """Return the end of a message about a time that :func:`parse_time` refuses; mostly empty."""
+    """Return the end of a message about a time that :func:`parse_time` rejects; often empty."""
     for pattern, what in _HINTS:
         if re.fullmatch(pattern, text.strip()):
             return f"; {what}"
@@ -81,7 +81,7 @@ def parse_local_time(text: str, zone: tzinfo) -> datetime:
     """Read a local time, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00:00``, in a zone.
 
     Raises:
-        ValueError: it is not such a time, has an offset, or is outside the years.
+        ValueError: if it is not such a time, has an offset, or is outside the years.
     """
     match = re.fullmatch(
         r"(\d{4}[-/]\d\d[-/]\d\d)[ T](\d{1,2})(:\d\d(?::\d\d(?:\.\d+)?)?)", text.strip()
@@ -96,7 +96,7 @@ def parse_unix_time(text: str) -> datetime:
     """Read whole seconds since 1970 as a time in UTC.
 
     Raises:
-        ValueError: it is outside the years.
+        ValueError: if it is outside the years.
     """
     return _within_years(_EPOCH + timedelta(seconds=float(text)))
 
@@ -134,7 +134,7 @@ def hours_minutes_seconds(seconds: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Write a duration as people write it: ``40 s``, ``27 min``, ``2 h``, ``120 h``."""
+    """Write a duration the way people do: ``40 s``, ``27 min``, ``2 h``, ``120 h``."""
     if seconds < 90:
         return f"{seconds:.3g} s"
     if seconds < 5400:
@@ -158,24 +158,24 @@ def from_epoch_ns(nanoseconds: int) -> datetime:
 
 
 def is_skipped(local: datetime) -> bool:
-    """Return whether the clocks of a time's zone skip it, as the hour in spring."""
+    """Return whether the clocks of a time's zone skip it, as they skip an hour in spring."""
     shown = local.astimezone(timezone.utc).astimezone(local.tzinfo)
     return shown.replace(tzinfo=None) != local.replace(tzinfo=None)
 
 
 def read_start(text: str, zone: tzinfo | None = None) -> datetime:
-    """Read a start time; without an offset from UTC it is in the given zone.
+    """Read a start time; without an offset from UTC, it is in the given zone.
 
-    In the hour that clocks show twice it is the first. The result has a fixed offset: in a zone
-    with daylight saving, sums of time would be of the wall clock.
+    Within the hour that clocks show twice, the first one is meant. The result has a fixed offset:
+    in a zone with daylight saving, adding durations would follow the wall clock.
 
     Args:
-        text: the time.
-        zone: of a time without an offset.
+        text: the start time.
+        zone: zone of a time without an offset.
 
     Raises:
-        ConfigurationError: it is not an ISO 8601 time, has no offset and no zone is given, or is
-            in an hour that the zone's clocks skip.
+        ConfigurationError: if it is not an ISO 8601 time, has no offset while no zone is given, or
+            is within an hour that the zone's clocks skip.
     """
     try:
         start = parse_time(text, zone)
@@ -187,11 +187,11 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
         ) from None
     if start.utcoffset() is None:
         raise ConfigurationError(
-            f"must give its offset from UTC, as in {DEFAULT_START}", key="start", value=text
+            f"must include its offset from UTC, as in {DEFAULT_START}", key="start", value=text
         )
     if is_skipped(start):
         raise ConfigurationError(
-            f"is a time that clocks in {start.tzinfo} skip", key="start", value=text
+            f"is a time that the clocks in {start.tzinfo} skip", key="start", value=text
         )
     return start.replace(tzinfo=timezone(start.utcoffset() or timedelta()))
 
@@ -199,15 +199,15 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
 def boot_time() -> float:
     """Return the time since the machine started (s), including suspends.
 
-    ``time.monotonic()`` stands still during a suspend: by that clock, values measured before a
-    suspend would still be new after it.
+    ``time.monotonic()`` stops during a suspend: by that clock, values measured before a suspend
+    would still be new after it.
     """
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 @functools.cache
 def boot_id() -> str:
-    """Return what identifies the machine's present start; empty if the system does not tell."""
+    """Return an identifier of the machine's present boot; empty if the system does not tell."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:

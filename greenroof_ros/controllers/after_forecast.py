@@ -15,21 +15,22 @@ from greenroof_ros.model.look_ahead import MAX_HORIZON, growing_steps
 from greenroof_ros.model.site import Site
 
 _DAY_S = 86_400.0
-# Mean net loss of a roof over its evapotranspiration. 1 - rain / evapotranspiration is 0.31 in the
-# mean over Toronto's seasons (May to October) of 2015 to 2025, and 0.04 to 0.55 in single seasons.
+# Mean net loss of a roof as a share of its evapotranspiration. 1 - rain / evapotranspiration has a
+# mean of 0.31 over Toronto's seasons (May to October) of 2015 to 2025, and is 0.04 to 0.55 in
+# single seasons.
 _NET_DRYING = 0.3
 
-# Maximum horizon at which a service's forecasts pay (h): doc/results.md.
+# Maximum horizon at which a service's forecasts are worth using (h): doc/results.md.
 _PAYS, _PAYS_MEASURED = 120.0, 48.0
 HORIZON = Parameter(
     "horizon", _PAYS, "h", 0.1, MAX_HORIZON,
-    f"how far it looks ahead; the default is {_PAYS_MEASURED:g} on a roof with a measured soil; "
-    "the weather node needs the same value", measured=_PAYS_MEASURED,
+    f"how far it looks ahead; the default is {_PAYS_MEASURED:g} on a roof with field-capacity "
+    "soil; the weather node needs the same value", measured=_PAYS_MEASURED,
 )
-# By default as many days as the longest forecast has.
+# By default, as many days as the longest forecast covers.
 DAYS_AFTER = Parameter(
     "days_after", 10, "days", 0, 10,
-    "days after the forecast in the plan, with a slowly drying roof; 0 if the run ends with the "
+    "days in the plan after the forecast, with a slowly drying roof; 0 if the run ends with the "
     "forecast",
 )
 
@@ -44,16 +45,16 @@ class AfterForecast:
     fills the roof before rain at its end, at no cost in the plan, and has too much water on it
     afterwards. The shorter the forecast, the larger this error. So the deviation also counts for
     ``days_after`` more days, without rain and with 0.3 of the mean evapotranspiration of the past
-    day: in summer that is what usually remains of it after the rain. The mean covers a whole day,
-    so that it is also right at night; it starts with the mean of the forecast's first day.
+    day: in summer, that is what usually remains after rain is subtracted. The mean covers a whole
+    day, so that it is also right at night; it starts with the mean over the forecast's first day.
 
     Without these days, nothing counts after the end of the forecast. That is right for a study
-    whose runs end there, such as the paper's of 12 h, but not for a real roof.
+    whose runs end there, such as the paper's runs of 12 h, but not for a real roof.
 
     Attributes:
-        edges: ends of all steps, of the forecast and of the days after it (s from now), the first
-            0, shape (steps + days_after + 1,).
-        steps: number of the forecast's steps.
+        edges: ends of all steps, those of the forecast and the days after it (s from now), the
+            first 0, shape (steps + days_after + 1,).
+        steps: number of steps in the forecast.
         mean: exponential mean of evapotranspiration over a day (m3/s); 0 before the first forecast.
     """
 
@@ -72,15 +73,15 @@ class AfterForecast:
     def check(
         self, rain: Sequence[Any], evapotranspiration: Sequence[float], max_members: int
     ) -> tuple[Array, Array]:
-        """Return the forecasts as arrays of shape (members, steps) and (steps,), not copied.
+        """Return the forecasts as arrays of shape (members, steps) and (steps,), without copying.
 
         Args:
-            rain: (m/s), of all members or of one.
-            evapotranspiration: (m3/s).
+            rain: rain (m/s), of all members or of one.
+            evapotranspiration: evapotranspiration (m3/s).
             max_members: maximum number of members.
 
         Raises:
-            ConfigurationError: they have another shape, or too many members.
+            ConfigurationError: if they have another shape, or too many members.
         """
         rains = np.atleast_2d(np.asarray(rain, dtype=float, order="C"))
         evaporated = np.asarray(evapotranspiration, dtype=float)
@@ -89,8 +90,8 @@ class AfterForecast:
             raise ConfigurationError(
                 f"the forecasts of rain have {len(rains)} members of {rains.shape[1]} entries, "
                 f"evapotranspiration has {len(evaporated)}; the horizon has {self.steps} "
-                f"steps, and at most {max_members} members are allowed; give weather and "
-                "controller the same horizon; only lookahead takes all members"
+                f"steps, and no more than {max_members} members are allowed; set the same horizon "
+                "for weather and controller; only lookahead takes all members"
             )
         return rains, evaporated
 
@@ -106,11 +107,11 @@ class AfterForecast:
         """Return rain (m/s) and evapotranspiration (m3/s) for all steps.
 
         Args:
-            rain: the forecast, shape (members, steps).
-            evapotranspiration: the forecast, shape (steps,).
+            rain: forecast of rain, shape (members, steps).
+            evapotranspiration: forecast of evapotranspiration, shape (steps,).
 
         Returns:
-            Shape (members, steps + days_after) and (steps + days_after,).
+            Arrays of shape (members, steps + days_after) and (steps + days_after,).
         """
         no_rain = np.zeros((len(rain), self._days))
         drying = np.full(self._days, _NET_DRYING * self.mean)

@@ -29,36 +29,37 @@ class AnticipatingOnOff:
 
     The paper's Conclusion asks for a 'less expensive, hybrid' design: an on/off controller that
     anticipates the weather. The paper's on/off controller, Eq. (12), fills the roof to its target
-    x2*. If rain comes then, the roof stays too wet for days. This controller predicts the roof's
-    volume without pumping, from rain and evapotranspiration, on a measured soil also from
+    x2*. If rain then comes, the roof stays too wet for days. This controller predicts the roof's
+    volume without pumping, from rain and evapotranspiration, and on field-capacity soil also from
     percolation. It pumps while the roof would be
 
         too dry for more than half of the time from now to t, for every t,
 
-    where t is each end of the steps to the horizon and of the days after it
+    where t is the end of any step up to the horizon, or of any of the days after it
     (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
 
-    Why: water pumped now makes the roof that much wetter at every later time. This is a gain
+    The reason: water pumped now makes the roof that much wetter at every later time. This is a gain
     whenever the roof would otherwise be below its target, and a loss whenever it would be above.
     Water that is not pumped now can still be pumped at t; then only the time until t counts. So it
     is best to pump if the gain exceeds the loss for every t, and otherwise to wait. For pumps of
-    any flow this is the plan with the minimum sum of |x2 - x2*|: if y_i is the volume missing in
+    any flow, this is the plan with the minimum sum of |x2 - x2*|: if y_i is the volume missing in
     step i, the volumes pumped by then are the isotonic regression of y in L1, whose first value is
-    the minimum over t of the medians of y until t. It is above zero if the rule requires it (Stout
-    2008, Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal. 53:289-297).
+    the minimum over t of the medians of y until t. It is above zero exactly if the rule says to
+    pump (Stout 2008, Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal.
+    53:289-297).
 
-    It checks the rule once a minute, and in each tick while it pumps.
+    It checks the rule once a minute, and in every tick while it pumps.
 
-    The rule neglects that pumping takes time (a minute and a half at full flow for the paper's
-    site). With a dry forecast it is the paper's controller.
+    The rule ignores that pumping takes time (a minute and a half at full flow for the paper's
+    site). With a dry forecast, it is the paper's controller.
 
-    For a microcontroller: once a minute, go through the hours of the forecast and add rain times
-    the bed's area less evapotranspiration to the water on the roof. Sum up the hours with too
-    little water less those with too much. Do not pump if this sum is zero or less at even one hour.
-    A real site needs two more sums, updated in each tick:
+    On a microcontroller: once a minute, go through the hours of the forecast, and add the rain on
+    the bed's area minus evapotranspiration to the water on the roof. Add up the hours with too
+    little water minus those with too much. Do not pump if this sum is zero or less at even one
+    hour. A real site needs two more parts, updated in every tick:
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` averages the level's readings,
-    :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits the cost of forecast rain
-    that never comes.
+    and :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits the cost of forecast
+    rain that never comes.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
@@ -82,12 +83,12 @@ class AnticipatingOnOff:
         """Set the site and the parameters.
 
         Args:
-            site: the parameters of Table I.
+            site: parameters of the site (Table I).
             horizon: how far to look ahead (h).
             days_after: days after the horizon that count.
-            fraction: v.
+            fraction: v, the command when pumping (share of the maximum flow).
             observer_time_constant: averaging time of the roof's level readings (s).
-            waiting_budget: what waiting for rain may cost (h of an empty roof).
+            waiting_budget: what waiting for rain may cost (hours of an empty roof).
             waiting_share: what it may cost in addition, as a share of the cost of plain on/off.
         """
         self._site, self._soil = site, soil_of(site)
@@ -96,7 +97,7 @@ class AnticipatingOnOff:
         self._lengths = np.diff(self._after.edges)
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
-        self._waited = math.inf  # since a check found that it should wait (s)
+        self._waited = math.inf  # time since a check found that it should wait (s)
 
     @property
     def learned(self) -> dict[str, float]:
@@ -147,14 +148,15 @@ class AnticipatingOnOff:
         self._regret_budget.skip()
 
     def _stays_dry(self, x2: float, rain: Array, evaporated: Array) -> bool:
-        """Whether the roof, without pumping, is too dry for most of the time until each step's end.
+        """Whether the roof without pumping is too dry for most of the time until every step's end.
 
-        On a measured soil each time is weighted by the share of water pumped now that is left then.
+        On field-capacity soil, each time is weighted by the share of water pumped now that is left
+        then.
         """
         (rain,), evaporated = self._after.lengthen(rain, evaporated)
         weather = rain, evaporated, self._lengths
         changes = self._soil.predict_changes(x2, *weather)
-        # At the middle of each step, where the course equals the step's mean.
+        # At the middle of every step, where the course equals the step's mean.
         course = x2 + np.cumsum(changes) - changes / 2
         dry_s = np.where(course < self._site.x2_star, self._lengths, -self._lengths)
         dry_s = dry_s * self._soil.predict_lasting_share(x2, changes, *weather)
@@ -164,4 +166,4 @@ class AnticipatingOnOff:
         return False
 
     def statistics(self) -> None:
-        """It has no solver."""
+        """Return None: it has no solver."""

@@ -23,8 +23,8 @@ from greenroof_ros.controllers.tick_times import TickTimes
 from greenroof_ros.model.look_ahead import look_ahead_ends
 from greenroof_ros.model.site import Site
 
-# Levels, as shares of the cistern's outlet level and of the roof's target; rates of rain (m/s) and
-# evapotranspiration (m3/s): dry, usual, a cloudburst, and what a faulty sensor can read.
+# Levels, as shares of the cistern's outlet level and of the roof's target, and rates of rain (m/s)
+# and evapotranspiration (m3/s): dry, usual, a cloudburst, and what a faulty sensor can read.
 _CISTERN = (0.0, 0.2, 0.25, 0.8, 1.0, 1.5)
 _ROOF = (0.0, 0.5, 0.999, 1.0, 1.001, 2.0)
 _RAIN = (0.0, 1e-7, 2e-5)
@@ -43,19 +43,19 @@ def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:
 
 @dataclass(frozen=True)
 class _Trial:
-    """A controller, and the site that it is tried on."""
+    """A controller, and the site on which it is tried."""
 
     choice: ControllerChoice
     site: Site
 
     @property
     def steps(self) -> int:
-        """Number of entries of a forecast."""
+        """Number of entries in a forecast."""
         horizon = self.choice.defaults(self.site).get("horizon", 0.0)
         return len(look_ahead_ends(self.site, horizon)) - 1
 
     def forecast(self, rate: float, members: int = 1) -> Any:
-        """Return a forecast of rain from the second step on, in the shape that it takes."""
+        """Return a forecast with rain from the second step on, in the shape that it takes."""
         rates = np.full((members, self.steps), rate)
         rates[:, 0] = 0.0
         return rates if self.choice.ensemble else rates[0].tolist()
@@ -76,18 +76,18 @@ class _Trial:
 def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
     """Check a controller against :class:`~greenroof_ros.controllers.protocol.Controller`.
 
-    Every check requests commands of new controllers, with levels and forecasts from a dry to a
+    Every check requests commands from new controllers, with levels and forecasts from a dry to a
     flooded site. The checks cover what the node graph, ``simulate``, studies and reports rely on.
 
     Args:
         choice: the controller.
-        site: the site that it is tried on.
+        site: the site on which it is tried.
 
     Returns:
-        A result for each check, in the order in which a user should repair them.
+        One result for each check, in the order in which a user should repair them.
 
     Raises:
-        ConfigurationError: the class cannot be imported, or lacks what every controller has.
+        ConfigurationError: if the class cannot be imported, or lacks what every controller needs.
     """
     _ = choice.kind
     results, reported = [], set[str]()
@@ -100,7 +100,7 @@ def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
         except Exception as error:  # anything that a user's class raises
             known = isinstance(error, ConfigurationError)
             problem = str(error if known else locate_error(choice.kind, error))
-            if problem in reported:  # one fault mostly fails many checks
+            if problem in reported:  # one fault often fails many checks
                 problem = "fails as above"
             reported.add(problem)
         results.append(CheckResult(name, problem))
@@ -113,7 +113,7 @@ def _check_command(controller: Controller, *inputs: Any) -> float:
         cistern, roof = inputs[:2]
         raise _BrokenRuleError(
             f"command() returns {command!r} at levels {cistern:g} m and {roof:g} m; it must be "
-            "a finite number, not negative"
+            "a finite number and not negative"
         )
     return float(command)
 
@@ -128,7 +128,7 @@ def _parameters(trial: _Trial) -> None:
                 f"{parameter.name!r} is not a valid name: use a-z, 0-9 and _, no digit first"
             )
         if not (parameter.unit and parameter.meaning):
-            raise _BrokenRuleError(f"{parameter.name} has no unit ('1' if none) or no meaning")
+            raise _BrokenRuleError(f"{parameter.name} lacks a unit ('1' for none) or a meaning")
         if parameter.default not in parameter.range:
             raise _BrokenRuleError(
                 f"the default of {parameter.name}, {parameter.default:g}, "
@@ -139,7 +139,7 @@ def _parameters(trial: _Trial) -> None:
 def _whole_range(trial: _Trial) -> None:
     for parameter in trial.choice.kind.parameters:
         if parameter.name == "horizon":
-            continue  # another horizon needs another forecast
+            continue  # a different horizon needs a different forecast
         for value in (parameter.low, parameter.high):
             controller = trial.make(**{parameter.name: value})
             try:
@@ -165,7 +165,7 @@ def _inputs_unchanged(trial: _Trial) -> None:
         before = [np.array(forecast) for forecast in inputs[2:]]
         _check_command(controller, *inputs)
         if not all(map(np.array_equal, before, inputs[2:])):
-            raise _BrokenRuleError("command() changes the forecasts that it gets; copy them first")
+            raise _BrokenRuleError("command() changes the forecasts passed to it; copy them first")
 
 
 def _skip(trial: _Trial) -> None:
@@ -204,7 +204,7 @@ def _may_change(trial: _Trial) -> None:
             continue
         name, controller = parameter.name, trial.make()
         if getattr(controller, name, None) != trial.choice.defaults(trial.site)[name]:
-            raise _BrokenRuleError(f"it has no attribute {name} with the parameter's value")
+            raise _BrokenRuleError(f"it has no attribute {name} that holds the parameter's value")
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
             trial.request_commands(controller, stride=11)
@@ -223,18 +223,18 @@ def _outputs(trial: _Trial) -> None:
                 (value.dtype, value.shape[1:]) == (float, shape)
             )
         if not right:
-            problem = f"{topic.name}: there is no {expected} in the attribute {attribute}"
+            problem = f"{topic.name}: the attribute {attribute} holds no {expected}"
             raise _BrokenRuleError(problem)
 
 
 def _outlet(trial: _Trial) -> None:
-    """Also if a tick is skipped, the first one, too, since the valve also works in frost."""
+    """Check it even for skipped ticks, including the first, since the valve also works in frost."""
     if trial.choice.of_valve:
         controller = trial.make()
         _check_command(controller, *next(trial.inputs()))
         if hasattr(controller, "outlet"):
             raise _BrokenRuleError(
-                "only its objects have an attribute outlet; the class must have it, too, such as "
+                "only its objects have an attribute outlet; the class must have it, too, as in "
                 "outlet = 0.0"
             )
         return
@@ -253,7 +253,7 @@ def _outlet(trial: _Trial) -> None:
     for first, second in zip(request_shares(), request_shares(), strict=True):
         if first != second:
             raise _BrokenRuleError(
-                f"two instances command {first!r} and {second!r} to the valve for equal inputs"
+                f"two instances command the valve to {first!r} and {second!r} for equal inputs"
             )
 
 
@@ -266,23 +266,23 @@ def _statistics(trial: _Trial) -> None:
         raise _BrokenRuleError(f"statistics() must be None or have {', '.join(sorted(figures))}")
 
 
-# Each check by what it shows, in the order in which a user should repair failures. A check that
-# fails raises a _BrokenRuleError, or what the controller raises.
+# Every check, by what it shows, in the order in which a user should repair failures. A check that
+# fails raises a _BrokenRuleError, or whatever the controller raises.
 _CHECKS: dict[str, Callable[[_Trial], object]] = {
-    "its parameters have distinct names; each has a unit, a meaning, and a default in its range":
+    "its parameters have distinct names; each has a unit, a meaning and a default within its range":
         _parameters,
-    "it can be made with the site and a value for each parameter": _Trial.make,
+    "it can be constructed with the site and a value for each parameter": _Trial.make,
     "its commands are finite and not negative, at all levels and for all forecasts":
         lambda trial: trial.request_commands(trial.make()),
-    "its commands are also valid with each parameter at either end of its range": _whole_range,
+    "its commands are valid with each parameter at either end of its range, too": _whole_range,
     "two instances give the same commands for the same inputs": _deterministic,
-    "it does not change the forecasts that it gets": _inputs_unchanged,
-    "ticks can be skipped, at the start and later, and its commands stay valid": _skip,
-    "a missing or wrong forecast gives a valid command or a ConfigurationError, nothing else":
+    "it does not change the forecasts passed to it": _inputs_unchanged,
+    "if ticks are skipped, at the start or later, its commands stay valid": _skip,
+    "a missing or wrong forecast leads to a valid command or a ConfigurationError only":
         _wrong_forecasts,
     "each parameter that can change during a run is an attribute that can be set": _may_change,
-    "each of its outputs is a topic of the interface and has its value after a command": _outputs,
-    "if it commands the outlet's valve itself, its attribute outlet is from 0 to 1 in each tick":
+    "each of its outputs is a topic of the interface and has a value after a command": _outputs,
+    "if it commands the outlet valve itself, its attribute outlet is from 0 to 1 in each tick":
         _outlet,
     "its statistics are None, or the figures of its solver": _statistics,
 }

@@ -1,6 +1,6 @@
-"""Whether a controller decides in a tick, or the pumps stand still regardless; its forecast.
+"""Decides in every tick whether to ask the controller, with which forecast, or keep the pumps off.
 
-Also the command to the valve of the low outlet.
+It also decides the command to the valve of the low outlet.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from greenroof_ros.controllers.registry import ControllerChoice
 
 
 def may_decide(controller: Controller, allowed: bool, quiet: bool) -> bool:
-    """Whether a controller decides in a tick: in quiet hours only if it takes the time."""
+    """Return whether a controller decides in a tick: in quiet hours only if it uses the time."""
     return allowed and (not quiet or hasattr(controller, "time_ns"))
 
 
@@ -34,25 +34,25 @@ def decide(
     evapotranspiration: Sequence[float],
     quiet: bool = False,
 ) -> float:
-    """Return the command of a tick: the controller's if pumping is allowed, otherwise 0.
+    """Return the command for a tick: the controller's if pumping is allowed, otherwise 0.
 
-    Pumping is not allowed in frost, which bursts a running pump's pipe, or if an input was refused:
-    a command that follows from an unmeasured level must not reach the pump. In quiet hours the
-    command is also 0, but a controller that takes the time still decides, to go on learning and
-    planning.
+    Pumping is not allowed in frost, which bursts a running pump's pipe, or if an input was
+    rejected: a command that follows from an unmeasured level must not reach the pump. In quiet
+    hours the command is also 0, but a controller that uses the time still decides, to go on
+    learning and planning.
 
     Args:
-        controller: decides, or skips the tick.
+        controller: controller that decides, or skips the tick.
         allowed: whether pumping is allowed.
-        cistern_level: (m).
-        roof_level: (m).
+        cistern_level: level in the cistern (m).
+        roof_level: level on the roof (m).
         precipitation: forecast of rain (m/s), in the shape that the controller takes.
         evapotranspiration: forecast of evapotranspiration (m3/s).
         quiet: whether the tick is in the site's quiet hours.
 
     Raises:
-        ControllerError: the controller raised an error or returned an invalid command.
-        ConfigurationError: the controller cannot use the forecast.
+        ControllerError: if the controller raised an error or returned an invalid command.
+        ConfigurationError: if the controller cannot use the forecast.
     """
     try:
         if not may_decide(controller, allowed, quiet):
@@ -67,7 +67,7 @@ def decide(
         return 0.0 if quiet else float(command)
     file, line = find_place(type(controller), "command")
     raise ControllerError(
-        "must be a finite number, not negative (greenroof check-controller finds this before a "
+        "must be a finite number and not negative (greenroof check-controller finds this before a "
         "run)", file=file, line=line,
         key=f"the command of {type(controller).__name__} = {describe_value(command)}",
     )
@@ -81,20 +81,20 @@ def decide_outlet(
     precipitation: Any,
     evapotranspiration: Sequence[float],
 ) -> float:
-    """Return the command of a tick to the outlet's valve; call it after :func:`decide`.
+    """Return the command for the outlet valve in a tick; call it after :func:`decide`.
 
-    The policy is also asked if frost closes the valve: it counts the time without rain.
+    The policy is called even if frost closes the valve: it counts the time without rain.
 
     Args:
-        policy: decides.
+        policy: policy that decides.
         closed: whether frost closes the valve.
-        cistern_level: (m).
-        roof_level: (m).
+        cistern_level: level in the cistern (m).
+        roof_level: level on the roof (m).
         precipitation: forecast of rain (m/s), in the shape that the controller takes.
         evapotranspiration: forecast of evapotranspiration (m3/s).
 
     Raises:
-        ControllerError: a controller that commands the valve itself has no valid command.
+        ControllerError: if a controller that commands the valve itself has no valid command.
     """
     share = policy.command(cistern_level, roof_level, precipitation, evapotranspiration)
     return 0.0 if closed else share
@@ -103,7 +103,7 @@ def decide_outlet(
 def is_finite_number(value: Any) -> bool:
     """Return whether a value is a real number, Python's or numpy's, and finite as a float."""
     try:
-        # A float first: the check of Real alone takes a tenth of a simulated tick.
+        # Float first: checking for Real alone takes a tenth of a simulated tick.
         is_number = isinstance(value, (float, Real)) and not isinstance(value, bool)
         return is_number and math.isfinite(value)
     except OverflowError:
@@ -111,10 +111,10 @@ def is_finite_number(value: Any) -> bool:
 
 
 def read_statistics(controller: Controller) -> dict[str, float] | None:
-    """Return the figures of a controller's solver; None if it has none.
+    """Return the figures of a controller's solver; None if it has no solver.
 
     Raises:
-        ControllerError: its code raised an error.
+        ControllerError: if its code raised an error.
     """
     try:
         return controller.statistics()
@@ -128,10 +128,10 @@ def cut_forecast(
     """Return a controller's part of forecasts that reach further, for a plan of the outlet.
 
     Args:
-        choice: the controller; unless it takes all members, it gets the first one.
-        steps: that it takes.
-        rain: shape (steps,) or (members, steps).
-        evapotranspiration: shape (steps,).
+        choice: the controller; unless it takes all members, it receives the first one.
+        steps: number of steps that it takes.
+        rain: forecast of rain, shape (steps,) or (members, steps).
+        evapotranspiration: forecast of evapotranspiration, shape (steps,).
     """
     if isinstance(rain, np.ndarray):
         rain = rain[:, :steps] if choice.ensemble else array("d", rain[0, :steps])
@@ -147,13 +147,13 @@ def shape_rain(choice: ControllerChoice, rain: Any, topic: str) -> Any:
         topic: the topic's name, for an error.
 
     Raises:
-        ConfigurationError: it has several members, and the controller takes one.
+        ConfigurationError: if it has several members, but the controller takes only one.
     """
     if choice.ensemble:
         return np.atleast_2d(rain)
     if isinstance(rain, np.ndarray):
         raise ConfigurationError(
-            f"has {len(rain)} members, but {choice.name} takes one; set all_members of the "
+            f"has {len(rain)} members, but {choice.name} takes only one; set all_members of the "
             "weather node to false", key=topic,
         )
     return rain

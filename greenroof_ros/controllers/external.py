@@ -12,9 +12,9 @@ from greenroof_ros.model.site import Site
 
 
 class External(Controller):
-    """Stands for a node that the user runs; of its controller only the look-ahead is known.
+    """Stands for a node that the user runs; only the look-ahead of its controller is known.
 
-    The node gets the forecasts that its graph has: over ``horizon``, of one member.
+    The node receives the forecasts of its graph: over ``horizon``, with one member.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -25,10 +25,10 @@ class External(Controller):
     )
 
     outlet: ClassVar[float] = 0.0
-    """the node commands the outlet's valve itself"""
+    """the node commands the outlet valve itself"""
 
     def __init__(self, site: Site, horizon: float) -> None:
-        """Refuse: it runs in no process of this package.
+        """Refuse to be made: it does not run in a process of this package.
 
         Raises:
             ConfigurationError: always.

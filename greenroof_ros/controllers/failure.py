@@ -10,7 +10,7 @@ from typing import Any
 import greenroof_ros
 from greenroof_ros.common.errors import ConfigurationError, HangError
 
-# Where no code of a user is: this package, and what Python imports with.
+# Places that are not a user's code: this package, and what Python uses to import.
 _NO_USERS = str(Path(greenroof_ros.__file__).parent), importlib.__file__, "<frozen importlib"
 
 
@@ -21,9 +21,10 @@ class ControllerError(ConfigurationError):
 def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangError:
     """Return an error that a controller's code raised, with file and line.
 
-    An error of this package that names what is wrong stays, unless a user's code raised it.
-    They are the last place in the file where a user's code was entered. If it was not entered, as
-    with a wrong number of arguments, they are those of the method that the message names.
+    An error of this package that names what is wrong is returned as it is, unless a user's code
+    raised it. File and line are the last place in the file where a user's code was entered. If none
+    was entered, as with a wrong number of arguments, they are those of the method that the message
+    names.
     """
     name = getattr(kind, "__name__", str(kind))
     file, line = None, None
@@ -34,7 +35,7 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
         return error
     try:
         text = str(error)
-    except Exception:  # its class is a user's, too
+    except Exception:  # its class may be a user's, too
         text = "its text cannot be read"
     if last is None and kind.__module__.startswith("greenroof_ros."):
         last = traceback.extract_tb(error.__traceback__)[-1]
@@ -51,7 +52,7 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
 
 
 def not_imported(reference: str, error: BaseException) -> ConfigurationError:
-    """Return that a controller cannot be imported, with the file and line in a user's code."""
+    """Return an error that a controller cannot be imported, with file and line in a user's code."""
     last = _last_frame(error)
     file, line = (None, None) if last is None else (last.filename, last.lineno)
     if isinstance(error, SyntaxError):
@@ -63,7 +64,7 @@ def not_imported(reference: str, error: BaseException) -> ConfigurationError:
 
 
 def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
-    """Return the last place in the first file of a user that an error came through, if any."""
+    """Return the last place in the first user's file that an error came through, if any."""
     frames = [
         frame for frame in traceback.extract_tb(error.__traceback__)
         if not frame.filename.startswith(_NO_USERS)
@@ -72,9 +73,9 @@ def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
 
 
 def find_place(kind: Any, method: str) -> tuple[str | None, int | None]:
-    """Return the file and line of a method or property; None for what is no function in a file.
+    """Return file and line of a method or property; None if it is not a function in a file.
 
-    A class that wraps a function has it as ``__wrapped__``, which is the place then.
+    A class that wraps a function has it as ``__wrapped__``; then this function's place is returned.
     """
     member = getattr(kind, "__wrapped__", getattr(kind, method, None))
     code = getattr(getattr(member, "fget", member), "__code__", None)

@@ -29,22 +29,22 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import soil_of
 
 _HOUR_S = 3600.0
-# A plan is followed for at most this long (s), and at most this share of the horizon.
+# A plan is followed for no longer than this (s), and no longer than this share of the horizon.
 _MAX_PLAN_S = 3600.0
 _MAX_PLAN_SHARE = 1 / 48
 # Interval (s) at which it checks whether a member's forecast rain, plus the rain since the plan,
 # has changed by more than this (m). Rain that only shifts in time waits for the next plan.
 _CHECK_S = 60.0
 _CHANGED_M = 1e-3
-# In a plan for an ensemble a step is at least this long (s), and at least this share of the time
+# In a plan for an ensemble, a step is at least this long (s), and at least this share of the time
 # until it begins: the forecasts are less precise than that.
 _MIN_STEP_S = 3600.0
 _MIN_SHARE = 1 / 8
-# Smaller commands (1) become 0, so max_command must be at least this.
+# Commands smaller than this (1) become 0, so max_command must be at least this.
 _MIN_COMMAND = 1e-5
 Array = NDArray[np.float64]
 
-# The plan's value while the last plan is still followed, and if the controller did not decide.
+# The plan while the last plan is still followed, and if the controller did not decide.
 _NO_NEW_PLAN, _UNDECIDED = np.empty((0, 4)), np.full((1, 4), np.nan)
 
 
@@ -54,24 +54,24 @@ class Lookahead:
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` finds the level, for all members of an
     ensemble of forecasts or for a single forecast, over growing steps and the days after the
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
-    :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` assumes when it becomes known
-    which members are wrong. Without a forecast it fills the roof to its target and holds it there,
-    which is best if no rain comes. A short loss of the forecast does not end a wait for rain: the
-    last plan is followed until it is old. Meanwhile the present rain is the gauge's, and
+    :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` assumes when it becomes known which
+    members are wrong. Without a forecast, it fills the roof to its target and holds it there, which
+    is best if no rain comes. A short loss of the forecast does not end a wait for rain: the last
+    plan is followed until it is old. Meanwhile, the rain gauge provides the present rain, and
     evapotranspiration is the mean of the past day. A forecast with a missing value is treated as
     lost.
 
     It makes a new plan when the plan is older than an hour or a 48th of the horizon, when a
     member's total rain has changed, and when forecasts of rain begin or cease to count. Between
-    plans it follows the levels of the last plan, which it has for every volume on the roof. The
-    steps of a plan for an ensemble are longer than the steps of its forecasts.
+    plans it follows the levels of the last plan, which cover every volume on the roof. The steps of
+    a plan for an ensemble are longer than the steps of its forecasts.
 
     During quiet hours it plans to pump nothing: a step's maximum flow is reduced by the share of
     the step that is quiet. It makes a new plan when quiet hours begin and end.
 
-    Between two starts of the pumps it waits at least 3600 s / ``starts_per_hour`` of the site, and
-    fills the roof slowly enough that the pumps are on for ``min_on``. At the level it balances
-    evapotranspiration by a small flow, which needs no starts.
+    Between two starts of the pumps it waits for at least 3600 s / ``starts_per_hour`` of the site,
+    and it fills the roof slowly enough that the pumps stay on for ``min_on``. At the level, it
+    balances evapotranspiration with a small flow, which needs no starts.
 
     An observer filters the roof's level, and a budget limits what waiting for rain may cost:
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
@@ -79,19 +79,19 @@ class Lookahead:
 
     Attributes:
         horizon: how far the forecast is used (h).
-        fill_to: level of the roof (m) to which it is filled, or at which it is held, in this tick;
+        fill_to: level on the roof (m) to which it is filled, or at which it is held, in this tick;
             NaN if it is left alone, or if the controller did not decide.
         plan: the plan made in this tick, shape (steps, 4). Each row is a step: its end (s from this
-            tick); the mean pump flow in it (m3/s) and the expected roof level at its end (m), both
-            means over the members; and the level to which the roof is filled if no rain has come
-            until then (m), 0 if it is left alone. Shape (0, 4) while the last plan is still
+            tick); the mean pump flow in it (m3/s) and the expected level on the roof at its end
+            (m), both means over the members; and the level to which the roof is filled if no rain
+            has come by then (m), 0 if it is left alone. Shape (0, 4) while the last plan is still
             followed; one row of NaN if the controller did not decide.
-        planned_deviation: mean deviation that the last plan expects, over the horizon, the days
+        planned_deviation: mean deviation expected in the last plan, over the horizon, the days
             after it and all members (m3); NaN before the first plan.
         solves: number of plans made.
-        solve_seconds: wall time of each :meth:`command` (s); most make no plan.
+        solve_seconds: wall time of every :meth:`command` (s); most make no plan.
         time_ns: the time (ns since 1970), at a site with quiet hours.
-        gauge_rain: what the rain gauge of a live site measures (m/s); 0 without one.
+        gauge_rain: what the rain gauge of a live site measures (m/s); 0 without a gauge.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -103,12 +103,12 @@ class Lookahead:
         ),
         Parameter(
             "recourse", 48.0, "h", 1.0, MAX_HORIZON, "time for which one level serves all "
-            "members; after each such time, newer forecasts are assumed to show which half of the "
-            "members was wrong",
+            "members; after each such period, newer forecasts are assumed to show which half of "
+            "the members was wrong",
         ),
         Parameter(
-            "min_on", 0.0, "s", 0.0, 86_400.0, "the pumps' minimum time on, in a simulation not "
-            "below pump_min_on: filling takes this long, so that they do not run on at the level",
+            "min_on", 0.0, "s", 0.0, 86_400.0, "the pumps' minimum on-time, in a simulation at "
+            "least pump_min_on: filling takes this long, so that they do not run on afterwards",
         ),
         OBSERVER_TIME_CONSTANT,
         WAITING_BUDGET,
@@ -135,7 +135,7 @@ class Lookahead:
         waiting_budget: float,
         waiting_share: float,
     ) -> None:
-        """Set the site and the parameters; :attr:`parameters` has their units and meanings."""
+        """Set the site and the parameters; see :attr:`parameters` for their units and meanings."""
         self._site, self._soil = site, soil_of(site)
         self.horizon, self._max_command = horizon, max_command
         self._min_on = max(min_on, site.tau)
@@ -155,14 +155,14 @@ class Lookahead:
         self._observer = RoofObserver(site, observer_time_constant)
         self._regret_budget = RegretBudget(site, waiting_budget, waiting_share)
         self._policy: Policy | None = None
-        self._age = 0.0  # of the policy (s)
-        self._rain_counts = True  # in the policy
-        self._unchecked = 0.0  # since the forecast was last compared (s)
+        self._age = 0.0  # age of the policy (s)
+        self._rain_counts = True  # whether it counts in the policy
+        self._unchecked = 0.0  # time since the forecast was last compared (s)
         self._planned_rain: Array = np.zeros(0)  # total over the forecast, by member (m)
         self._fallen = 0.0  # rain since the plan (m)
-        self._flow = 0.0  # commanded in the last tick (m3/s)
-        self._since_start = math.inf  # of the pumps (s)
-        self._steady = math.inf  # maximum command for ``min_on`` after a start
+        self._flow = 0.0  # flow commanded in the last tick (m3/s)
+        self._since_start = math.inf  # time since the pumps started (s)
+        self._steady = math.inf  # maximum command during ``min_on`` after a start
         self._quiet_when_planned = False
         self.time_ns = 0
         self.gauge_rain = 0.0
@@ -183,7 +183,7 @@ class Lookahead:
 
     @property
     def plan(self) -> Array:
-        """The plan, computed only when asked for."""
+        """The plan, computed only when it is read."""
         if not isinstance(self._rows, np.ndarray):
             self._rows = self._rows()
         return self._rows
@@ -273,11 +273,11 @@ class Lookahead:
         return float(np.abs(total - self._planned_rain).max()) > _CHANGED_M
 
     def _total(self, rain: Array) -> Array:
-        """Return the total rain of the forecast (m), shape (members,)."""
+        """Return the total rain in the forecast (m), shape (members,)."""
         return np.asarray(np.add.reduce(rain * self._lengths[: self._after.steps], axis=1))
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
-        """Make a plan; the order of the forecast's members does not change a bit of it."""
+        """Make a plan; the order of the forecast's members does not change a single bit of it."""
         chosen = self._plan_edges[len(rain) > 1]
         edges = self._after.edges[chosen]
         rain = self._means(rain[np.lexsort(rain.T[::-1])], chosen)
@@ -313,16 +313,16 @@ class Lookahead:
 
     def _max_flow(self, x1: float) -> float:
         """Return the maximum pump flow (m3/s) from a cistern that holds x1 (m3)."""
-        # If commands have no bound: a flow that fills the whole soil in a second.
+        # If commands have no bound: the flow that fills the whole soil in a second.
         full = maximum_pump_flow(self._site, x1)
         return min(self._max_command * full, self._site.z_cap) if full else 0.0
 
     def _level(self, x1: float, x2: float) -> float:
-        """Return the volume that the roof is filled to or held at (m3); a fuller one is left alone.
+        """Return the volume to which the roof is filled or held (m3); a fuller roof is left alone.
 
         Args:
-            x1: in the cistern (m3).
-            x2: on the roof (m3).
+            x1: volume in the cistern (m3).
+            x2: volume on the roof (m3).
         """
         policy = self._policy
         if policy is None:
@@ -333,14 +333,14 @@ class Lookahead:
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float
     ) -> float:
-        """Return the command that reaches a level without exceeding it; 0 too early for a start.
+        """Return the command that reaches a level without exceeding it; 0 if a start is too early.
 
         Args:
-            x1: in the cistern (m3).
-            x2: on the roof (m3).
+            x1: volume in the cistern (m3).
+            x2: volume on the roof (m3).
             level: volume to which the roof is filled (m3).
-            rain: in the present tick (m/s).
-            evaporated: in the present tick (m3/s).
+            rain: rain in the present tick (m/s).
+            evaporated: evapotranspiration in the present tick (m3/s).
         """
         share = command_to(
             self._site, self._soil, x1, x2, level - BELOW_M3, rain, evaporated
@@ -366,7 +366,7 @@ class Lookahead:
 
 
 def _are_numbers(rain: Array, evaporated: Array, all_of_them: bool) -> bool:
-    """Whether there is a forecast, and its present entries, or all of them, are numbers."""
+    """Whether there is a forecast, and its present entries, or all entries, are numbers."""
     if not evaporated.size:
         return False
     if all_of_them:

@@ -24,7 +24,7 @@ from greenroof_ros.model.smooth_plant import linearise
 _log = logging.getLogger(__name__)
 
 # Commands are accurate to 1e-8 (compared with an exact solution in the tests). The adaptation of
-# rho is timed in iterations: timed by the clock, two equal runs would differ. A tick that needs
+# rho is timed in iterations; timed by the clock, two equal runs would differ. A tick that needs
 # more than max_iter falls back.
 _SOLVER_SETTINGS: dict[str, Any] = {
     "max_iter": 4000,
@@ -44,8 +44,8 @@ _AT_BOUND = 1e-9
 
 Array = NDArray[np.float64]
 
-# OSQP has a handler of SIGINT of its own while it solves, and then restores the one it has found:
-# in a second thread this could be the first one's, and Ctrl-C would be lost from then on.
+# OSQP installs its own handler of SIGINT while it solves, and then restores the one it found: in a
+# second thread, this could be the first one's, and Ctrl-C would be lost from then on.
 _SOLVING = threading.Lock()
 os.register_at_fork(
     before=_SOLVING.acquire, after_in_parent=_SOLVING.release, after_in_child=_SOLVING.release
@@ -55,22 +55,22 @@ os.register_at_fork(
 class Mpc:
     """Minimises Eq. (11) over the look-ahead, subject to the linear model of Eq. (10).
 
-    The states are eliminated: with U the M commands, the predicted roof depths less the target
-    are r + G U, and the cost divided by 2 lambda is the program
+    The states are eliminated: with U the M commands, the predicted roof depths minus the target are
+    r + G U, and the cost divided by 2 lambda is the program
 
         minimise  1/2 U' P U + q' U   subject to  0 <= U <= max_command,
         P = I + G'G / lambda,  q = G'r / lambda,
 
     whose entries are around 1. (The cost as printed is around 1e-6, far below the solver's
     tolerances.) If the solver does not report a solution as solved, it is not used: the command is
-    0, the pumps stand still for a tick, and ``fallbacks`` counts it.
+    0, the pumps stay off for a tick, and ``fallbacks`` counts it.
 
     Attributes:
-        weight: lambda, the price of pumping (1); can be changed between two ticks.
-        cost: J of Eq. (11) at the last tick's solution (m2); NaN after a fallback.
-        status: OSQP's status value of the last tick, 1 = solved.
+        weight: lambda, the price of pumping (1); it can be changed between two ticks.
+        cost: J of Eq. (11) for the last tick's solution (m2); NaN after a fallback.
+        status: OSQP's status value in the last tick, 1 = solved.
         fallbacks: number of ticks without a solution.
-        solve_seconds: wall time of each :meth:`command` (s).
+        solve_seconds: wall time of every :meth:`command` (s).
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -80,7 +80,7 @@ class Mpc:
         ),
         Parameter(
             "max_command", math.inf, "1", 1e-9, math.inf,
-            "maximum command; unlimited as in the paper; at most 1 for a real pump",
+            "maximum command; by default unlimited, as in the paper; up to 1 for a real pump",
         ),
     )
     outputs: ClassVar[Mapping[str, str]] = {
@@ -91,7 +91,7 @@ class Mpc:
         """Set up the solver once; every tick only updates it.
 
         Args:
-            site: the parameters of Table I; ``site.M`` is the look-ahead.
+            site: parameters of the site (Table I); ``site.M`` is the look-ahead.
             weight: lambda of Eq. (11), greater than 0.
             max_command: upper bound of the commands; ``inf`` for none, as in the paper.
         """
@@ -115,12 +115,12 @@ class Mpc:
         lag = np.arange(size)[:, None] - np.arange(size)[None, :]
         self._lag = np.where(lag >= 0, lag, size)
         self._identity = np.eye(size)
-        # The upper triangle of P, column by column, which is how OSQP stores it.
+        # The upper triangle of P, column by column, as OSQP stores it.
         self._columns, self._rows = np.tril_indices(size)
         pattern = scipy.sparse.csc_matrix(np.triu(np.ones((size, size))))
         self._statuses = osqp.SolverStatus
         self._solver = osqp.OSQP()
-        # Not every build of OSQP lets it be called; the status then shows most interrupts.
+        # Not every build of OSQP exports this function; the status also shows most interrupts.
         library = ctypes.CDLL(self._solver.ext.__file__)
         self._is_interrupted = getattr(library, "osqp_is_interrupted", None)
         self._solver.setup(
@@ -143,18 +143,19 @@ class Mpc:
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
 
-        Steps 4 and 5, applying the command and moving on, are the plant's.
+        Steps 4 and 5, applying the command and moving on, are left to the plant.
         """
         started = time.perf_counter()
         site = self._site
         if not len(precipitation) == len(evapotranspiration) == site.M:
             raise ConfigurationError(
                 f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
-                f"but the controller looks M = {site.M} ticks ahead; give weather and controller "
-                "the same site file; only lookahead takes all members"
+                f"but the controller looks M = {site.M} ticks ahead; use the same site file for "
+                "weather and controller; only lookahead takes all members"
             )
-        # Step 6: the operating point. The first disturbance average is the paper's zero; f is
-        # affine in w, so the average cancels in the prediction and only sets where b is evaluated.
+        # Step 6: the operating point. The first disturbance average is 0, as in the paper; f is
+        # affine in w, so the average cancels in the prediction and only determines where b is
+        # evaluated.
         x1 = site.cistern_volume(cistern_level)
         x2 = site.roof_volume(roof_level)
         rain_mean = self._rain_sum / self._ticks if self._ticks else 0.0
@@ -166,8 +167,8 @@ class Mpc:
         (c11, c12), (c21, c22) = model.C
         k1 = model.b[0] - b1 * self._command
         k2 = model.b[1] - b2 * self._command
-        response = []  # of the roof's depth, one tick after a unit of command, two ticks, ...
-        free = []  # the roof's depth less the target, without any command
+        response = []  # change of the roof's depth one tick after a unit of command, two ticks, ...
+        free = []  # the roof's depth minus the target, without any command
         g1, g2 = b1, b2
         d1 = d2 = 0.0
         deviation = x2 / site.a2 - site.z_veg
@@ -185,7 +186,7 @@ class Mpc:
         # Step 3.
         G = np.array(response)[self._lag]
         r = np.array(free)
-        with np.errstate(all="ignore"):  # _solve refuses values that are not finite
+        with np.errstate(all="ignore"):  # _solve rejects values that are not finite
             P = self._identity + G.T @ G / self.weight
             q = r @ G / self.weight
         solution = self._solve(P, q)
@@ -195,7 +196,7 @@ class Mpc:
             self._command = 0.0
         else:
             first, objective = solution
-            # At a bound the solver ends within its tolerance of the bound, on either side.
+            # At a bound, the solver ends within its tolerance of the bound, on either side.
             if first < _AT_BOUND:
                 first = 0.0
             elif first > self._max_command - _AT_BOUND:
@@ -221,11 +222,11 @@ class Mpc:
     def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:
         """Return the first command of the program's solution and its objective.
 
-        None if the program is not finite or the solver does not report it as solved.
+        Return None if the program is not finite or the solver does not report it as solved.
         """
         hessian = P[self._rows, self._columns]
         if not (np.isfinite(hessian).all() and np.isfinite(q).all()):
-            # OSQP does not refuse these; it returns numbers.
+            # OSQP does not reject these; it returns numbers.
             self.status = int(self._statuses.OSQP_UNSOLVED)
             _log.warning("the prediction is not finite; falling back to no pumping for one tick")
             return None
@@ -236,7 +237,7 @@ class Mpc:
                 result.info.status_val == self._statuses.OSQP_SIGINT
                 if self._is_interrupted is None else self._is_interrupted()
             )
-        if is_interrupted:  # whatever its result: the program's own handler decides what follows
+        if is_interrupted:  # whatever its result is: the program's own handler decides what follows
             signal.raise_signal(signal.SIGINT)
             return self._solve(P, q)
         info, first = result.info, float(result.x[0])

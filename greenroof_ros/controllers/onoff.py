@@ -15,20 +15,20 @@ FRACTION = Parameter(
 
 LEVEL = Parameter(
     "level", 1.0, "1", 0.0, 1.0,
-    "share of the target that it fills the roof to; 1 is Eq. (12)", may_change=True,
+    "share of the target to which it fills the roof; 1 is Eq. (12)", may_change=True,
 )
 
 
 class OnOff:
-    """Pumps at a fixed command while the roof is too dry and the cistern holds enough.
+    """Pumps at a fixed command while the roof is too dry and the cistern holds enough water.
 
-    The roof is too dry below ``level`` times the target. A level below 1 leaves room for rain, the
-    only way to do so without a forecast. ``doc/explanation/controllers.md`` shows what this gains
-    on which roof.
+    The roof is too dry below ``level`` times the target. A level below 1 leaves room for rain,
+    which is the only way to do so without a forecast. ``doc/explanation/controllers.md`` shows what
+    this gains on which roof.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
-        level: share of the target that it fills the roof to (1).
+        level: share of the target to which it fills the roof (1).
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (FRACTION, LEVEL)
@@ -55,4 +55,4 @@ class OnOff:
         """Do nothing: it has no memory."""
 
     def statistics(self) -> None:
-        """It has no solver."""
+        """Return None: it has no solver."""

@@ -19,8 +19,8 @@ Indices = NDArray[np.intp]
 
 # The roof is held this far below the target (m3), at which the plant stops the pumps, Eq. (3a).
 BELOW_M3 = 1e-6
-# Nodes below and above the target, for an ensemble or scarce water: forecasts err by more than the
-# distance between nodes.
+# Nodes below and above the target for an ensemble or scarce water, where forecasts err by more than
+# the distance between nodes.
 _COARSE = (60, 30)
 # A positive volume (m3) that avoids a division by 0.
 _MINIMUM = 1e-300
@@ -30,13 +30,13 @@ _WATER_NODES = 12
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """What to do in each step, for every volume on the roof; :class:`OrderUpTo` computes it.
+    """What to do in every step, for every volume on the roof; :class:`OrderUpTo` computes it.
 
     Attributes:
         edges: ends of the steps (s from when it was made), the first 0, shape (n + 1,).
-        fill_to: for each step the volume that the roof is filled to and held at (m3), -1 if it is
-            left alone; shape (groups of the step, S, nodes up to the target).
-        group_of: for each step the index of each member's group, shape (members,).
+        fill_to: for every step, the volume to which the roof is filled and at which it is held
+            (m3), -1 if it is left alone; shape (groups of the step, S, nodes up to the target).
+        group_of: for every step, the index of each member's group, shape (members,).
         cost: minimum mean deviation over all steps and members (m3).
     """
 
@@ -49,7 +49,8 @@ class Policy:
 class Cistern:
     """The usable water of a cistern (m3), which is above the suction level, from step to step.
 
-    A valve of the low outlet is closed: what it lets out makes room for rain that fills it again.
+    A valve on the low outlet counts as closed: what it releases makes room for rain that refills
+    it.
     """
 
     def __init__(self, site: Site) -> None:
@@ -69,9 +70,9 @@ class Cistern:
         """Return up to which volume the water counts (m3); 0 if there will always be enough.
 
         Args:
-            x1: what the cistern holds (m3).
-            demand: the maximum demand for its water (m3).
-            seconds: within this time.
+            x1: volume in the cistern (m3).
+            demand: maximum demand for its water (m3).
+            seconds: time in which the demand may occur (s).
         """
         supplied = (self._site.mains_flow or 0.0) * seconds
         if min(self.usable(x1), self._low) + supplied >= demand:
@@ -81,8 +82,8 @@ class Cistern:
     def predict_usable(self, water: Array, rain: Array, seconds: float) -> Array:
         """Return the usable water (m3) after a step of rain (m/s), Eq. (2) without pumping.
 
-        Rain and mains come first; then the low outlet drains the cistern, and the square root of
-        its head falls linearly.
+        Rain and mains water come first; then the low outlet drains the cistern, and the square root
+        of its head falls linearly.
         """
         site = self._site
         water = water + rain * (site.effective_catchment * seconds)
@@ -101,34 +102,35 @@ class OrderUpTo:
     r"""The minimum mean of \|x2 - x2*\| over the steps, computed backwards from the last one.
 
     Pumps can fill a roof in minutes, so a plan is a level: fill the roof to y and hold it there
-    while it dries, or leave it alone. For each member of an ensemble, V_i(x) is the minimum cost of
-    the deviation from step i on (m3 s) if the roof holds x. With h the length of the step (s),
+    while it dries, or leave it alone. For every member of an ensemble, V_i(x) is the minimum cost
+    of the deviation from step i on (m3 s) if the roof holds x. With h the length of the step (s),
 
         F(x) = h mean|path - x*| + V_{i+1}(z),  z = what the soil makes of x in the step,
         H(y) = the same, but held at y if it would dry, as far as the pumps can,
         V_i(x) = min(F(x), H(y) + filling),  x <= y <= x*, and y within the pumps' reach.
 
     The path within a step is assumed to be straight. Filling from x to y takes t seconds. During
-    these, (y - x)/2 is missing on average that H assumes to be present: filling costs t (y - x)/2.
+    this time, (y - x)/2 is missing on average that H assumes to be present, so filling costs t (y -
+    x)/2.
 
-    The decision, y or to leave the roof alone, is the same for all members of a group, by the mean
-    over them; each member has its own V. If V were averaged as well, each step would draw a new
-    member, and the sums of storms would be lost.
+    The decision, y or to leave the roof alone, is the same for all members of a group, based on the
+    mean over them; every member has its own V. If V were averaged as well, each step would draw a
+    new member, and the sums of storms would be lost.
 
-    V is stored at nodes of the volume, dense around the target and one at it, and interpolated
-    linearly between them.
+    V is stored at nodes of the volume, which are dense around the target and include it, and is
+    interpolated linearly between them.
 
-    **Water.** If the cistern can run short, V depends on a second number: s, the usable water plus
-    the water that fills an empty roof to its present volume. Filling does not change s. If there is
-    always enough, s has one node.
+    **Water.** If the cistern can run short, V depends on a second number s: the usable water plus
+    the water that would fill an empty roof to its present volume. Filling does not change s. If
+    there is always enough water, s has one node.
     """
 
     def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
         """Set the site.
 
         Args:
-            site: its parameters.
-            fine: nodes below and above the target, for a single forecast.
+            site: parameters of the site.
+            fine: numbers of nodes below and above the target, for a single forecast.
         """
         self._target = site.x2_star
         self._site = site
@@ -151,19 +153,19 @@ class OrderUpTo:
         self._contents = self._content(self._nodes)
 
     def levels(self, policy: Policy, step: int, group: Any, usable: Any, x2: Any) -> Any:
-        """Return the volumes that roofs are filled to or held at (m3); a fuller roof is left alone.
+        """Return the volumes to which roofs are filled or held (m3); a fuller roof is left alone.
 
-        Between two nodes of the roof's volume the decision at the lower one applies. Between two
-        nodes of the water the volume is interpolated; if one of them leaves the roof alone, the
+        Between two nodes of the roof's volume, the decision at the lower one applies. Between two
+        nodes of the water, the volume is interpolated; if one of them leaves the roof alone, the
         decision at the upper one applies. So the last water can be pumped, too, although there is
         none at the node below.
 
         Args:
-            policy: from the last :meth:`solve`.
+            policy: policy from the last :meth:`solve`.
             step: index of a step of the policy.
-            group: index of a group of the step, for each roof or for all.
-            usable: water in the cistern (m3), likewise.
-            x2: on each roof (m3).
+            group: index of a group of the step, for each roof or for all roofs.
+            usable: water in the cistern (m3), for each roof or for all roofs.
+            x2: volume on each roof (m3).
         """
         table = policy.fill_to[step]
         node = self._nodes[1 : table.shape[2]].searchsorted(x2, side="right")
@@ -181,17 +183,18 @@ class OrderUpTo:
         self, edges: Array, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, groups: Indices,
     ) -> Policy:
-        """Find the plan of minimum cost.
+        """Find the plan with the minimum cost.
 
         Args:
             edges: ends of the steps (s from now), the first 0, shape (n + 1,).
-            x1: in the cistern (m3).
-            x2: on the roof (m3).
-            rain: in each step (m/s), shape (members, n).
-            evapotranspiration: off the whole bed (m3/s), shape (n,).
-            flow: maximum pump flow in each step (m3/s), can be 0, shape (n,).
-            groups: group of each member in each step, by the lowest member index in the group; its
-                members cannot be distinguished yet; groups only split; shape (members, n).
+            x1: volume in the cistern (m3).
+            x2: volume on the roof (m3).
+            rain: rain in every step (m/s), shape (members, n).
+            evapotranspiration: evapotranspiration from the whole bed (m3/s), shape (n,).
+            flow: maximum pump flow in every step (m3/s), which can be 0, shape (n,).
+            groups: group of every member in every step, given by the lowest member index in the
+                group; its members cannot be distinguished yet; groups only split; shape (members,
+                n).
         """
         members, steps = rain.shape
         lengths = np.diff(edges)
@@ -208,7 +211,7 @@ class OrderUpTo:
         fill_to: list[Array] = []
         group_of: list[Indices] = []
         max_pumped, potential = flow * lengths, evapotranspiration * lengths
-        # Neither pumps nor water are a limit: even the driest roof can be filled in the step.
+        # Neither pumps nor water are a limit: even the driest roof can be filled within the step.
         filled = self._soil.predict_volume(np.zeros(steps), max_pumped, potential, lengths)
         strong = np.zeros(steps, dtype=bool) if scarce else filled >= self._target
         for step in reversed(range(steps)):
@@ -240,16 +243,16 @@ class OrderUpTo:
         """Return a policy's pump flow (m3/s), roof at the end, and volume filled to (m3), by step.
 
         Args:
-            policy: that :meth:`solve` found for the other arguments.
-            x1: in the cistern (m3).
-            x2: on the roof (m3).
-            rain: in each step (m/s), shape (members, n).
-            evapotranspiration: off the whole bed (m3/s), shape (n,).
-            flow: maximum pump flow in each step (m3/s), shape (n,).
-            member: index of the member whose decisions are followed; None: each follows its own.
+            policy: policy that :meth:`solve` found for the other arguments.
+            x1: volume in the cistern (m3).
+            x2: volume on the roof (m3).
+            rain: rain in every step (m/s), shape (members, n).
+            evapotranspiration: evapotranspiration from the whole bed (m3/s), shape (n,).
+            flow: maximum pump flow in every step (m3/s), shape (n,).
+            member: index of the member whose decisions are followed; None if each follows its own.
 
         Returns:
-            Three arrays of shape (members, n); filled to 0 means left alone.
+            Three arrays of shape (members, n); a filling volume of 0 means left alone.
         """
         roof = np.full(len(rain), x2)
         water = np.full(len(rain), self.usable(x1))
@@ -274,15 +277,15 @@ class OrderUpTo:
         """Move roofs on by a step in which each is filled to a level and held there.
 
         Args:
-            level: of each (m3), -1 to leave it alone.
-            roof: volume on each (m3).
-            rain: in the step on each (m/s).
-            evapotranspiration: off the whole bed (m3/s).
-            flow: maximum pump flow for each (m3/s).
-            seconds: the step's length.
+            level: level of each roof (m3), -1 to leave it alone.
+            roof: volume on each roof (m3).
+            rain: rain on each roof in the step (m/s).
+            evapotranspiration: evapotranspiration from the whole bed (m3/s).
+            flow: maximum pump flow for each roof (m3/s).
+            seconds: length of the step (s).
 
         Returns:
-            The volume on each at the end, and the volume pumped onto it (m3).
+            The volume on each roof at the end, and the volume pumped onto it (m3).
         """
         soil, max_pumped, potential = self._soil, flow * seconds, evapotranspiration * seconds
         reached = soil.predict_volume(roof, max_pumped, potential, seconds)
@@ -306,12 +309,12 @@ class OrderUpTo:
 
         Args:
             value: V after the step, shape (members, S, N).
-            rain: in the step (m/s), shape (members, 1, 1).
-            potential: evapotranspiration off the whole bed in the step (m3).
-            flow: of the pumps (m3/s).
-            seconds: length of the step.
+            rain: rain in the step (m/s), shape (members, 1, 1).
+            potential: evapotranspiration from the whole bed in the step (m3).
+            flow: flow of the pumps (m3/s).
+            seconds: length of the step (s).
             strong: whether neither pumps nor water are ever the limit.
-            groups: indices of the members of each group.
+            groups: indices of the members in each group.
 
         Returns:
             V before the step, and the levels of :class:`Policy`, shape (groups, S, nodes to x*).
@@ -383,9 +386,9 @@ class OrderUpTo:
         """Return V at volumes on the roof and at s (m3); beyond the nodes it stays constant.
 
         Args:
-            value: shape (members, S, nodes).
-            x2: shape (members or 1, S or 1, any).
-            water: the same shape; not used if s has one node.
+            value: V at the nodes, shape (members, S, nodes).
+            x2: volumes on the roof (m3), shape (members or 1, S or 1, any).
+            water: s (m3), same shape; not used if s has only one node.
         """
         members, rows, count = value.shape
         above = x2 - self._target
@@ -414,33 +417,33 @@ def _between(nodes: Array, values: Any) -> tuple[Any, Any]:
 
 
 def _find_minimum_onward(values: Array) -> Indices:
-    """Return the index of the minimum value from each place on; of several, the first."""
+    """Return the index of the minimum value from every place on; of several, the first one."""
     minimum = np.minimum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
     places = np.where(values == minimum, np.arange(values.shape[-1]), values.shape[-1])
     return np.asarray(np.minimum.accumulate(places[..., ::-1], axis=-1)[..., ::-1])
 
 
 def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
-    """Return the group of each member in each step, by the lowest member index in the group.
+    """Return the group of every member in every step, by the lowest member index in the group.
 
-    All members of a group get the same pumping, since nothing distinguishes them yet. At first all
-    are one group. At each ``recourse`` each group is halved into the members with less and with
-    more rain until then; ties are decided by the next step, and so on. If the number is odd, the
-    wetter half has one more. So groups only split, and in the end each member is alone.
+    All members of a group have the same pumping, since nothing distinguishes them yet. At first,
+    all form one group. At every ``recourse``, each group is halved into the members with less and
+    with more rain until then; ties are decided by the next step, and so on. If the number is odd,
+    the wetter half has one more. So groups only split, and in the end every member is alone.
 
-    No forecast tells at once which member will come true. A controller that assumed it did would
+    No forecast tells immediately which member will come true. A controller that assumed so would
     wait, since it would soon know everything. Heitsch and Roemisch (2009, Scenario tree modeling
     for multistage stochastic programs, doi:10.1007/s10107-007-0197-2) build a tree from scenarios
-    that are alike until each stage; here the members split by rank, so that the tree is equally
-    large regardless of the rain. The order in which the members are given does not matter.
+    that are alike until each stage; here the members are split by rank, so that the tree has the
+    same size whatever the rain is. The order in which the members are given does not matter.
 
     Args:
-        rain: forecast (m/s), shape (members, n).
+        rain: forecast of rain (m/s), shape (members, n).
         edges: ends of the steps (s from now), the first 0, shape (n + 1,).
         recourse: time from one halving to the next (s).
 
     Returns:
-        Shape (members, n).
+        Indices of shape (members, n).
     """
     members, n = rain.shape
     groups = np.zeros((members, n), dtype=np.intp)

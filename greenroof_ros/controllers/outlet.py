@@ -1,8 +1,8 @@
-"""What commands the valve of the low outlet, beside any controller of the pump.
+"""What commands the valve of the low outlet, alongside any controller of the pump.
 
 The cistern keeps storm water out of the sewer only if there is room in it when the rain comes. A
-policy decides in each tick how far the valve is open (share, 0 to 1): ``closed``; ``open``, an
-orifice without a valve; ``drain``, which makes room in dry weather; and ``plan``, which makes it
+policy decides in every tick how far the valve is open (share, 0 to 1): ``closed``; ``open``, an
+orifice without a valve; ``drain``, which makes room in dry weather; and ``plan``, which makes room
 before forecast rain, and otherwise keeps what the roof will need.
 """
 
@@ -30,14 +30,14 @@ Array = NDArray[np.float64]
 
 POLICIES = CLOSED, OPEN, DRAIN, PLAN = "closed", "open", "drain", "plan"
 PRICE = 0.3
-"""Usual cost of a m3 of mains water, in m3 of discharge in wet weather (1)."""
+"""Usual cost of one m3 of mains water, in m3 of discharge in wet weather (1)."""
 
 _HOUR_S = 3600.0
 MIN_RAIN = WET_RAIN * (1 - 1e-9)
-"""Rain of 0.1 mm/h (m/s): rates are rounded, and an hour with 0.1 mm must not be one with less."""
+"""Rain of 0.1 mm/h (m/s): rates are rounded, and an hour with 0.1 mm must not fall below it."""
 
-# The reserve, unless given: ten days of irrigation at 4 mm a day [assumed], but at most half of
-# the cistern.
+# The default reserve: ten days of irrigation at 4 mm a day [assumed], but no more than half of the
+# cistern.
 _RESERVE_M, _MAX_RESERVE = 0.04, 0.5
 
 SHARE = Range(0.0, 1.0, "1")
@@ -45,33 +45,33 @@ SHARE = Range(0.0, 1.0, "1")
 
 PARAMETERS = (
     Parameter(
-        "outlet", DRAIN, "", meaning="what commands the outlet's valve. closed and open: always; "
-        "drain: opens in dry weather, down to the reserve; plan: opens in dry weather before "
-        "forecast rain that would not fit, and is drain without a forecast", among=POLICIES,
+        "outlet", DRAIN, "", meaning="what commands the outlet valve. closed and open: always; "
+        "drain: it opens in dry weather, down to the reserve; plan: it opens in dry weather before "
+        "forecast rain that would not fit, and works like drain without a forecast", among=POLICIES,
     ),
     Parameter(
-        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "drain leaves this volume in the cistern, "
+        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "volume that drain leaves in the cistern, "
         "and so does plan unless more rain is forecast than fits; by default ten days of "
         "irrigation at 4 mm a day, or half of a smaller cistern",
     ),
     Parameter(
-        "outlet_price", PRICE, "1", 0.0, 1e3, "plan: cost of a m3 of mains water, in m3 of "
+        "outlet_price", PRICE, "1", 0.0, 1e3, "plan: cost of one m3 of mains water, in m3 of "
         "discharge in wet weather",
     ),
     Parameter(
-        "outlet_reach", 20.0, "days", 0.0, 365.0, "plan: keeps what the roof needs for this long; "
-        "more than that, and more than the reserve, it lets out in dry weather",
+        "outlet_reach", 20.0, "days", 0.0, 365.0, "plan: time for which it keeps what the roof "
+        "needs; it releases more than that, and more than the reserve, in dry weather",
     ),
 )
-"""of every controller at a site with a valve"""
+"""parameters of every controller at a site with a valve"""
 
 
 def parameters_on(site: Site, policy: str) -> list[Parameter]:
     """Return :data:`PARAMETERS` with their defaults at a site.
 
     Args:
-        site: with a valve.
-        policy: that a controller has unless another is asked for.
+        site: site with a valve.
+        policy: policy of a controller unless another is chosen.
     """
     reserve = min(_RESERVE_M * site.a2, _MAX_RESERVE * site.cistern_volume(site.z_o))
     defaults = {"outlet": policy, "outlet_reserve": reserve}
@@ -82,7 +82,7 @@ def parameters_on(site: Site, policy: str) -> list[Parameter]:
 
 
 def find_horizon(parameters: Mapping[str, Any]) -> float:
-    """Return how far the policy of a controller's parameters looks ahead (h)."""
+    """Return how far the policy in a controller's parameters looks ahead (h)."""
     return float(HORIZON_H) if parameters.get("outlet") == PLAN else 0.0
 
 
@@ -98,9 +98,9 @@ class OutletPolicy(Protocol):
         Args:
             cistern_level: water depth in the cistern (m).
             roof_level: water in the roof's substrate, as a depth (m).
-            precipitation: forecast of rain (m/s), as the controller gets it; the first entry is
+            precipitation: forecast of rain (m/s), as the controller receives it; the first entry is
                 now.
-            evapotranspiration: forecast (m3/s), likewise.
+            evapotranspiration: forecast of evapotranspiration (m3/s), in the same form.
         """
         ...
 
@@ -109,15 +109,15 @@ def make_outlet(
     site: Site, ends: Array, outlet: str, outlet_reserve: float, outlet_price: float,
     outlet_reach: float,
 ) -> OutletPolicy:
-    """Make a policy; :data:`PARAMETERS` has the units and meanings.
+    """Make a policy; see :data:`PARAMETERS` for the units and meanings.
 
     Args:
-        site: with a valve.
-        ends: of the steps of the forecasts (s from now), the first 0.
+        site: site with a valve.
+        ends: ends of the forecasts' steps (s from now), the first 0.
         outlet: name of the policy.
-        outlet_reserve: of drain.
-        outlet_price: of mains water.
-        outlet_reach: of the value of stored water.
+        outlet_reserve: reserve of drain.
+        outlet_price: price of mains water.
+        outlet_reach: reach of the value of stored water.
     """
     if outlet in (CLOSED, OPEN):
         return Fixed(float(outlet == OPEN))
@@ -126,17 +126,17 @@ def make_outlet(
 
 
 class OfController:
-    """Opens the valve as a controller says that commands it itself, in its attribute ``outlet``."""
+    """Opens the valve as a controller that commands it itself says in its attribute ``outlet``."""
 
     def __init__(self, controller: Any) -> None:
-        """Set the controller, which decides or skips the tick before this is asked."""
+        """Set the controller, which decides or skips the tick before this policy is called."""
         self._controller = controller
 
     def command(self, *inputs: Any) -> float:
         """Return the controller's share; see :class:`OutletPolicy`.
 
         Raises:
-            ControllerError: it is not a number from 0 to 1, or its code raised an error.
+            ControllerError: if it is not a number from 0 to 1, or its code raised an error.
         """
         kind = type(self._controller)
         try:
@@ -171,15 +171,16 @@ class Fixed:
 class Drain:
     """Opens the valve in dry weather, until the cistern is down to a reserve.
 
-    Weather is wet while it rains 0.1 mm/h or more, or less within an hour of such rain, and
-    ``wet_after`` hours after it: what is let out in dry weather meets a sewer without storm water.
+    Weather is wet while it rains 0.1 mm/h or more, or less within an hour of such rain, and for
+    ``wet_after`` hours after that: what is released in dry weather meets a sewer without storm
+    water.
     """
 
     def __init__(self, site: Site, reserve: float) -> None:
-        """Set the site, and what is left in the cistern (m3)."""
+        """Set the site, and the volume to be left in the cistern (m3)."""
         self._site, self.reserve = site, reserve
-        self._without_rain_s = 0.0  # until the end of the present tick
-        self._only_drizzle_s = math.inf  # likewise: without rain of 0.1 mm/h or more
+        self._without_rain_s = 0.0  # time without rain until the end of the present tick (s)
+        self._only_drizzle_s = math.inf  # the same, without rain of 0.1 mm/h or more (s)
 
     def observe(self, rain: float) -> None:
         """Count the time without rain; call it once a tick, with the present rain (m/s)."""
@@ -190,7 +191,7 @@ class Drain:
 
     @property
     def wet_hours(self) -> float:
-        """How long the weather remains wet if there is no rain from now on (h)."""
+        """Return how long the weather remains wet if there is no rain from now on (h)."""
         before = max(0.0, self._without_rain_s - self._site.tau)
         return max(0.0, self._site.wet_after - before / _HOUR_S)
 
@@ -208,37 +209,39 @@ class Drain:
         return self.drain_to(self.reserve, cistern_level) if self.dry else 0.0
 
     def drain_to(self, volume: float, cistern_level: float) -> float:
-        """Return the share with which a cistern is not below a volume (m3) after the tick."""
+        """Return the share that does not take the cistern below a volume (m3) within the tick."""
         x1 = self._site.cistern_volume(cistern_level)
         full = self._site.tau * low_outlet_flow(self._site, x1)
         return min(1.0, max(0.0, x1 - volume) / full) if full > 0 else 0.0
 
 
 class Plan:
-    r"""Opens the valve in dry weather for forecast rain that would not fit; else it keeps water.
+    r"""Opens the valve in dry weather for forecast rain that would not fit; else keeps the water.
 
     A stochastic dynamic program over the cistern's volume v, hour by hour to the forecast's end or
-    48 h. For each member of the forecast,
+    48 h. For every member of the forecast,
 
         V_t(v) = min over y of  U_t(y),  with y from what the open valve leaves of v to v,
         U_t(y) = c_t max(v' - full, 0) + p max(floor - v', 0) + V_{t+1}(v'),
         v' = y + what flows in - what the roof needs,
 
     where c is 1 in wet weather and 0 in dry weather: the cost is the discharge in wet weather (m3),
-    and p per m3 of mains water. In wet weather y is v: what is let out then costs as much as the
-    most that it can save. At the end, water is worth its price as long as the roof needs it within
-    the reach. Beyond that it is worth nothing, so it is let out in dry weather: the room is there
+    and p per m3 of mains water. In wet weather y is v, because what is released then costs as much
+    as the most that it can save. At the end, water is worth its price if the roof needs it within
+    the reach. Beyond that it is worth nothing, so it is released in dry weather: then there is room
     if rain comes that no forecast has shown.
 
-    Above the outlet U falls to its minimum and then rises, so that the best y is a level: the
+    Above the outlet, U falls to its minimum and then rises, so that the best y is a level: the
     cistern is drained down to it as far as the valve can. The level of the first hour is the same
-    for all members, by the mean of their U; later hours assume that it is known which member comes
-    true. Of levels that cost the same the highest is taken, so that water is kept until it must go.
+    for all members, based on the mean of their U; later hours assume that it is known which member
+    comes true. Among levels that cost the same, the highest is chosen, so that water is kept until
+    it must go.
 
-    What the roof needs is what evaporates, less the rain, once the water above the target is gone.
+    What the roof needs is evapotranspiration minus rain, once the water above the target is gone.
 
-    A forecast shows only what comes until it ends. So the plan keeps at most what the open valve
-    could drain to drain's reserve until then: with a short forecast or a small valve it is drain.
+    A forecast shows only what comes until it ends. So the plan keeps no more than the open valve
+    could drain to drain's reserve until then: with a short forecast or a small valve, it equals
+    drain.
     """
 
     def __init__(
@@ -247,10 +250,10 @@ class Plan:
         """Set the site, the ends of the forecasts' steps (s), and what decides without a forecast.
 
         Args:
-            site: with a valve.
-            ends: of the steps of the forecasts (s from now), the first 0.
-            drain: counts the dry hours, and decides without a forecast.
-            price: of mains water, in m3 of discharge in wet weather (1).
+            site: site with a valve.
+            ends: ends of the forecasts' steps (s from now), the first 0.
+            drain: policy that counts the dry hours, and decides without a forecast.
+            price: price of mains water, in m3 of discharge in wet weather (1).
             reach: days for which stored water is worth its price.
         """
         self._site, self._drain = site, drain
@@ -283,7 +286,7 @@ class Plan:
 
 
 def find_present(precipitation: Any) -> float:
-    """Return the present rain of a forecast (m/s): its first entry, NaN without one."""
+    """Return the present rain in a forecast (m/s): its first entry, NaN if it is empty."""
     if not len(precipitation):
         return math.nan
     first = precipitation[0]

@@ -1,4 +1,4 @@
-"""The code that a user's controller consists of, so that a study notices when it changes.
+"""The code of a user's controller, so that a study notices when it changes.
 
 Data files that it reads, and modules that it imports by a computed name, are not found.
 """
@@ -18,10 +18,10 @@ _STANDARD_LIBRARY = {Path(sysconfig.get_path(name)) for name in ("stdlib", "plat
 
 
 def digest_own_code(modules: Sequence[str]) -> str:
-    """Return twelve digits that identify the source of modules and of all that they import.
+    """Return twelve digits that identify the source of modules and of everything they import.
 
-    That is without the standard library, this package and installed packages, unless a module
-    belongs to one of the packages of ``modules``.
+    The standard library, this package and installed packages are left out, unless a module belongs
+    to one of the packages of ``modules``.
 
     Args:
         modules: names of modules that can be imported.
@@ -48,16 +48,16 @@ def digest_own_code(modules: Sequence[str]) -> str:
 
 
 def _find_file(name: str) -> Path | None:
-    """Return the file of a module; None if there is none, as for what is built in."""
+    """Return the file of a module; None if there is none, as for built-in modules."""
     try:
         spec = sys.modules[name].__spec__ if name in sys.modules else importlib.util.find_spec(name)
-    except (ImportError, AttributeError, ValueError):  # it is a function, for instance
+    except (ImportError, AttributeError, ValueError):  # for instance because it is a function
         return None
     return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
 
 
 def _is_foreign(name: str) -> bool:
-    """Whether a module is not the user's own; its package is found first, so it is not imported."""
+    """Whether a module is not the user's own; finding its package first avoids importing it."""
     package = name.rpartition(".")[0]
     if package and _is_foreign(package):
         return True
@@ -73,8 +73,8 @@ def _imported_names(source: bytes, package: str) -> Iterator[str]:
     """Yield the modules that a source imports, and names in them, which can be modules as well.
 
     Args:
-        source: the source.
-        package: where relative imports begin.
+        source: source text of a module.
+        package: package from which relative imports start.
     """
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):

@@ -1,4 +1,4 @@
-"""Finds controllers: this package's by their names, and any class by its path."""
+"""Finds controllers: this package's by name, and any class by its path."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ BUILT_IN = {
 # The controller that runs unless a user chooses another.
 DEFAULT = "mpc"
 FOR_A_SITE = "lookahead"
-"""the default of a live site, which the paper's controller does not fit"""
+"""the default of a live site, for which the paper's controller is not suitable"""
 EXTERNAL = "external"
-"""stands for a controller node that the user runs; its parameters are the forecasts'"""
+"""stands for a controller node that the user runs; its parameters are those of the forecasts"""
 # Parameters that rclpy declares in every node.
 OF_EVERY_NODE = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 # A controller's node is named after it. These nodes run alongside it.
@@ -60,10 +60,10 @@ class ControllerChoice:
     """A chosen controller.
 
     Attributes:
-        name: of its node, of its section in a parameter file, and in results.
-        reference: what the user gave: the name of one of these, or ``package.module:Class``.
+        name: name of its node, of its section in a parameter file, and in results.
+        reference: what the user wrote: the name of one of these, or ``package.module:Class``.
         path: ``package.module:Class``.
-        given: the class itself, if a program gave it; None if it is to be imported.
+        given: the class itself, if a program passed it; None if it is to be imported.
     """
 
     name: str
@@ -73,10 +73,10 @@ class ControllerChoice:
 
     @functools.cached_property
     def kind(self) -> ControllerClass:
-        """The class, imported on first use; a solver's library only by :meth:`make`.
+        """The class, imported on first use; :meth:`make` alone imports a solver's library.
 
         Raises:
-            ConfigurationError: it cannot be imported, or is no controller.
+            ConfigurationError: if it cannot be imported, or is not a controller.
         """
         kind: Any = self._import_class() if self.given is None else self.given
         lacking = [
@@ -93,7 +93,7 @@ class ControllerChoice:
         clash = of_node.intersection(parameter.name for parameter in kind.parameters)
         if clash:
             raise ConfigurationError(
-                f"has a parameter {clash.pop()}, which its node has already; rename it",
+                f"has a parameter {clash.pop()}, which its node already has; rename it",
                 key="controller", value=self.reference,
             )
         policy = _policy_of(kind)
@@ -116,22 +116,22 @@ class ControllerChoice:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Its parameters, and those of the outlet's valve, by name."""
+        """Its parameters and those of the outlet valve, by name."""
         return {parameter.name: parameter for parameter in (*self.kind.parameters, *self.of_valve)}
 
     @property
     def of_valve(self) -> tuple[Parameter, ...]:
-        """The parameters of the outlet's valve; none if its class commands the valve itself."""
+        """The parameters of the outlet valve; none if its class commands the valve itself."""
         return _of_valve(self.kind)
 
     @property
     def ensemble(self) -> bool:
-        """Whether it takes all members of an ensemble of forecasts; others get the first one."""
+        """Whether it takes all members of an ensemble of forecasts; others receive the first."""
         return bool(getattr(self.kind, "ensemble", False))
 
     @property
     def needs_forecast(self) -> bool:
-        """Whether it needs a forecast to decide; this is the default."""
+        """Whether it needs a forecast to decide, which is the default."""
         return bool(getattr(self.kind, "needs_forecast", True))
 
     @property
@@ -141,7 +141,7 @@ class ControllerChoice:
 
     @property
     def outputs(self) -> dict[str, str]:
-        """Topics that its node also publishes, each with the value's attribute."""
+        """Topics that its node also publishes, each with the attribute that holds the value."""
         return dict(getattr(self.kind, "outputs", {}))
 
     @functools.cached_property
@@ -155,10 +155,10 @@ class ControllerChoice:
         return digest_own_code([self.path.partition(":")[0], cast(type, self.kind).__module__])
 
     def make(self, site: Site, parameters: dict[str, Any]) -> Controller:
-        """Make the controller; a valve that is always open is none to it.
+        """Make the controller; to a controller, a valve that is always open is not a valve.
 
         Raises:
-            ConfigurationError: its solver's library cannot be imported, or its code failed.
+            ConfigurationError: if its solver's library cannot be imported, or its code failed.
         """
         if parameters.get("outlet") == outlet.OPEN:
             site = replace(site, low_outlet_valve=False)
@@ -179,15 +179,15 @@ class ControllerChoice:
     def make_outlet(
         self, site: Site, parameters: dict[str, Any], controller: Controller
     ) -> OutletPolicy | None:
-        """Make what commands the valve of a site's outlet; None at a site without one.
+        """Make what commands the valve of a site's outlet; None at a site without a valve.
 
         Args:
             site: the site.
             parameters: as for :meth:`make`.
-            controller: that :meth:`make` returned, or another of the class.
+            controller: controller from :meth:`make`, or another one of the class.
 
         Raises:
-            ConfigurationError: only the object has an attribute ``outlet``, not its class.
+            ConfigurationError: if only the object has an attribute ``outlet``, not its class.
         """
         if not site.low_outlet_valve:
             return None
@@ -195,7 +195,7 @@ class ControllerChoice:
             return OfController(controller)
         if hasattr(controller, "outlet"):
             raise ConfigurationError(
-                "must be an attribute of the class, too, such as outlet = 0.0: then it commands "
+                "must be an attribute of the class, too, as in outlet = 0.0: then it commands "
                 "the valve itself", key=f"the attribute outlet of {self.reference}",
             )
         ends = look_ahead_ends(
@@ -207,7 +207,7 @@ class ControllerChoice:
     def count_own_steps(self, site: Site, parameters: Mapping[str, Any]) -> int | None:
         """Return how many steps of the forecasts it takes itself; None for all.
 
-        A plan of the outlet's valve takes more.
+        A plan of the outlet valve takes more steps.
         """
         if not outlet.find_horizon(parameters):
             return None
@@ -216,7 +216,7 @@ class ControllerChoice:
     def parameters_on(self, site: Site) -> list[Parameter]:
         """Return its parameters, each with its default for a site's roof.
 
-        Those of the outlet's valve are among them if the site has one.
+        They include those of the outlet valve if the site has one.
         """
         of_valve = []
         if site.low_outlet_valve and self.of_valve:
@@ -229,14 +229,14 @@ class ControllerChoice:
         ]
 
     def defaults(self, site: Site) -> dict[str, float]:
-        """Return the value of each parameter on a site, unless a user gives another."""
+        """Return the value of every parameter on a site, unless a user sets another."""
         return {parameter.name: parameter.default for parameter in self.parameters_on(site)}
 
     def complete_parameters(self, site: Site, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the value of each parameter on a site: what a user gives, or else its default.
+        """Return the value of every parameter on a site: what a user sets, or else its default.
 
         Raises:
-            ConfigurationError: one is for the outlet's valve, which the site does not have.
+            ConfigurationError: if one is for the outlet valve, which the site does not have.
         """
         defaults = self.defaults(site)
         for name in given:
@@ -251,24 +251,25 @@ class ControllerChoice:
         """Return values of its parameters as numbers.
 
         Raises:
-            ConfigurationError: one is not a number, or not in its range; the error's key is its
+            ConfigurationError: if one is not a number, or out of its range; the error's key is its
                 name.
         """
         known = self.parameters
         return {name: known[name].read(value, key=name) for name, value in given.items()}
 
     def read_parameters(self, path: Path, namespace: str = "") -> dict[str, Any]:
-        """Return the values of its parameters that a ROS 2 parameter file gives its node.
+        """Return the values that a ROS 2 parameter file sets for the parameters of its node.
 
-        A dump of the node has more: what rclpy declares in every node is ignored, and so is the
-        site file, with a warning, since the command's option gives it.
+        A dump of the node contains more: what rclpy declares in every node is ignored, and so is
+        the site file, with a warning, since an option of the command sets it.
 
         Args:
             path: the file.
-            namespace: of the node, such as ``/site1``; empty for none.
+            namespace: namespace of the node, such as ``/site1``; empty for none.
 
         Raises:
-            ConfigurationError: the file or a value in it is wrong, or it has nothing for the node.
+            ConfigurationError: if the file or a value in it is wrong, or it has nothing for the
+                node.
         """
         node, known, values = f"{namespace}/{self.name}", self.parameters, {}
         sections = read_sections(path)
@@ -276,8 +277,8 @@ class ControllerChoice:
         if not matching:
             there = ", ".join(section.name for section in sections) or "nothing"
             raise ConfigurationError(
-                f"must hold '/**/{self.name}:' and in it 'ros__parameters:'; it has {there}, which "
-                f"is not for the node {node}", file=path,
+                f"must contain '/**/{self.name}:' and in it 'ros__parameters:'; it contains "
+                f"{there}, which is not for the node {node}", file=path,
             )
         for section in matching:
             for key, value in section.values.items():
@@ -285,10 +286,10 @@ class ControllerChoice:
                 if key in known:
                     values[key] = known[key].read(value, **place)
                 elif key == "site_file":
-                    _log.warning("%s: site_file has no effect: --site gives the site", path)
+                    _log.warning("%s: site_file has no effect: --site sets the site", path)
                 elif key.partition(".")[0] not in OF_EVERY_NODE:
                     hint = (
-                        "give it by --node-parameters" if key in _OF_EVERY_NODE
+                        "set it with --node-parameters" if key in _OF_EVERY_NODE
                         else suggest_names(key, known)
                     )
                     raise ConfigurationError(
@@ -304,7 +305,7 @@ def find_controller(reference: str) -> ControllerChoice:
         reference: a name of :data:`BUILT_IN`, or ``package.module:Class``.
 
     Raises:
-        ConfigurationError: there is no such controller, or its node's name is in use by another.
+        ConfigurationError: if there is no such controller, or its node's name is in use by another.
     """
     if reference == EXTERNAL:
         return ControllerChoice(EXTERNAL, EXTERNAL, f"{_HERE}.external:External")
@@ -321,14 +322,14 @@ def find_controller(reference: str) -> ControllerChoice:
     name = _node_name(reference.partition(":")[2])
     if name in BUILT_IN or name in _OTHER_NODES:
         raise ConfigurationError(
-            f"its node would have the name of another node, {name}; rename the class",
+            f"its node would have the same name as another node, {name}; rename the class",
             key="controller", value=reference,
         )
     return ControllerChoice(name, reference, reference)
 
 
 def choose_class(kind: Any) -> ControllerChoice:
-    """Return the choice of a class that a program gives; one of this package's by its name."""
+    """Return the choice for a class that a program passes; this package's classes by name."""
     path = f"{kind.__module__}:{kind.__qualname__}"
     for name, own in BUILT_IN.items():
         if path == own:
@@ -337,7 +338,7 @@ def choose_class(kind: Any) -> ControllerChoice:
 
 
 def _of_valve(kind: Any) -> tuple[Parameter, ...]:
-    """Return the parameters of the outlet's valve; none for a class that commands it itself."""
+    """Return the parameters of the outlet valve; none for a class that commands it itself."""
     if hasattr(kind, "outlet"):
         return ()
     policy, *others = outlet.PARAMETERS

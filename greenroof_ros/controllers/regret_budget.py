@@ -12,13 +12,13 @@ from greenroof_ros.model.soil import soil_of
 
 _log = logging.getLogger(__name__)
 
-# Water lost to a low outlet cannot be pumped until it rains: it counts as missing this long
+# Water lost to a low outlet cannot be pumped until it rains: it counts as missing for this long
 # (s).
 _LOST_S = 604_800.0
 
 WAITING_BUDGET = Parameter(
     "waiting_budget", 72.0, "h", 0.0, 1e6,
-    "what waiting for rain may cost compared with plain on/off, as hours of an empty roof; if it "
+    "what waiting for rain may cost compared with plain on/off, in hours of an empty roof; if it "
     "costs more than this plus waiting_share, forecasts of rain are ignored",
 )
 WAITING_SHARE = Parameter(
@@ -32,65 +32,66 @@ class RegretBudget:
 
     A controller that leaves room for rain that does not come is worse off than the on/off
     controller, which has filled the roof. No rule can avoid this: while it waits, the true forecast
-    and the false one are the same. But the cost can be limited. This class follows what on/off, Eq.
-    (12), would now have on the roof and in the cistern - only the difference, so that errors of
-    model and sensor affect both alike - and sums up
+    and the false one look the same. But the cost can be limited. This class follows what on/off,
+    Eq. (12), would now have on the roof and in the cistern - only the difference, so that errors of
+    model and sensor affect both alike - and adds up
 
         L = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),   D = sum of tau |x2_onoff - x2*|.
 
-    A gain from waiting counts as negative: it pays for later losses. If L, plus the cost of
-    filling the roof as on/off has, is above
+    A gain from waiting counts as negative: it pays for later losses. If L, plus the cost of filling
+    the roof as on/off has done, is above
 
         waiting_budget x2* + waiting_share D,
 
     forecasts of rain do not count, and the controller fills the roof like on/off. They count again
-    when the roof is filled and L is within the limit, which grows with D. So at any time,
-    whatever the forecasts predict, if on/off has cost D, this controller has cost at most
+    when the roof is filled and L is within the limit, which grows with D. So at any time, whatever
+    the forecasts predict, if on/off has cost D, this controller has cost no more than
 
         (1 + waiting_share) D + waiting_budget x2*,
 
-    apart from the loss of one tick, the pumps' wait for their next start, and the time by which
-    evapotranspiration slows the filling. Reason: L is below the limit while forecasts count, and
-    the limit already covers the filling when they cease to. Such a guarantee is the robustness of
-    an online algorithm with predictions; not to harm a good forecast is its consistency (Lykouris
-    and Vassilvitskii 2021, Competitive Caching with Machine Learned Advice, J. ACM 68(4),
-    doi:10.1145/3447579). In frost nothing may be pumped, and the loss continues.
+    apart from the loss in one tick, the pumps' wait for their next start, and the time by which
+    evapotranspiration slows the filling. The reason is that L is below the limit while forecasts
+    count, and the limit already covers the filling when they cease to. Such a guarantee is the
+    robustness of an online algorithm with predictions; not harming a good forecast is its
+    consistency (Lykouris and Vassilvitskii 2021, Competitive Caching with Machine Learned Advice,
+    J. ACM 68(4), doi:10.1145/3447579). In frost nothing may be pumped, and the loss continues.
 
-    If the cistern overflows while the controller waits, it loses water that on/off has pumped by
-    then. This costs nothing until a drought empties the cistern. Then the water is missing, and L
-    grows, until the drought ends, regardless of the limit. The loss is counted when it occurs, and
-    forecasts do not count until D has made up for it. So it happens once, not in every drought.
+    If the cistern overflows while the controller waits, it loses water that on/off would have
+    pumped by then. This costs nothing until a drought empties the cistern. Then the water is
+    missing, and L grows until the drought ends, regardless of the limit. The loss is counted when
+    it occurs, and forecasts do not count until D has made up for it. So it happens once, not in
+    every drought.
 
     While the controller waits, a low outlet of the cistern can drain the water meant for the roof.
-    The volume that on/off has on the roof, beyond what will stay in the cistern, costs as much as
-    if it were missing for a week.
+    The volume that on/off would have on the roof, beyond what will stay in the cistern, costs as
+    much as if it were missing for a week.
 
     If the mains fill the cistern more slowly than the pumps empty it, and it holds less than the
     roof lacks, filling takes longer than counted, and L can exceed the limit.
 
     The budget belongs to a site: a restarted live controller continues with its previous L and D.
 
-    The comparison assumes that the pumps do what is commanded. With minimum times on and off, or
-    a flow other than the site file's, the count is wrong by the difference.
+    The comparison assumes that the pumps do what is commanded. With minimum on- and off-times, or a
+    flow other than the site file's, the count is wrong by the difference.
 
     Attributes:
-        loss: L so far (m3 s); negative is a gain.
+        loss: L so far (m3 s); a negative value is a gain.
         onoff_cost: D so far (m3 s).
-        exhausted: whether forecasts of rain do not count.
+        exhausted: whether forecasts of rain are ignored.
     """
 
     def __init__(self, site: Site, waiting_budget: float, waiting_share: float) -> None:
         """Set the site and the limit.
 
         Args:
-            site: the parameters of Table I.
-            waiting_budget: time (h) with an empty roof that costs as much.
+            site: parameters of the site (Table I).
+            waiting_budget: time (h) with an empty roof that costs as much as the budget.
             waiting_share: share of what on/off costs (1).
         """
         self._site, self._soil = site, soil_of(site)
         self._budget = waiting_budget * 3600 * site.x2_star  # m3 s
         self._share = waiting_share
-        self._more = 0.0  # on the roof with on/off, less the actual volume (m3)
+        self._more = 0.0  # volume on the roof with on/off minus the actual volume (m3)
         self._stored = 0.0  # the same in the cistern (m3)
         self._theirs, self._ours = Plant(site, 0.0, 0.0), Plant(site, 0.0, 0.0)
         self._unseen = 0
@@ -112,8 +113,8 @@ class RegretBudget:
         """Count the present tick, and return whether to ignore forecasts of rain in it.
 
         Args:
-            x1: in the cistern (m3).
-            x2: on the roof (m3).
+            x1: volume in the cistern (m3).
+            x2: volume on the roof (m3).
             fraction: v, the command of on/off when it pumps (share of the maximum flow).
         """
         site = self._site
@@ -152,12 +153,13 @@ class RegretBudget:
         """Move on by one tick.
 
         Args:
-            x1: in the cistern (m3).
-            x2: on the roof (m3).
+            x1: volume in the cistern (m3).
+            x2: volume on the roof (m3).
             fraction: as for :meth:`judge`.
-            command: the actual one.
+            command: the actual command.
             precipitation: rain in the tick (m/s).
-            evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
+            evapotranspiration: evapotranspiration from the whole bed (m3/s), of plants that do not
+                lack water.
         """
         theirs, ours = self._theirs, self._ours
         ours.x1, ours.x2 = x1, x2
@@ -173,11 +175,11 @@ class RegretBudget:
         stays = self._soil.retained_share(x2) * flow
         if behind <= 0 or stays <= 0:
             return 0.0
-        missing = max(0.0, self._site.x2_star - x2 - self._more)  # on the roof with on/off
+        missing = max(0.0, self._site.x2_star - x2 - self._more)  # missing on the roof with on/off
         return behind * (missing + behind / 2) / stays
 
     def _drained(self, x1: float, x2: float) -> float:
-        """Return the cost (m3 s) of losing to a low outlet what on/off has on the roof."""
+        """Return the cost (m3 s) of losing to a low outlet what on/off would have on the roof."""
         site = self._site
         if not site.always_drains or site.low_outlet_level is None:
             return 0.0

@@ -1,4 +1,4 @@
-"""Estimates the water on the roof from model and level sensor together."""
+"""Estimates the water on the roof from the model and the level sensor together."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from greenroof_ros.common.parameter import Parameter
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import roof_after_tick, soil_of
 
-# If all readings of this long (s), and at least this many, differ from the prediction by more than
-# this (m) to the same side, it is not noise but something unknown to the model: pumps of another
-# flow, a hand valve. Of noise, however large, less than half is that far off on either side.
+# If all readings over this time (s), and at least this many, differ from the prediction by more
+# than this (m) in the same direction, it is not noise but something unknown to the model: pumps
+# with another flow, a manual valve. With noise alone, however large, less than half is that far off
+# on either side.
 _LOST_S = 15.0
 _LOST_READINGS = 10
 _LOST_M = 0.001
-# A gap of up to this long (s) is bridged: too little happens in it for the next readings to show.
+# A gap of up to this long (s) is bridged: too little happens in it to show in the next readings.
 _GAP_S = 15.0
 
 OBSERVER_TIME_CONSTANT = Parameter(
     "observer_time_constant", 300.0, "s", 0.0, 3600.0,
-    "averaging time of the roof's level readings; 0: no averaging",
+    "averaging time of the roof's level readings; 0 for no averaging",
 )
 
 
@@ -28,21 +29,22 @@ class RoofObserver:
     """Follows the roof's mass balance, Eq. (1), and corrects it toward the sensor's readings.
 
     A controller that pumps whenever a reading is below the target follows the lowest readings: with
-    a noise of 0.5 mm the roof soon holds a millimetre too much, and nothing removes it. So the
-    volume is predicted from rain, evapotranspiration, drainage and pumping, and each reading
+    a noise of 0.5 mm, the roof soon holds a millimetre too much, and nothing removes it. So the
+    volume is predicted from rain, evapotranspiration, drainage and pumping, and every reading
     corrects it by tau / observer_time_constant of the difference. This is a first-order observer,
     the steady-state Kalman filter for that ratio of trust in model and sensor. It starts with the
     mean of the first readings, like a Kalman filter without prior knowledge. If model and sensor
     are exact, it equals the reading, apart from rounding.
 
     If the pumps deliver more than the model assumes, they would stay on while the observer catches
-    up. So if all readings of fifteen seconds (at least ten readings) are off by more than a
-    millimetre to the same side, it moves by their mean difference at once. A single outlier counts
-    like any other reading. After more than fifteen seconds without a reading it starts again.
+    up. So if all readings over fifteen seconds (at least ten readings) are off by more than a
+    millimetre in the same direction, it moves by their mean difference in one step. A single
+    outlier counts like any other reading. After more than fifteen seconds without a reading, it
+    starts again.
     """
 
     def __init__(self, site: Site, observer_time_constant: float) -> None:
-        """Set the site and the averaging time of the readings (s); 0 uses each reading alone."""
+        """Set the site and the averaging time of the readings (s); 0 uses every reading alone."""
         self._site, self._soil = site, soil_of(site)
         self._gain = 1.0
         if observer_time_constant > 0:
@@ -50,7 +52,7 @@ class RoofObserver:
         self._lost = site.roof_volume(_LOST_M)
         self._predicted: float | None = None
         self._readings = 0  # since its start
-        self._surprises: deque[float] = deque(  # the last readings less their predictions (m3)
+        self._surprises: deque[float] = deque(  # the last readings minus their predictions (m3)
             maxlen=max(_LOST_READINGS, round(_LOST_S / site.tau))
         )
         self._gap = 0.0  # since the last reading (s)
@@ -93,8 +95,8 @@ class RoofObserver:
         Args:
             x2: the volume that :meth:`correct` returned (m3).
             precipitation: rain in the tick (m/s).
-            evapotranspiration: off the whole bed (m3/s).
-            pumped: flow onto the roof (m3/s).
+            evapotranspiration: evapotranspiration from the whole bed (m3/s).
+            pumped: flow pumped onto the roof (m3/s).
 
         Returns:
             The volume predicted for the next tick (m3).

@@ -11,9 +11,9 @@ _CAPACITY = 65_536
 
 
 class TickTimes:
-    """Wall times of ticks (s): their number, mean and maximum, and the 99th percentile.
+    """Wall times of ticks (s): their number, mean, maximum and 99th percentile.
 
-    The percentile covers the last 65,536 ticks; number, mean and maximum cover all.
+    The percentile covers the last 65,536 ticks; number, mean and maximum cover all ticks.
     """
 
     def __init__(self) -> None:
@@ -35,11 +35,11 @@ class TickTimes:
         self._max = max(self._max, seconds)
 
     def statistics(self, solves: int, fallbacks: int) -> dict[str, float]:
-        """Return the figures for a controller's ``statistics``; without ticks the times are 0.
+        """Return the figures for a controller's ``statistics``; without ticks, the times are 0.
 
         Args:
             solves: number of programs solved or tried.
-            fallbacks: number of these without a solution.
+            fallbacks: number of those without a solution.
         """
         return {
             "solves": solves,

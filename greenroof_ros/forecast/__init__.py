@@ -1,1 +1,1 @@
-"""Forecasts: what a controller knows at each tick about the time ahead."""
+"""Forecasts: what a controller knows at every tick about the time ahead."""

@@ -1,4 +1,4 @@
-"""The choice of the forecasts that a run's controller gets."""
+"""The choice of the forecasts that a run's controller receives."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from greenroof_ros.model.look_ahead import MAX_MEMBERS
 PERFECT = "perfect"
 FILE = "file"
 
-# Each model and its OPTIONS; an archive is named by its path.
+# Every model and its OPTIONS; an archive is named by its path.
 MODELS: dict[str, tuple[str, ...]] = {
     PERFECT: (),
     "errors": ("skill", "seed", "delay"),
@@ -29,16 +29,16 @@ _OPTIONS_OF = {**MODELS, FILE: ("delay",)}
 
 @dataclass(frozen=True)
 class ForecastChoice:
-    """The choice of the forecasts that a run's controller gets.
+    """The choice of the forecasts that a run's controller receives.
 
     Attributes:
         model: one of :data:`MODELS`, or ``file``.
         file: file of forecasts, or directory of such files; None for a model.
         skill: one of :data:`greenroof_ros.forecast.skill.SKILLS`, or the path of a file such as
             ``config/forecasts/skill.yaml``.
-        seed: of the errors.
+        seed: seed of the errors.
         members: number of members of the ensemble.
-        delay: time after its nominal time from which an issue is known (h); None for the usual
+        delay: time after the nominal time from which an issue is known (h); None for the usual
             delay of the kind of file, or of weather services for a model with errors.
     """
 
@@ -46,15 +46,15 @@ class ForecastChoice:
     file: Path | None = None
     skill: str = entry(
         "errors, ensemble: how good the forecasts are. real: as good as a weather service's; "
-        "better: like real ones at half the lead time; worse: at twice the lead time; a FILE.yaml: "
-        "as it states", default=REAL,
+        "better: like real ones at half the lead time; worse: like real ones at twice the lead "
+        "time; a FILE.yaml: as stated in the file", default=REAL,
     )
     seed: int = entry("errors, ensemble: seed of the errors", 0, 2**31 - 1, default=0)
-    members: int = entry("ensemble: number of its members", 1, MAX_MEMBERS, default=10)
+    members: int = entry("ensemble: number of members", 1, MAX_MEMBERS, default=10)
     delay: float | None = entry(
         "errors, ensemble, a file: time from an issue's nominal time until it is available; by "
-        f"default {SERVICE_DELAY_H:g} h for the first two, and what is usual for a file's kind: 0 "
-        "for this project's format, which states when it was available", 0.0, 48.0, unit="h",
+        f"default {SERVICE_DELAY_H:g} h for the first two, and the usual delay for a file's kind: "
+        "0 for this project's format, which states when it was available", 0.0, 48.0, unit="h",
         default=None,
     )
 
@@ -64,12 +64,12 @@ class ForecastChoice:
 
     @property
     def skill_file(self) -> Path | None:
-        """The file of the skill; None for a named skill."""
+        """The file with the skill; None for a named skill."""
         return None if self.skill in SKILLS else Path(self.skill)
 
     @property
     def option_names(self) -> tuple[str, ...]:
-        """The :data:`OPTIONS` that the model, or an archive, has."""
+        """The :data:`OPTIONS` that apply to the model or to an archive."""
         return _OPTIONS_OF[self.model]
 
     def options(self) -> dict[str, str | float]:
@@ -84,7 +84,7 @@ INPUTS = {
     f"forecast_{name}": replace(parameter, name=f"forecast_{name}")
     for name, parameter in OPTIONS.items()
 }
-"""the same by the names that inputs of a run have"""
+"""the same, by the names of a run's inputs"""
 
 
 def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoice:
@@ -95,8 +95,8 @@ def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoic
         options: values of :data:`OPTIONS`.
 
     Raises:
-        ConfigurationError: there is no such model, or it has no such option or value; the error's
-            key is ``forecast``, or one of :data:`INPUTS`.
+        ConfigurationError: if there is no such model, or it has no such option or value; the
+            error's key is ``forecast``, or one of :data:`INPUTS`.
     """
     if text in MODELS:
         choice = ForecastChoice(text)

@@ -1,4 +1,4 @@
-"""The forecasts of a live site: from a file that is replaced repeatedly, or fetched."""
+"""The forecasts of a live site, from a file that is replaced repeatedly or from a service."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ _HOUR_S = 3600.0
 
 
 class NoForecastError(Exception):
-    """There is no forecast for now; the message states why."""
+    """There is no forecast for the present; the message states why."""
 
 
 class ForecastFile:
-    """A file of forecasts, read again when it is replaced; an invalid file is ignored.
+    """A file of forecasts that is read again when it is replaced; an invalid file is ignored.
 
     Attributes:
-        issues: of the newest file that could be read, from the newest at that time on; empty before
-            the first.
+        issues: issues of the newest file that could be read, from the one that was newest at that
+            time on; empty before the first file.
         problem: what is wrong with the present file; empty if nothing is.
     """
 
@@ -39,8 +39,8 @@ class ForecastFile:
         """Prepare; nothing is read yet.
 
         Args:
-            path: of the file; see :func:`greenroof_ros.formats.own_csv.read_forecasts`. It must
-                have a column of evapotranspiration.
+            path: path of the file; see :func:`greenroof_ros.formats.own_csv.read_forecasts`. It
+                must have a column of evapotranspiration.
         """
         self.issues: list[IssuedForecast] = []
         self.problem = ""
@@ -74,20 +74,21 @@ class ForecastFile:
 
 
 class LiveForecast:
-    """Forecasts of the look-ahead at any time, from the newest issue.
+    """Forecasts over the look-ahead at any time, from the newest issue.
 
     Attributes:
-        issues: what is known, in the order of their issue, all with evapotranspiration.
+        issues: the known issues, in order of issue, all with evapotranspiration.
     """
 
     def __init__(self, site: Site, horizon: float, limit: float, all_members: bool) -> None:
         """Prepare, without an issue.
 
         Args:
-            site: tick, look-ahead, and the bed's area, to convert depths to volumes.
+            site: site with tick, look-ahead, and the bed's area, to convert depths to volumes.
             horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
-            limit: largest age of the newest issue (s).
-            all_members: whether to return rain of all members of an ensemble, or of the first.
+            limit: maximum age of the newest issue (s).
+            all_members: whether to return the rain of all members of an ensemble, or of the first
+                only.
         """
         self.issues: list[IssuedForecast] = []
         self._area = site.a2
@@ -100,15 +101,15 @@ class LiveForecast:
     def at(self, now: datetime, observed_rain: float | None = None) -> Outlook:
         """Return the outlook at a time.
 
-        After the end of the issue there is no rain, and evapotranspiration repeats its last day, as
-        in a simulation.
+        After the end of the issue, rain is assumed to be 0, and evapotranspiration repeats its last
+        day, as in a simulation.
 
         Args:
             now: the time.
-            observed_rain: rain of the present hour from a gauge (m/s); None if there is none.
+            observed_rain: rain in the present hour from a gauge (m/s); None if there is no gauge.
 
         Raises:
-            NoForecastError: no issue is new enough and covers the present hour.
+            NoForecastError: if no issue is new enough and covers the present hour.
         """
         issue = self._newest(now)
         present = (now - issue.issued) // HOUR
@@ -118,7 +119,7 @@ class LiveForecast:
         there = issue.rain[:, present : present + len(ahead)]
         rain[:, : there.shape[1]] = there
         evapotranspiration = issue.evapotranspiration_at(ahead)
-        assert evapotranspiration is not None  # an issue without it is refused
+        assert evapotranspiration is not None  # an issue without it is rejected
         forecast = HourForecast(
             issue.issued, rain, evapotranspiration, self._area, self._ends, observed_rain,
             math.nan if issue.temperature is None else float(issue.temperature[present]),
@@ -126,10 +127,10 @@ class LiveForecast:
         return forecast.at(since, self._all_members)
 
     def repetition(self, now: datetime) -> str:
-        """Return a note if forecasts have not changed for a day; otherwise nothing.
+        """Return a note if forecasts have not changed for a day; otherwise an empty text.
 
         Raises:
-            NoForecastError: there is no forecast.
+            NoForecastError: if there is no forecast.
         """
         issue = self._newest(now)
         if issue is not self._issue:
@@ -137,23 +138,23 @@ class LiveForecast:
         return self._repeated
 
     def shortage(self, now: datetime) -> str:
-        """Return what the newest issue lacks of the look-ahead, and the remedy; empty if nothing.
+        """Return what the newest issue lacks for the look-ahead, and the remedy; empty if nothing.
 
         Raises:
-            NoForecastError: there is no forecast.
+            NoForecastError: if there is no forecast.
         """
         issue = self._newest(now)
         end, due = issue.issued + issue.hours * HOUR, timedelta(seconds=float(self._ends[-1]))
         if now + due <= end:
             return ""
         needed = math.ceil((due + self._limit) / HOUR)
-        # As far as an issue reaches until it is too old.
+        # How far an issue reaches when it becomes too old.
         always = issue.hours - math.ceil(self._limit / HOUR)
-        shorter = f", or a horizon of at most {always} h" if always >= 1 and due >= HOUR else ""
+        shorter = f", or a horizon of up to {always} h" if always >= 1 and due >= HOUR else ""
         return (
             f"the forecast issued at {to_people(issue.issued)} ends at {to_people(end)}, before "
             f"the {duration(due.total_seconds())} look-ahead does; the hours after it are treated "
-            f"as dry. An issue must have {needed} h to last until too old, not {issue.hours} h"
+            f"as dry. To last until it is too old, an issue needs {needed} h, not {issue.hours} h"
             f"{shorter}"
         )
 
@@ -161,7 +162,7 @@ class LiveForecast:
         """Return the newest issue at a time.
 
         Raises:
-            NoForecastError: the newest issue is too old or has ended, or there is none.
+            NoForecastError: if the newest issue is too old or has ended, or there is none.
         """
         issues = self.issues
         if not issues:

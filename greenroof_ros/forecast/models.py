@@ -4,17 +4,18 @@
 no issues, and a file has its own. The present hour is observed, not forecast;
 :class:`greenroof_ros.forecast.resampling.SteppedForecast` takes it from the records.
 
-**With errors** forecasts are wrong as real ones are: missed rain, false alarms, wrong times and
-amounts. The z behind the records' rain, see :mod:`greenroof_ros.forecast.skill`, is forecast as
+**With errors**, forecasts are wrong in the ways real ones are: missed rain, false alarms, wrong
+times and amounts. The z behind the records' rain (see :mod:`greenroof_ros.forecast.skill`) is
+forecast as
 
     f_j = s z + sqrt(s - s^2) zeta + sqrt(1 - s) xi_j
 
 at each frequency, with the coherence s given there. The first two terms are what the forecasters
-know; zeta is an error common to all members, xi_j the error of member j alone. All have the
-spectrum of z, and so has f_j: it rains in forecasts as often as in the records. Any two have the
-coherence s with each other, as each has with the truth. So the truth is like one more member, and
-the ensemble's spread is reliable. Last, rain is made of f_j + wetness, and multiplied by the
-amount: these are a service's systematic errors.
+know; zeta is an error common to all members, and xi_j is the error of member j alone. All have the
+spectrum of z, and so has f_j: it rains in forecasts as often as in the records. Any two members
+have the coherence s with each other, as each has with the truth. So the truth is like one more
+member, and the ensemble's spread is reliable. Finally, rain is made from f_j + wetness, and
+multiplied by the amount: these are a service's systematic errors.
 """
 
 from __future__ import annotations
@@ -53,24 +54,24 @@ Array = NDArray[np.float64]
 # Reach of a filter in multiples of the larger of memory and error of timing; exp(-6) remains.
 _REACH = 6
 
-# Leads of a forecast of ten days, whose latest issue can be 12 h old (h).
+# Leads of a ten-day forecast whose latest issue can be 12 h old (h).
 _LEADS = 256
 
 # Age in multiples of the persistence at which an issue's noise is dropped; exp(-3) of it remains.
 _FORGOTTEN = 3
 
-# Sweeps over all dry hours, after which the start hardly matters: the slowest mode of an
-# autoregression with T = 8 h keeps 0.985 of itself in a sweep.
+# Sweeps over all dry hours, after which the start hardly matters: in each sweep, the slowest mode
+# of an autoregression with T = 8 h keeps 0.985 of itself.
 _SWEEPS = 300
 
 # Length of the blocks in which random numbers are drawn (hours since 1970).
 _BLOCK = 512
 
 # Blocks in a part of the records. One more is drawn on either side, so that the ends of the part
-# have no effect in it.
+# have no effect within it.
 _PART = 8
 
-# Starts the seeds of z in dry hours, which depend only on the hours since 1970.
+# Beginning of the seeds of z in dry hours, which depend only on the hours since 1970.
 _RECORDS = 6158359
 
 
@@ -80,10 +81,10 @@ class ForecastModel(ABC):
     max_issue_h: int | None = None
     """length of the longest issue (h); None if forecasts have no end"""
     notes: tuple[str, ...] = ()
-    """what of a file's forecasts could not be used as it is"""
+    """what could not be used as it was in a file's forecasts"""
 
     def __init__(self, weather: Weather) -> None:
-        """Set the records; missing ones are refused only when a forecast needs them."""
+        """Set the records; missing ones are rejected only when a forecast needs them."""
         self._weather = weather
 
     @abstractmethod
@@ -92,13 +93,13 @@ class ForecastModel(ABC):
 
         Args:
             hour: index of the hour.
-            hours: how many to return, beginning with that one.
+            hours: number of hours to return, beginning with that one.
 
         Returns:
             Rain (mm/h), shape (members, hours), and evapotranspiration (mm/day), shape (hours,).
 
         Raises:
-            ConfigurationError: there is no forecast, or it needs a record that is missing.
+            ConfigurationError: if there is no forecast, or it needs a record that is missing.
         """
 
     def issued(self, hour: int) -> datetime | None:
@@ -106,9 +107,9 @@ class ForecastModel(ABC):
         return None
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return the time from which on these hours are assumed; None if all are known.
+        """Return the time from which these hours are assumed; None if all are known.
 
-        That is the end of the records if the hours extend past it.
+        This is the end of the records if the hours extend past it.
         """
         past = hour + hours > len(self._weather.precipitation)
         return self._weather.end if past else None
@@ -125,19 +126,20 @@ class PerfectModel(ForecastModel):
 
 
 class FileModel(ForecastModel):
-    """Forecasts of an archive; see :func:`greenroof_ros.formats.reading.read_archive`.
+    """Forecasts from an archive; see :func:`greenroof_ros.formats.reading.read_archive`.
 
-    The newest is the last that was available by the start of the hour. After its end there is no
-    rain, as after all forecasts, and evapotranspiration repeats its last day, or its last hour if
-    it is shorter than a day. Without a column of evapotranspiration the records' values are treated
-    as known. If the records' rain is late (``rain_late``), forecasts of rain are as late.
+    The newest is the last one that was available by the start of the hour. After its end there is
+    no rain, as after all forecasts, and evapotranspiration repeats its last day, or its last hour
+    if it is shorter than a day. Without a column of evapotranspiration, the records' values are
+    assumed to be known. If the records' rain is late (``rain_late``), forecasts of rain are equally
+    late.
     """
 
     def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
         """Set the forecasts.
 
         Args:
-            archive: of the forecasts.
+            archive: the archive of forecasts.
             weather: the records of the run.
             all_members: whether to use all members of each issue, or only member 0.
         """
@@ -147,8 +149,8 @@ class FileModel(ForecastModel):
         self.max_issue_h = max(issue.hours for issue in archive.issues)
         self._late = weather.rain_late
         # The hour of the records at whose start each issue becomes known. If their rain is late,
-        # forecasts must be as late: otherwise the controller would expect rain that in fact fell an
-        # hour ago.
+        # forecasts must be equally late: otherwise the controller would expect rain that in fact
+        # fell an hour ago.
         delay = timedelta(hours=archive.delay + self._late)
         late = self._late * HOUR
         available_from = [
@@ -181,7 +183,7 @@ class FileModel(ForecastModel):
         return self._newest(hour)[0].issued
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return the end of the issue, or of the records that it needs, if hours extend past it."""
+        """Return the end of the issue, or of the records it needs, if the hours extend past it."""
         issue, lead = self._newest(hour)
         needed = issue.evapotranspiration is None
         end = issue.hours + self._late * needed  # evapotranspiration is not late
@@ -204,29 +206,30 @@ class FileModel(ForecastModel):
 
 
 class NormalRecords:
-    """z of each hour of records.
+    """z for every hour of the records.
 
-    Hours with rain determine their z. The z of a dry hour is only known to be at most c; it is
-    drawn from its distribution given its neighbours, repeatedly (Gibbs sampling; Geman and Geman,
-    IEEE Trans. PAMI 6:721, 1984), every other hour at a time. A missing hour's is drawn likewise,
-    without that limit. So a dry hour amid rain is close to rain, and one in a dry week far from it.
+    Hours with rain determine their z. The z of a dry hour is only known to be no more than c; it is
+    drawn repeatedly from its distribution given its neighbours (Gibbs sampling; Geman and Geman,
+    IEEE Trans. PAMI 6:721, 1984), every other hour at a time. The z of a missing hour is drawn in
+    the same way, without that limit. So the z of a dry hour amid rain is close to that of rain, and
+    in a dry week it is far from it.
 
-    A draw depends only on the hour since 1970, and not on which hours were asked for first. Three
-    weeks or more from the ends of the records it does not depend on these ends either.
+    A draw depends only on the hour since 1970, not on which hours were requested first. Three weeks
+    or more from the ends of the records, it does not depend on these ends either.
     """
 
     def __init__(self, climate: Climate, rain: Array, first: int) -> None:
         """Set the records.
 
         Args:
-            climate: of the rain.
-            rain: of each hour (mm), NaN if missing, shape (hours,).
-            first: hours since 1970 of the first.
+            climate: climate of the rain.
+            rain: rain in every hour (mm), NaN if missing, shape (hours,).
+            first: hours since 1970 at the first hour.
         """
         self._climate, self._rain, self._first = climate, rain, first
 
     def at(self, hours: NDArray[np.intp]) -> Array:
-        """Return z (1) of hours by their index; beyond the ends, of the first or last hour."""
+        """Return z (1) of hours by index; beyond the ends, z of the first or last hour."""
         index = np.clip(hours, 0, len(self._rain) - 1)
         parts = (index + self._first) // (_PART * _BLOCK)
         normal = np.empty(len(index))
@@ -242,14 +245,14 @@ class NormalRecords:
 
 @lru_cache(maxsize=64)
 def _draw_normal(climate: Climate, records: bytes, first: int) -> Array:
-    """Return z (1) of each hour; see :class:`NormalRecords`.
+    """Return z (1) of every hour; see :class:`NormalRecords`.
 
     Results are cached, because a study needs them for each of its seeds.
 
     Args:
-        climate: of the rain.
-        records: rain of each hour (mm), NaN if missing, as the bytes of an array.
-        first: hours since 1970 of the first.
+        climate: climate of the rain.
+        records: rain in every hour (mm), NaN if missing, as the bytes of an array.
+        first: hours since 1970 at the first hour.
     """
     from scipy.special import ndtr, ndtri
 
@@ -270,7 +273,7 @@ def _draw_normal(climate: Climate, records: bytes, first: int) -> Array:
     chances = [np.random.default_rng([_RECORDS, block % 2**32]) for block in blocks]
     begin = first - blocks.start * _BLOCK
     for _ in range(_SWEEPS):
-        # The same number for an hour since 1970, no matter which hours are asked for.
+        # The same number for an hour since 1970, no matter which hours are requested.
         numbers = np.concatenate([chance.random(_BLOCK) for chance in chances])[begin:]
         for hours in turns:
             mean = pull[hours] * (normal[hours] + normal[hours + 2])
@@ -281,16 +284,16 @@ def _draw_normal(climate: Climate, records: bytes, first: int) -> Array:
 
 
 class ErrorModel(ForecastModel):
-    """Forecasts of records, with errors; see the module.
+    """Forecasts made from records, with errors; see the module.
 
     Errors are correlated from issue to issue: zeta and xi of an issue are sums over the white noise
-    of this and earlier issues, weighted by exp(-age / persistence). Each noise depends only on the
-    seed, the member's number and the time of issue: the same seed gives the same forecasts,
-    no matter which are asked for first.
+    of this and earlier issues, weighted by exp(-age / persistence). The noise depends only on the
+    seed, the member's number and the time of issue: the same seed gives the same forecasts, no
+    matter which are requested first.
 
     The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), whose mean is 1. e grows
     from 0 to the skill's constant as the unknown share of the rain does, and g is drawn like xi.
-    Members differ in the rain only. Member 0 is the single forecast of the same seed.
+    Members differ only in the rain. Member 0 is the single forecast of the same seed.
 
     Forecasts are limited to the ranges in :data:`greenroof_ros.formats.quantities.QUANTITIES`.
     """
@@ -298,15 +301,15 @@ class ErrorModel(ForecastModel):
     def __init__(
         self, weather: Weather, seed: int, skill: Skill, members: int = 1, delay: float = 0.0
     ) -> None:
-        """Prepare the forecasts of a seed.
+        """Prepare the forecasts for a seed.
 
         Args:
             weather: the records.
-            seed: of the errors.
+            seed: seed of the errors.
             skill: how good the forecasts are; its leads count from the time of issue.
-            members: number of members of an issue.
-            delay: time after its nominal time from which an issue is known (h), in which a service
-                computes it; the newest issue is older by as much.
+            members: number of members in an issue.
+            delay: time after the nominal time from which an issue is known (h), during which a
+                service computes it; the newest issue is older by that much.
         """
         super().__init__(weather)
         self._delay = math.ceil(delay)  # an issue known within an hour counts from the next hour
@@ -321,7 +324,7 @@ class ErrorModel(ForecastModel):
         ages = np.arange(math.ceil(_FORGOTTEN * persistence / ISSUE_HOURS) + 1)
         weights = np.exp(-ages * ISSUE_HOURS / persistence)
         self._weights = weights / np.sqrt((weights**2).sum())
-        # Twice as many as an issue needs, so that none is dropped that the next issue needs too.
+        # Twice as many as an issue needs, so that none is dropped that the next issue needs, too.
         self._drawn = Memo(self._draw, 2 * len(weights))
         self._newest = Memo(self._make)  # one issue is needed for several hours
 
@@ -330,7 +333,7 @@ class ErrorModel(ForecastModel):
         issue = self._find_newest(hour)
         issued = issue - hours_since_1970(self._weather.first)
         records = np.arange(hour, hour + hours)
-        select_records(self._weather, PRECIPITATION, records)  # refuses missing records
+        select_records(self._weather, PRECIPITATION, records)  # rejects missing records
         evapotranspiration = select_records(self._weather, EVAPOTRANSPIRATION, records)
         leads = ISSUE_HOURS - 1 + self._delay + hours
         rain, factor = self._newest(issue, issued, leads)
@@ -352,13 +355,13 @@ class ErrorModel(ForecastModel):
 
         It is the newest until the next one. If records do not begin on a whole hour of UTC, an
         issue counts from the first hour of the records that begins after it. An issue made before
-        the records keeps its own time.
+        the records begin keeps its own time.
         """
         known = hours_since_1970(self._weather.first) + hour - self._delay
         return known // ISSUE_HOURS * ISSUE_HOURS
 
     def _make(self, issue: int, issued: int, leads: int) -> tuple[Array, Array]:
-        """Make the forecast of an issue (h since 1970; index of its hour in the records).
+        """Make the forecast of an issue.
 
         Returns:
             Rain (mm/h), shape (members, leads), and the factor of evapotranspiration (1), shape
@@ -380,14 +383,14 @@ class ErrorModel(ForecastModel):
         )
 
     def _noise(self, issue: int, hours: int) -> tuple[Array, float]:
-        """Return the noise of an issue, which is correlated with the noise of the issue before.
+        """Return the noise of an issue, which is correlated with that of the previous issue.
 
         Args:
-            issue: h since 1970.
-            hours: length of the noise; it begins equally long before each issue.
+            issue: time of the issue (h since 1970).
+            hours: length of the noise; it begins equally long before every issue.
 
         Returns:
-            The common noise, then the noise of each member, shape (1 + members, hours); and the
+            The common noise, then the noise of every member, shape (1 + members, hours); and the
             noise of evapotranspiration (1).
         """
         longest = hours + ISSUE_HOURS * (len(self._weights) - 1)
@@ -414,21 +417,21 @@ class ErrorModel(ForecastModel):
 
 
 class _Filters(NamedTuple):
-    """Filters of each lead (h, from 0 on), over the hours within ``reach`` before and after it."""
+    """Filters for every lead (h, from 0 on), over the hours up to ``reach`` before and after it."""
 
     signal: Array
     """weights of z, shape (leads, 2 reach + 1)"""
     common: Array
-    """of the errors that all members share, likewise"""
+    """weights of the errors that all members share, same shape"""
     own: Array
-    """of each member's own errors, likewise"""
+    """weights of each member's own errors, same shape"""
     unknown: Array
     """standard deviation of the unknown part of z (1), shape (leads,)"""
 
 
 @lru_cache(maxsize=8)
 def _make_filters(skill: Skill, reach: int, blocks: int) -> _Filters:
-    """Return the filters of a number of blocks of leads; cached, as a study needs them per seed.
+    """Return the filters for a number of blocks of leads; cached, as a study needs them per seed.
 
     Each block has the same size, because rounding in a matrix sum may depend on the number of rows.
     """
@@ -447,7 +450,7 @@ def _make_block(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
     coherence = skill.coherence(leads.astype(np.float64), frequencies)
     common = weights(np.sqrt((coherence - coherence**2) * power))
     own = weights(np.sqrt((1 - coherence) * power))
-    # The mean over the circle; each frequency but the first and last counts twice.
+    # The mean over the circle; all frequencies but the first and last count twice.
     twice = np.full(len(power), 2.0)
     twice[[0, -1]] = 1.0
     unknown = (1 - coherence**2) @ (twice * power) / hours
@@ -460,13 +463,13 @@ def _make_block(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
 
 
 def _apply_filters(weights: Array, values: Array) -> Array:
-    """Return the filtered hours around each lead.
+    """Return the filtered hours around every lead.
 
-    Computed row by row, so that a lead's value does not depend on the number of leads.
+    It is computed row by row, so that the value at a lead does not depend on the number of leads.
 
     Args:
-        weights: shape (leads or more, width).
-        values: of each hour, shape (leads + width - 1,).
+        weights: weights, shape (leads or more, width).
+        values: value of every hour, shape (leads + width - 1,).
     """
     windows = sliding_window_view(values, weights.shape[1])
     filtered: Array = (weights[: len(windows)] * windows).sum(axis=1)
@@ -476,16 +479,16 @@ def _apply_filters(weights: Array, values: Array) -> Array:
 def make_model(
     choice: ForecastChoice, weather: Weather, site: Site, all_members: bool
 ) -> ForecastModel:
-    """Make the chosen model.
+    """Make the chosen forecast model.
 
     Args:
-        choice: which model.
+        choice: the choice of the model.
         weather: the records of the run.
-        site: its place on earth; the place of a file of forecasts must be near it.
+        site: place on earth; a file of forecasts must be for a place near it.
         all_members: whether to use all members of an ensemble, or only member 0.
 
     Raises:
-        ConfigurationError: the file of forecasts or of the skill is wrong.
+        ConfigurationError: if the file of forecasts or of the skill is wrong.
     """
     if choice.file is not None:
         archive = read_archive(choice.file, site, choice.delay)

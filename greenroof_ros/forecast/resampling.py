@@ -1,4 +1,4 @@
-"""Forecasts at a controller's steps: what it gets at each tick about the time ahead."""
+"""Forecasts in a controller's steps: what it receives at every tick about the time ahead."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from greenroof_ros.weather.series import PerTick, Weather, WeatherSeries
 
 Array = NDArray[np.float64]
 Rain: TypeAlias = "array[float] | Array"
-"""A single forecast of rain, shape (steps,), or all members of an ensemble, (members, steps)."""
+"""a single forecast of rain, shape (steps,), or all members of an ensemble, (members, steps)"""
 
 _HOUR_S = 3600.0
 # More than the rounding error of sums of times.
@@ -29,16 +29,16 @@ _ROUNDING_S = 1e-6
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a controller gets at a time: the present weather, and the forecast in steps.
+    """What a controller receives at a time: the present weather, and the forecast in steps.
 
     Attributes:
-        rain: means over the look-ahead's steps (m/s), shape (steps,); for all members
-            (members, steps).
-        evapotranspiration: likewise, of the whole bed (m3/s), shape (steps,).
-        rain_now: m/s.
-        evapotranspiration_now: m3/s.
+        rain: mean rain in the look-ahead's steps (m/s), shape (steps,); (members, steps) for all
+            members.
+        evapotranspiration: mean evapotranspiration of the whole bed (m3/s), shape (steps,).
+        rain_now: present rain (m/s).
+        evapotranspiration_now: present evapotranspiration of the whole bed (m3/s).
         issued: nominal time of the forecast's issue; None if it has no issue.
-        temperature: of the air now (degC); NaN if unknown.
+        temperature: present air temperature (degC); NaN if unknown.
     """
 
     rain: Rain
@@ -50,11 +50,11 @@ class Outlook:
 
 
 class HourForecast:
-    """A forecast at a tick: rates of the present and following hours, as means over steps.
+    """A forecast at a tick: rates in the present and following hours, as means over steps.
 
-    While the end of each step stays in its hour, the means are linear in time. The lines always
-    begin at the start of the hour, whenever in the hour they are first needed, so that a restarted
-    node gives bit-identical results.
+    While the end of every step stays within its hour, the means are linear in time. The lines
+    always begin at the start of the hour, whenever in the hour they are first needed, so that a
+    restarted node gives bit-identical results.
     """
 
     def __init__(
@@ -64,13 +64,13 @@ class HourForecast:
         """Set the forecast.
 
         Args:
-            issued: see :class:`Outlook`.
-            rain: mm/h, shape (members, hours), the present hour first.
-            evapotranspiration: mm/day, shape (hours,).
-            area: of the bed, to convert depths to volumes (m2).
-            ends: of the steps, see :func:`look_ahead_ends`.
-            rain_now: rain of the present hour from a gauge (m/s); None if there is none.
-            temperature: see :class:`Outlook`.
+            issued: nominal time of the issue; see :class:`Outlook`.
+            rain: rain (mm/h), shape (members, hours), the present hour first.
+            evapotranspiration: evapotranspiration (mm/day), shape (hours,).
+            area: area of the bed, to convert depths to volumes (m2).
+            ends: ends of the steps, see :func:`look_ahead_ends`.
+            rain_now: rain in the present hour from a gauge (m/s); None if there is no gauge.
+            temperature: air temperature; see :class:`Outlook`.
         """
         self._issued, self._temperature = issued, temperature
         self._rates = rates = np.vstack([rain, evapotranspiration])
@@ -78,11 +78,11 @@ class HourForecast:
         rates[-1] *= area / 1000 / 86400
         if rain_now is not None:
             rates[:-1, 0] = rain_now
-        # The totals at the start of each hour.
+        # The totals at the start of every hour.
         self._sums = np.zeros_like(rates)
         np.cumsum(rates[:, :-1] * _HOUR_S, axis=1, out=self._sums[:, 1:])
         self._ends, self._lengths = ends, np.diff(ends)
-        # Interval in which the lines are valid (s since the start of the first hour); the lines.
+        # The lines, and the interval in which they are valid (s since the start of the first hour).
         self._from = self._until = math.inf
         self._first = self._slope = np.empty(0)
 
@@ -90,8 +90,8 @@ class HourForecast:
         """Return what is known at a time.
 
         Args:
-            since: s since the start of the present hour.
-            all_members: whether to return rain of all members, or of the first.
+            since: time since the start of the present hour (s).
+            all_members: whether to return the rain of all members, or of the first only.
         """
         if not self._from <= since < self._until:
             self._draw_lines(since)
@@ -109,8 +109,8 @@ class HourForecast:
         index = np.minimum(ends // _HOUR_S, self._rates.shape[1] - 1).astype(np.intp)
         begins = index * _HOUR_S
         # Selecting columns in numpy reverses the memory order, and with it the order of summation:
-        # sums over members would differ in the last bit from sums of the same values received in
-        # a message.
+        # sums over members would differ in the last bit from sums of the same values received in a
+        # message.
         at_ends = np.ascontiguousarray(self._rates[:, index])
         cumulative = np.ascontiguousarray(self._sums[:, index]) + at_ends * (self._ends - begins)
         self._first = (cumulative[:, 1:] - cumulative[:, :-1]) / self._lengths
@@ -125,7 +125,7 @@ class PerfectForecast:
     Attributes:
         repeats_from: the earliest time from which its values are assumed.
         max_issue_h: length of its longest issue (h); None if it has no end.
-        notes: what of a file's forecasts could not be used as it is.
+        notes: what could not be used as it was in a file's forecasts.
     """
 
     max_issue_h = None
@@ -135,7 +135,7 @@ class PerfectForecast:
         """Set the run's weather and the look-ahead M (ticks)."""
         self._series = series
         self._look_ahead = look_ahead
-        self._ticks = range(0)  # ticks for which the present window holds
+        self._ticks = range(0)  # ticks for which the present window is valid
         self._rain = self._evapotranspiration = array("d")
         self.repeats_from = series.repeats_from
 
@@ -150,10 +150,10 @@ class PerfectForecast:
         return self._evapotranspiration[:]
 
     def issued(self, tick: int) -> None:
-        """Return None: what is known exactly has no issue."""
+        """Return None: exact knowledge has no issue."""
 
     def _update_window(self, tick: int) -> None:
-        """Update the window from a tick on, if it differs from the last; mostly it is the same."""
+        """Update the window from a tick on, if it differs from the last; usually it is the same."""
         if tick in self._ticks:
             return
         window = slice(tick, tick + self._look_ahead)
@@ -166,32 +166,32 @@ class PerfectForecast:
 class SteppedForecast:
     """Means of an hourly forecast over steps.
 
-    The present hour is not forecast but observed: its rates come from the records.
+    The present hour is observed rather than forecast: its rates come from the records.
 
     Attributes:
-        repeats_from: see :class:`PerfectForecast`.
-        max_issue_h: see there.
-        notes: see there.
+        repeats_from: as for :class:`PerfectForecast`.
+        max_issue_h: as for :class:`PerfectForecast`.
+        notes: as for :class:`PerfectForecast`.
     """
 
     def __init__(
         self, model: ForecastModel, weather: Weather, site: Site, start: datetime, ends: Array,
         steps: int, all_members: bool = False, rain_now: PerTick | None = None,
     ) -> None:
-        """Prepare for a run; request all that it needs, so that missing data show at the start.
+        """Prepare for a run, and request all that it needs, so that missing data show at the start.
 
         Args:
-            model: hourly forecasts.
-            weather: the records, which give the present hour.
-            site: gives tick, and the bed's area, to convert depths to volumes.
+            model: model of the hourly forecasts.
+            weather: the records, which provide the present hour.
+            site: site with tick, and the bed's area, to convert depths to volumes.
             start: time of tick 0.
-            ends: of the steps, see :func:`look_ahead_ends`.
+            ends: ends of the steps, see :func:`look_ahead_ends`.
             steps: N of the run (ticks).
-            all_members: whether to return rain of all members, or of the only one.
-            rain_now: present rain of each tick (m/s), if it is known by the minute.
+            all_members: whether to return the rain of all members, or of the only one.
+            rain_now: present rain in every tick (m/s), if it is known by the minute.
 
         Raises:
-            ConfigurationError: there is no forecast for a part of the run.
+            ConfigurationError: if there is no forecast for a part of the run.
         """
         self._model, self._weather, self._site = model, weather, site
         self._ends, self._all_members = ends, all_members
@@ -206,7 +206,7 @@ class SteppedForecast:
         self.notes = model.notes
 
     def precipitation(self, tick: int) -> Rain:
-        """Return mean rain (m/s), shape (steps,); of all members (members, steps)."""
+        """Return mean rain (m/s), shape (steps,), or of all members, shape (members, steps)."""
         return self._at(tick).rain
 
     def evapotranspiration(self, tick: int) -> array[float]:
@@ -228,7 +228,7 @@ class SteppedForecast:
         return outlook
 
     def _request_all(self) -> datetime | None:
-        """Request every hour's forecast; return the earliest time from which one only repeats."""
+        """Request all hours' forecasts; return the earliest time from which one only repeats."""
         times = []
         for hour in range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1):
             hours = self._hours(hour)
@@ -255,7 +255,7 @@ class SteppedForecast:
 
 
 Forecast: TypeAlias = PerfectForecast | SteppedForecast
-"""What was known at a tick about the steps that follow it; the first entry is now."""
+"""what was known at a tick about the steps that follow it; the first entry is the present"""
 
 
 def make_forecast(
@@ -268,20 +268,20 @@ def make_forecast(
     all_members: bool = False,
     outlet_horizon: float = 0.0,
 ) -> Forecast:
-    """Return the forecast that a controller gets.
+    """Return the forecast that a controller receives.
 
     Args:
         weather: hourly records.
         series: the same, tick by tick.
-        site: gives tick and look-ahead.
+        site: site with tick and look-ahead.
         start: time of tick 0.
         horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
-        choice: which forecasts.
-        all_members: whether to return rain of all members of an ensemble, or of the first.
-        outlet_horizon: hours that a plan of the outlet's valve looks ahead; 0 without one.
+        choice: the choice of forecasts.
+        all_members: whether to return the rain of all members of an ensemble, or of the first only.
+        outlet_horizon: hours that a plan of the outlet valve looks ahead; 0 without such a plan.
 
     Raises:
-        ConfigurationError: a file of forecasts is wrong, or there is none for a part of the run.
+        ConfigurationError: if a file of forecasts is wrong, or there is none for a part of the run.
     """
     model = make_model(choice, weather, site, all_members)
     if not horizon and not all_members and isinstance(model, PerfectModel):

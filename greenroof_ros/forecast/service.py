@@ -1,15 +1,15 @@
-"""Forecasts of Open-Meteo over the internet: each is requested, checked and handed over.
+"""Forecasts from Open-Meteo over the internet: each is requested, checked and passed on.
 
 The service has two interfaces for the same variables: *forecast*, with one series of each, and
-*ensemble*, with one of each member (``precipitation``, ``precipitation_member01``, ...). Their
+*ensemble*, with one for each member (``precipitation``, ``precipitation_member01``, ...). Their
 answers are read like files of the service (:mod:`greenroof_ros.formats.open_meteo`). An answer does
 not state which model run it is from. It is assumed to be issued in the hour in which it arrived,
-and as available from its arrival, so nothing is known too early. Data of Open-Meteo are under the
-licence CC BY 4.0.
+and to be available from its arrival on, so nothing is known too early. Open-Meteo's data are
+licensed under CC BY 4.0.
 
-The service allows 600 requests a minute and 10,000 a day, one at a time; an ensemble of many
-variables counts several times. One an hour is far below that. The wait doubles with each failure,
-from a minute to at most an hour; a refusal such as 429 can ask for a longer one (``Retry-After``).
+The service allows 600 requests a minute and 10,000 a day; an ensemble of many variables counts
+several times. One request an hour is far below that. The wait doubles with every failure, from a
+minute to no more than an hour; a status such as 429 can ask for a longer one (``Retry-After``).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from greenroof_ros.weather.reading import (
 )
 
 OPEN_METEO = "open-meteo"
-"""Name of the service, given in place of a file of forecasts."""
+"""name of the service, given in place of a file of forecasts"""
 FORECAST, ENSEMBLE = INTERFACES = ("forecast", "ensemble")
 MAX_DAYS = 16
 """range of the interface "forecast" (days)"""
@@ -60,9 +60,9 @@ ATTRIBUTION = "forecasts by Open-Meteo.com, CC BY 4.0"
 
 _FORECAST_URL = "https://api.open-meteo.com/v1/forecast"
 _ENSEMBLE_URL = "https://ensemble-api.open-meteo.com/v1/ensemble"
-# Most by which the service's clock and ours may differ (s).
+# Largest difference between the service's clock and ours (s).
 _CLOCKS_S = 600.0
-# Wait after a failure (s): the first, the longest if the service asks for none, and the longest
+# Wait after a failure (s): the first; the longest, if the service asks for none; and the longest
 # that the service can ask for.
 _FIRST_WAIT_S, _LAST_WAIT_S, _MAX_WAIT_S = 60.0, 3600.0, 86_400.0
 
@@ -72,7 +72,7 @@ _STORED_NAME, _MAX_STORED = re.compile(r"\d{14}\.csv"), 2_000_000_000
 
 
 class Service:
-    """Requests forecasts, one after the other."""
+    """Requests forecasts, one after another."""
 
     def __init__(
         self, site: Site, *, ensemble: bool = False, model: str = "", days: int = 7, url: str = ""
@@ -80,16 +80,16 @@ class Service:
         """Prepare; nothing is requested yet.
 
         Args:
-            site: its place on earth.
-            ensemble: whether to request all members of an ensemble, or one series.
-            model: weather model by the service's name, such as ``icon_seamless``; if empty, the
+            site: site with its place on earth.
+            ensemble: whether to request all members of an ensemble, or only one series.
+            model: weather model, by the service's name, such as ``icon_seamless``; if empty, the
                 service chooses.
             days: length of the answer, from the first hour of today in UTC.
-            url: of the interface; if empty, the service's own.
+            url: URL of the interface; if empty, the service's own.
 
         Raises:
-            ConfigurationError: the site file lacks the place, its elevation or its offset from UTC,
-                or the URL is not of the web.
+            ConfigurationError: if the site file lacks the place, its elevation or its offset from
+                UTC, or the URL is not http or https.
         """
         for name in ("latitude", "longitude", "elevation", "utc_offset"):
             if getattr(site, name) is None:
@@ -111,10 +111,10 @@ class Service:
         """Return the newest forecast, issued in the present hour, with evapotranspiration.
 
         Args:
-            now: the time, with its offset from UTC.
+            now: the present time, with its offset from UTC.
 
         Raises:
-            ServiceError: there is no usable forecast.
+            ServiceError: if there is no usable forecast.
         """
         hour = now.astimezone(timezone.utc).replace(minute=0, second=0, microsecond=0)
         began = time.monotonic()
@@ -132,16 +132,16 @@ class Service:
 def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
     """Return an answer as a forecast that was issued in an hour.
 
-    Hours for which evapotranspiration cannot be computed have the mean at that time of day of the
-    days around them, otherwise the site's monthly mean. The forecast ends before the first hour
+    Hours for which evapotranspiration cannot be computed receive the mean at that time of day of
+    the days around them, or else the site's monthly mean. The forecast ends before the first hour
     that lacks a value.
 
     Raises:
-        ConfigurationError: the answer is not a forecast for that hour and site.
+        ConfigurationError: if the answer is not a forecast for that hour and site.
     """
     if not answer.lstrip().startswith(b"{"):
         raise ConfigurationError(f"is not a forecast in JSON: {read_reason(answer)}")
-    with scratch_directory(IN_MEMORY) as directory:  # a full disk costs no forecast
+    with scratch_directory(IN_MEMORY) as directory:  # a full disk must not cost a forecast
         file = directory / "answer.json"
         file.write_bytes(answer)
         issue = read_run(file, site, hour)
@@ -166,10 +166,10 @@ def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
 
 
 def _check_clock(date: str, now: datetime) -> None:
-    """Refuse an answer if the service's clock and ours differ.
+    """Reject an answer if the service's clock and ours differ.
 
     Raises:
-        ServiceError: they differ by more than ten minutes.
+        ServiceError: if they differ by more than ten minutes.
     """
     try:
         theirs = parsedate_to_datetime(date)
@@ -192,9 +192,10 @@ class ForecastFiles:
         """Prepare; nothing is written yet.
 
         Args:
-            newest: the newest forecast; replaced each time, and readable by any live site.
-            archive: directory that keeps each forecast that brings new values, the newest 2 GB of
-                them; None to keep none.
+            newest: file of the newest forecast; it is replaced each time, and any live site can
+                read it.
+            archive: directory that keeps every forecast that brings new values, up to the newest 2
+                GB; None to keep none.
         """
         self._newest, self._archive = newest, archive
         self._stored: IssuedForecast | None = None
@@ -203,7 +204,7 @@ class ForecastFiles:
         """Write a forecast.
 
         Raises:
-            OSError: it cannot be written, for instance on a full disk.
+            OSError: if it cannot be written, for instance on a full disk.
         """
         about = "".join(f"# {line}\n" for line in (ATTRIBUTION, *issue.notes))
         text = f"{about}{write_forecasts([issue])}"
@@ -216,7 +217,7 @@ class ForecastFiles:
 
 
 class Fetcher:
-    """Fetches forecasts, one after the other.
+    """Fetches forecasts, one after another.
 
     Attributes:
         problem: why the last attempt failed; empty if it succeeded.
@@ -229,8 +230,9 @@ class Fetcher:
         """Prepare; nothing is fetched yet.
 
         Args:
-            service: the service to ask.
-            write: called with each forecast, to keep it; an error is one of the attempt.
+            service: the service to request forecasts from.
+            write: called with every forecast, to keep it; an error in it is an error of the
+                attempt.
             every: time between two forecasts (s).
         """
         self.problem = ""
@@ -248,7 +250,7 @@ class Fetcher:
                 issue = replace(issue, notes=(*issue.notes, note))
             self.newest = issue
             self._write(issue)
-        except Exception as error:  # whatever it is, the next forecast is requested
+        except Exception as error:  # whatever it is, the next forecast is still requested
             self.problem = str(error) or type(error).__name__
             requested_wait = error.wait if isinstance(error, ServiceError) else None
             wait = max(self._wait, min(requested_wait or 0.0, _MAX_WAIT_S))
@@ -258,7 +260,7 @@ class Fetcher:
         return self._every
 
     def start(self) -> None:
-        """Fetch repeatedly in a thread, which ends with the process."""
+        """Fetch repeatedly in a thread that ends with the process."""
         threading.Thread(target=self._run, name="forecast service", daemon=True).start()
 
     def _run(self) -> None:

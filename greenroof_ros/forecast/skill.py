@@ -1,24 +1,24 @@
 """The skill of forecasts: constants for the rain of a place, and for the errors of its forecasts.
 
-**Climate.** An hour's rain r (mm) is a transformed standard normal number z: dry if z is at most a
-threshold c, and above it
+**Climate.** An hour's rain r (mm) is a transformed standard normal number z: dry if z is no more
+than a threshold c, and above it
 
     r = k (exp(b (z - c)) - 1)
 
-so that small amounts are the most frequent and large ones fall off as a lognormal's do. From hour
-to hour z is a first-order autoregression with the correlation exp(-h / T) at h hours apart. So rain
-comes in spells, and the errors of an hour's forecast can be described by correlated normal numbers.
-A censored Gaussian process of this kind is a usual model of rain: Sigrist, Kuensch and Stahel,
-Annals of Applied Statistics 6(4):1452 (2012); Bardossy and Plate, Water Resources Research
-28(5):1247 (1992).
+so that small amounts are the most frequent and large ones become rarer as with a lognormal
+distribution. From hour to hour, z is a first-order autoregression with the correlation exp(-h / T)
+at h hours apart. So rain comes in spells, and the errors of an hour's forecast can be described by
+correlated normal numbers. A censored Gaussian process of this kind is a common model of rain:
+Sigrist, Kuensch and Stahel, Annals of Applied Statistics 6(4):1452 (2012); Bardossy and Plate,
+Water Resources Research 28(5):1247 (1992).
 
 **Skill.** Each frequency f (1/h) of the weather is known at a lead l (h) with the coherence
 
     s(f, l) = exp(-(l / L)^p) exp(-(2 pi f sigma)^2 / 2),  sigma = sigma_1 (l / 24)^q
 
 The first factor is the general skill of the forecast; the second is an error of timing, which
-affects short showers first. Small scales are also lost first in real rain forecasts (Bowler, Pierce
-and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006). At the lead 0
+affects short showers first. Small scales are lost first in real rain forecasts, too (Bowler, Pierce
+and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006). At lead 0
 everything is known.
 """
 
@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 REAL = "real"
 
-# Each skill by its name: its errors at a lead are the errors of ``real`` at this many times the
+# Every skill by its name: its errors at a lead are the errors of ``real`` at this many times the
 # lead. ``none`` knows only the climate.
 SKILLS = {
     "much_better": 0.25, "better": 0.5, REAL: 1.0, "worse": 2.0, "much_worse": 4.0,
@@ -52,13 +52,13 @@ _NO_REACH = 1e-6
 class Climate:
     """The rain of a place, hour by hour.
 
-    ``config/forecasts/skill.yaml`` has the constants of Toronto City Centre, May to October 2015 to
-    2025.
+    ``config/forecasts/skill.yaml`` has the constants for Toronto City Centre, May to October of
+    2015 to 2025.
     """
 
     wet_share: float = entry("share of the hours with rain (1)", 1e-4, 0.9)
     scale: float = entry("k, scale of an hour's rain (mm)", 1e-3, 100.0)
-    growth: float = entry("b, exponent of the rain's growth with z (1)", 0.1, 5.0)
+    growth: float = entry("b, exponent of the growth of rain with z (1)", 0.1, 5.0)
     memory: float = entry("T, lag at which the autocorrelation of z is 1/e (h)", 0.5, 24.0)
 
     @property
@@ -70,7 +70,7 @@ class Climate:
         return float(-ndtri(self.wet_share))
 
     def rain(self, normal: Array) -> Array:
-        """Return the rain (mm) of hours from their z (1), any shape."""
+        """Return the rain (mm) in hours from their z (1), any shape."""
         above = np.maximum(normal - self.threshold, 0.0)
         rain: Array = self.scale * np.expm1(self.growth * above)
         return rain
@@ -81,7 +81,7 @@ class Climate:
         return normal
 
     def spectrum(self, hours: int) -> Array:
-        """Return the power of z at each frequency of a circle of ``hours`` hours.
+        """Return the power of z at every frequency of a circle of ``hours`` hours.
 
         Its mean over all frequencies is 1, the variance of z; shape (hours // 2 + 1,).
         """
@@ -95,7 +95,8 @@ class Errors:
     """The errors of forecasts, and how they grow with the lead.
 
     ``wetness``, ``amount`` and ``evapotranspiration`` have their full effect if nothing is known.
-    Otherwise it is in proportion to the unknown part of z (a standard deviation): none at lead 0.
+    Otherwise it is proportional to the unknown part of z (a standard deviation), which is 0 at lead
+    0.
     """
 
     reach: float = entry("L, lead at which the coherence has fallen to 1/e (h)", 1.0, 1e6)
@@ -107,7 +108,7 @@ class Errors:
         "factor applied to the rain if nothing is known (1)", 0.0, 10.0
     )
     persistence: float = entry(
-        "time between issues at which their errors are correlated by 1/e (h)", 1.0, 240.0
+        "time between issues after which the correlation of their errors is 1/e (h)", 1.0, 240.0
     )
     evapotranspiration: float = entry(
         "relative error of evapotranspiration if nothing is known (1)", 0.0, 2.0
@@ -119,18 +120,18 @@ class Skill:
     """A climate, and the errors of forecasts in it.
 
     Attributes:
-        climate: of the rain.
-        errors: of the forecasts.
+        climate: climate of the rain.
+        errors: errors of the forecasts.
     """
 
     climate: Climate = entry("the rain of the place")
     errors: Errors = entry("the errors of its forecasts")
 
     def times_lead(self, factor: float) -> Skill:
-        """Return a skill whose errors at each lead are this one's at ``factor`` times that lead.
+        """Return a skill whose errors at any lead are this one's at ``factor`` times that lead.
 
-        With an infinite factor nothing but the climate is known from the next hour on: it rains at
-        random times, as often as in the climate.
+        With an infinite factor, only the climate is known from the next hour on: it rains at random
+        times, as often as in the climate.
         """
         errors = replace(self.errors, reach=_NO_REACH, timing=0.0, wetness=0.0, amount=1.0)
         if math.isfinite(factor):
@@ -145,8 +146,8 @@ class Skill:
         """Return s (1), shape (leads, frequencies).
 
         Args:
-            leads: h.
-            frequencies: 1/h.
+            leads: lead times (h).
+            frequencies: frequencies (1/h).
         """
         errors = self.errors
         large = np.exp(-((leads / errors.reach) ** errors.fading))
@@ -159,7 +160,7 @@ def read_skill(text: str) -> Skill:
     """Return a skill by its name, one of :data:`SKILLS`, or from a file.
 
     Raises:
-        ConfigurationError: the file is wrong; the message names the line and value.
+        ConfigurationError: if the file is wrong; the message names line and value.
     """
     path = shared_directory() / "config" / "forecasts" / "skill.yaml"
     if text not in SKILLS:

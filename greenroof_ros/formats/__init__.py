@@ -1,1 +1,1 @@
-"""Files of weather and of forecasts: the services' formats, and this project's own."""
+"""Weather and forecast files: the services' formats, and this project's own."""

@@ -1,7 +1,7 @@
-"""Tables of text cells: each value is read strictly, and its file, line and column are known.
+"""Tables of text cells: every value is read strictly, and its file, line and column are known.
 
-The standard library's csv reads the text, line by line: polars is in an extra, which the simulation
-does not need, and does not know the line of a row after comments.
+The csv module of the standard library reads the text line by line. Polars is not used: it is in an
+extra that simulation does not need, and after comments it does not know the line of a row.
 """
 
 from __future__ import annotations
@@ -40,27 +40,27 @@ from greenroof_ros.formats.quantities import (
 )
 
 HOUR = timedelta(hours=1)
-# Hours of a service begin at whole hours; by some clocks some seconds later.
+# Hours of a service begin on whole hours; according to some clocks, a few seconds later.
 _CLOCK_ERROR = timedelta(minutes=1)
 
 MISSING = {"", "nan", "na", "n/a", "#n/a", "n/d", "m", "null", "none", "-", "--", "---", "missing"}
 """What stands for a missing value, in lower case."""
-# Digits of numbers that do, besides nines.
+# Digits of numbers that stand for one, besides nines.
 _CODES = {
     "32767", "32768", "65535", "2147483647", "2147483648", "4294967295", "27315", "6999", "7999",
     "777", "7777", "888", "8888",
 }
 _HUGE = 1e15  # fill values of GRIB are larger
-# No unit makes a value so negative; MeteoSwiss writes -1000000.
+# No unit makes a plausible value so negative; MeteoSwiss writes -1000000.
 _HUGE_NEGATIVE = 1e5
-# Rain and evapotranspiration above this (mm) that have the digits of a code are one.
+# Rain and evapotranspiration above this (mm) that have the digits of a code are codes.
 _RARE_DEPTH = 99.0
 # Water that is less than a gauge can measure: T, as services write it, or less than a small amount.
 _TRACE = re.compile(
     r"(0?[.,]?0*\s*)?(t|tr|traces?)\.?|<\s*(?P<below>\d*[.,]?\d+)", re.IGNORECASE | re.ASCII
 )
-# Share of a column's values other than 0 that may be neither plausible nor a code: a wrong unit of
-# rain shows in the few wettest hours.
+# Share of a column's non-zero values that may be neither plausible nor a code: a wrong unit of rain
+# shows in the few wettest hours.
 _MAX_WRONG = 0.01
 _MAX_NAMED = 3
 # A comment, or a spreadsheet's line that names the separator.
@@ -72,7 +72,7 @@ _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+", re.ASCII)
 _A_HUNDRED = 100.0
 _HUNDREDS = re.compile(r"[-+]?[1-9]\d{2}", re.ASCII)
-# Digits in groups, also by spaces that are narrow or do not break.
+# Digits in groups, which may be separated by narrow or non-breaking spaces.
 _GROUPS = re.compile(r"[-+]?\d{1,3}([ '_.,\u2019\u00a0\u202f]\d{2,3})+([.,]\d+)?", re.ASCII)
 _PLAIN = "Write numbers with a decimal point, and nothing between thousands"
 
@@ -81,41 +81,41 @@ class Row(NamedTuple):
     """A row of a table."""
 
     number: int
-    """from 0"""
+    """number of the row, from 0"""
     line: int | None
-    """in the file; None in JSON"""
+    """line in the file; None in JSON"""
     cells: Sequence[str]
 
 
 class Table:
-    """A header, and rows of cells without surrounding space.
+    """A header, and rows of cells without surrounding spaces.
 
     Attributes:
-        file: where it is from.
+        file: file that it is from.
         header: names of the columns.
         line: line number of the header; None if there are no lines, as in JSON.
         first: the first row.
         times: name of the column of times, for notes.
         rows: all rows. They are read one by one, so that an error in one of them is found before
             the rest of the file is read.
-        notes: what could not be used as it is.
+        notes: what could not be used as it was.
     """
 
     def __init__(
         self, file: Path, header: Sequence[str],
         rows: Iterable[tuple[int | None, Sequence[str]]], line: int | None = None, key: str = "",
     ) -> None:
-        """Prepare; only the first of the rows is read.
+        """Prepare the table; only the first row is read.
 
         Args:
-            file: where it is from.
+            file: file that it is from.
             header: names of the columns.
             rows: line and cells of each row.
-            line: of the header.
+            line: line number of the header.
             key: prefix of the columns in JSON, such as ``hourly.``.
 
         Raises:
-            ConfigurationError: there is no row.
+            ConfigurationError: if there is no row.
         """
         self.file, self.header, self.line = file, header, line
         self.notes = list[str]()
@@ -133,7 +133,7 @@ class Table:
         self.rows = itertools.chain([first], numbered)
 
     def cell(self, row: Row, column: str) -> str:
-        """Return a cell."""
+        """Return the text of a cell."""
         return row.cells[self._places[column]]
 
     def refuse(
@@ -148,7 +148,7 @@ class Table:
         )
 
     def require_columns(self, columns: Iterable[str], source: str) -> None:
-        """Refuse a header unless it has each of these columns exactly once."""
+        """Reject a header unless it has each of these columns exactly once."""
         for column in columns:
             if column not in self.header:
                 raise self.refuse(f"must have a column '{column}', as {source} have")
@@ -156,7 +156,7 @@ class Table:
                 raise self.refuse("is the name of two columns", column)
 
     def require_header(self, columns: Sequence[str], why: str) -> None:
-        """Refuse a header with other columns, or another order."""
+        """Reject a header that has other columns, or another order."""
         for cell, name in itertools.zip_longest(self.header, columns):
             if cell != name:
                 wrong = "is one column too many" if name is None else f"the column must be '{name}'"
@@ -168,7 +168,7 @@ class Table:
         """Return a number, or NaN for a text that stands for a missing value.
 
         Raises:
-            ConfigurationError: the cell is not a number in these limits.
+            ConfigurationError: if the cell is not a number within these limits.
         """
         text = self.cell(row, column)
         if text in missing:
@@ -183,29 +183,29 @@ class Table:
         example: str = DEFAULT_START, hint: str = "", zone: tzinfo | None = None,
         before: datetime | None = None,
     ) -> datetime:
-        """Return a time.
+        """Return the time in a cell.
 
         Args:
-            row: its row.
-            column: its column.
+            row: row of the cell.
+            column: column of the cell.
             parse: returns a time, or raises ValueError; by default it reads ISO 8601 with an offset
                 from UTC.
-            example: of a time, for messages.
+            example: example of a time, for messages.
             hint: end of the message about a missing offset.
-            zone: of a time without an offset, with its daylight saving time.
-            before: time of the row before. In the hour that a clock shows twice, a time that is not
-                later is the second.
+            zone: zone of times without an offset, with its daylight saving time.
+            before: time of the previous row. Within the hour that a clock shows twice, a time that
+                is not later than this one is the second.
 
         Raises:
-            ConfigurationError: the cell is not a time, lacks its offset from UTC, or is in an hour
-                that the zone's clocks skip.
+            ConfigurationError: if the cell is not a time, lacks its offset from UTC, or is in an
+                hour that the zone's clocks skip.
         """
         text = self.cell(row, column)
         try:
             time = parse(text)
         except ValueError:
             what = "" if re.search(r"\d", text) else (
-                "; if the line is no record, but has units or a sum, leave it out"
+                "; if the line holds units or a sum rather than a record, leave it out"
             )
             raise self.refuse(
                 f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}"
@@ -215,13 +215,13 @@ class Table:
             return time
         if zone is None:
             raise self.refuse(
-                f"must give its offset from UTC, as in {DEFAULT_START}{hint}", column, row
+                f"must include its offset from UTC, as in {DEFAULT_START}{hint}", column, row
             )
         local = time.replace(tzinfo=zone)
         if is_skipped(local):
             raise self.refuse(
-                f"is a time that clocks in {zone} skip; does the record stay on standard time? "
-                "Then write the offset from UTC into each time", column, row,
+                f"is a time that the clocks in {zone} skip; does the record stay on standard time? "
+                "If so, add the offset from UTC to every time", column, row,
             )
         if before is not None and local.astimezone(timezone.utc) <= before:
             local = local.replace(fold=1)
@@ -233,24 +233,26 @@ class Table:
         self, column: str, columns: Mapping[str, Column], parse: Callable[[str], datetime],
         example: str, *, in_order: bool = True, station: str | None = None,
     ) -> tuple[datetime, dict[str, NDArray[np.float64]]]:
-        """Read all rows, each of which is an hour.
+        """Read all rows, each of which stands for an hour.
 
-        An hour without a row is missing. A time may be off its whole hour by a minute.
+        An hour without a row is missing. A time may differ from its whole hour by a minute.
 
         Args:
             column: the column of times.
             columns: the columns of values.
-            parse: see :meth:`read_time`.
-            example: see there.
-            in_order: whether rows must be in order of time; otherwise each hour must occur once.
+            parse: as for :meth:`read_time`.
+            example: as for :meth:`read_time`.
+            in_order: whether rows must be in order of time; otherwise every hour may occur only
+                once.
             station: the column that names the station, if there is one.
 
         Returns:
-            The first time, and each column's values from then on, shape (hours,); NaN if missing.
+            The first time, and the values of every column from then on, shape (hours,); NaN if
+            missing.
 
         Raises:
-            ConfigurationError: a time is not a whole number of hours after the row before, or a
-                row is of another station; or see :meth:`read_time`.
+            ConfigurationError: if a time is not a whole number of hours after the previous row, or
+                a row is from another station; or as for :meth:`read_time`.
         """
         self.times = column
         first = self.read_time(self.first, column, parse, example).replace(second=0, microsecond=0)
@@ -258,7 +260,7 @@ class Table:
         present = set[int]()
         for row in self.rows:
             if station and self.cell(row, station) != self.cell(self.first, station):
-                raise self.refuse("is another station: make a file of each", station, row)
+                raise self.refuse("is another station: make a separate file for each", station, row)
             time = self.read_time(row, column, parse, example)
             hour = round((time - first) / HOUR)
             off = abs(time - first - hour * HOUR)
@@ -267,8 +269,8 @@ class Table:
             ):
                 expected = first.astimezone(time.tzinfo) + (hours[-1] + 1) * HOUR
                 raise self.refuse(
-                    f"must be {to_minutes(expected)}, or whole hours later: each row is an hour; "
-                    "an hour without values is a row with empty cells, or none", column, row,
+                    f"must be {to_minutes(expected)}, or whole hours later: each row is one hour; "
+                    "an hour without values needs a row with empty cells, or no row", column, row,
                 )
             hours.append(hour)
             present.add(hour)
@@ -289,7 +291,7 @@ class Cell(NamedTuple):
 
     text: str
     number: float
-    """NaN if the text is none"""
+    """the number; NaN if the text is not a number"""
     value: float
     """the number in our unit"""
     quantity: Quantity
@@ -300,18 +302,18 @@ Verdict = tuple[float, str]
 
 
 def take_plausible(cell: Cell) -> Verdict | None:
-    """Take a value of the plausible range as it is."""
+    """Accept a plausible value as it is."""
     _, low, high, *_ = cell.quantity
     return (cell.value, "") if low <= cell.value <= high else None
 
 
 def take_missing(cell: Cell) -> Verdict | None:
-    """Take an empty cell and the usual words for a missing value as NaN."""
+    """Treat an empty cell and the usual words for a missing value as NaN."""
     return (math.nan, "") if cell.text.lower() in MISSING else None
 
 
 def take_trace(cell: Cell) -> Verdict | None:
-    """Take a trace of water as 0."""
+    """Treat a trace of water as 0."""
     match = _TRACE.fullmatch(cell.text) if cell.quantity.is_water else None
     if match is None or float((match["below"] or "0").replace(",", ".")) > cell.quantity.nearly:
         return None
@@ -319,25 +321,25 @@ def take_trace(cell: Cell) -> Verdict | None:
 
 
 def take_near(cell: Cell) -> Verdict | None:
-    """Take a value just outside the range as its end."""
+    """Move a value just outside the range to the end of the range."""
     _, low, high, nearly, _ = cell.quantity
     near = low - nearly <= cell.value <= high + nearly
     return (min(max(cell.value, low), high), NEAR) if near else None
 
 
 def take_code(cell: Cell) -> Verdict | None:
-    """Take as missing: other words, codes such as -999, and less than 0 of what has none."""
+    """Treat words, codes such as -999, and negative values where none can occur as missing."""
     if math.isnan(cell.number):
         is_code = cell.text.startswith("#") or not re.search(r"\d", cell.text)
     elif cell.number <= 0 <= cell.quantity.low and cell.value < cell.quantity.low:
-        is_code = True  # 0 of a pressure, too
+        is_code = True  # also a pressure of 0
     else:
         is_code = _has_digits_of_code(cell.text) or not -_HUGE_NEGATIVE < cell.number < _HUGE
     return (math.nan, CODE) if is_code else None
 
 
 def take_code_of_rain(cell: Cell) -> Verdict | None:
-    """Take 99.9 and others as missing where they are plausible, but rarer than as codes."""
+    """Treat 99.9 and similar values as missing where they are plausible but more likely codes."""
     is_depth = cell.quantity.is_water and "l" not in cell.quantity.units
     rare = is_depth and cell.number > _RARE_DEPTH and _has_digits_of_code(cell.text)
     return (math.nan, CODE) if rare else None
@@ -351,7 +353,7 @@ def _has_digits_of_code(text: str) -> bool:
 CELL_RULES = (
     take_code_of_rain, take_plausible, take_missing, take_trace, take_near, take_code,
 )
-"""How cells are read: the first rule that takes a cell decides; what none takes is wrong."""
+"""How cells are read: the first rule that accepts a cell decides; if none does, it is wrong."""
 
 
 def read_cell(text: str, quantity: Quantity, unit: Unit) -> Cell:
@@ -364,7 +366,7 @@ def read_cell(text: str, quantity: Quantity, unit: Unit) -> Cell:
 
 
 def judge_cell(cell: Cell) -> Verdict:
-    """Return the value of a cell in our unit, and what kind of odd cell it is."""
+    """Return the value of a cell in our unit, and which kind of odd cell it is."""
     for rule in CELL_RULES:
         if verdict := rule(cell):
             return verdict
@@ -372,47 +374,47 @@ def judge_cell(cell: Cell) -> Verdict:
 
 
 class Given(NamedTuple):
-    """What a column gives, in our unit, also where it is not plausible."""
+    """The numbers of a column in our unit, including implausible ones."""
 
     quantity: Quantity
     unit: str
-    """of the column"""
+    """name of the column"""
     values: NDArray[np.float64]
-    """of the rows with a number"""
+    """rows with a number"""
     step_h: float = 1.0
     """time between rows (h)"""
     name: str = PRECIPITATION
-    """of the quantity"""
+    """plausible range of the quantity"""
 
 
-# A running total rises, or stays the same for this many rows for each rise if the rises are few,
-# and for this many if they are not. In rain as many hours have less than the hour before as more,
-# and so many wet rows are not each wetter than the one before by chance.
+# A running total rises, or stays the same: for this many rows per rise if rises are few, and for
+# this many if they are not. In rain, as many hours have less than the hour before as have more, so
+# this many wet rows in succession do not all exceed the previous one by chance.
 _MIN_RISES, _MANY_RISES, _SAME_OF_FEW, _SAME_OF_MANY = 3, 10, 5.0, 0.5
-# It falls rarely, when it is set to 0, more rarely in rain; rain falls about as often as it rises.
-# A smaller share of its range is noise.
+# It rarely falls, only when it is reset to 0, and more rarely than rain does; rain falls in amount
+# about as often as it rises. A change of less than this share of its range is noise.
 _MAX_FALLS, _MAX_FALLS_IN_RAIN, _NOISE = 0.4, 0.15, 0.02
-# Sliding sums are found in so many wet spells that differ; a change below this share of the minimum
-# amount is rounding.
+# Sliding sums must be found in this many different wet spells; a change of less than this share of
+# the minimum amount is rounding.
 _MIN_SPELLS, _NEARLY_DRY = 8, 0.5
 # A sum is rounded.
 _NEARLY_SUM = 1e-3
-# Temperature sensors end at -40 degC or below and at 50 or above. Air does not jump this far (K)
-# from one row to the next: in the hours of twelve years at Toronto its temperature moved by 10 K at
-# most, its dew point by 14.
+# Scales of temperature sensors end at -40 degC or below and at 50 degC or above. Air does not jump
+# this far (K) from one row to the next: in the hours of twelve years at Toronto its temperature
+# changed by no more than 10 K, and its dew point by no more than 14 K.
 _MAX_COLD, _MIN_HOT, _APART, _MIN_TEMPERATURES = -30.0, 49.0, 20.0, 24
-# Fractions of a saturated sensor are a little above 1.
+# A saturated sensor reports fractions slightly above 1.
 _MAX_FRACTION = 1.05
 
 
 def find_running_total(given: Given) -> str:
-    """Find water that is added up from row to row, also if it begins again each day."""
+    """Find water that is accumulated from row to row, even if it starts again every day."""
     if not given.quantity.is_water or not given.values.size:
         return ""
     wet, changes = given.values > 0, np.diff(given.values)
     noise = _NOISE * float(np.ptp(given.values))
     if np.gcd.reduce(np.diff(np.flatnonzero(changes))) > 1:
-        return ""  # of longer rows, each repeated in shorter ones
+        return ""  # from longer rows, each repeated in shorter ones
     rises, falls = np.count_nonzero(changes > noise), np.count_nonzero(changes < -noise)
     changes = changes[wet[:-1] & wet[1:]]
     same = np.count_nonzero(np.abs(changes) <= noise)
@@ -424,13 +426,13 @@ def find_running_total(given: Given) -> str:
         return ""
     return (
         f"is a running total: it rises {rises} times, stays the same in {same} rows and falls "
-        f"{falls} times; write into each row what came in its own time, the difference from the "
-        "row before"
+        f"{falls} times; write into each row the amount of its own time, which is the difference "
+        "from the row before"
     )
 
 
 def find_event_total(given: Given) -> str:
-    """Find rain that only rises from one wet row to the next."""
+    """Find rain that only ever rises from one wet row to the next."""
     wet = given.values > 0
     changes = np.diff(given.values)[wet[:-1] & wet[1:]]
     rises = np.count_nonzero(changes > 0)
@@ -443,7 +445,7 @@ def find_event_total(given: Given) -> str:
 
 
 def find_fraction(given: Given) -> str:
-    """Find fractions of 1 in a column of percent."""
+    """Find fractions of 1 in a column of percentages."""
     share = given.values * (1.0 if given.quantity.unit == "%" else 100.0)
     if given.unit != "%" or not share.size or not 0 < share.max() <= _MAX_FRACTION:
         return ""
@@ -451,7 +453,7 @@ def find_fraction(given: Given) -> str:
 
 
 def find_sum(given: Given) -> str:
-    """Find a sum of all amounts in the last row."""
+    """Find the sum of all amounts in the last row."""
     if not given.quantity.is_water or np.count_nonzero(given.values) < _MANY_RISES:
         return ""
     if not math.isclose(given.values[-1], given.values[:-1].sum(), rel_tol=_NEARLY_SUM):
@@ -460,12 +462,12 @@ def find_sum(given: Given) -> str:
 
 
 def find_sliding_sum(given: Given) -> str:
-    """Find sums of the last n rows, as the rain of the last hour every ten minutes.
+    """Find sums of the last n rows, such as the rain of the last hour every ten minutes.
 
-    Rain is not seen again in later rows. But such sums have each drop for n rows, so no wet spell
-    is shorter, and rain that is taken apart again, S(t) - S(t-1) + r(t-n), is never negative. Rows
-    that repeat a value, or are interpolated, change in every n-th row only. What is smooth by
-    itself, such as runoff, looks like such sums.
+    Normally, rain is not seen again in later rows. But in such sums, every drop appears in n rows,
+    so no wet spell is shorter than that, and the rain recovered from them, S(t) - S(t-1) + r(t-n),
+    is never negative. Rows that repeat a value, or are interpolated, change only in every n-th row.
+    A quantity that is smooth by nature, such as runoff, looks like such sums.
     """
     if given.name != PRECIPITATION or not given.values.size:
         return ""
@@ -474,7 +476,7 @@ def find_sliding_sum(given: Given) -> str:
     ends = 1 + np.flatnonzero((sums[:-1] > 0) & (sums[1:] <= 0))
     ends = ends[ends > begins[0]] if begins.size else begins
     begins = begins[: len(ends)]
-    # Of a rate, the sum of an hour is a mean.
+    # For a rate, the sum over an hour is a mean.
     fewest = 2 if "/" not in given.unit else math.floor(1 / given.step_h) + 1
     spells = {
         tuple(np.diff(sums[begin - 1 : end + 1]).tolist())
@@ -490,16 +492,16 @@ def find_sliding_sum(given: Given) -> str:
     if not rows:
         return ""
     return (
-        f"has each rain for {rows} rows or more: is each value the sum of the last {rows} rows? "
-        "Write into each row what came in its own time"
+        f"shows all rain in {rows} rows or more: is each value the sum of the last {rows} rows? "
+        "Write into each row the rain of its own time only"
     )
 
 
 def _find_end_of_scale(given: Given) -> float | None:
     """Return a temperature that is far below or above all others; None if there is none.
 
-    Air passes through all temperatures between two of them within a row or two, so what is never
-    reached on the way is no temperature.
+    Air passes through all temperatures between two readings within a row or two, so a value that is
+    never approached is not a temperature.
     """
     values = np.unique(given.values)
     if given.quantity.unit != "degC" or len(given.values) < _MIN_TEMPERATURES or len(values) < 3:
@@ -511,14 +513,15 @@ def _find_end_of_scale(given: Given) -> float | None:
 
 
 def _is_sum_of_rows(spells: Iterable[tuple[float, ...]], rows: int, nearly: float) -> bool:
-    """Return whether each value can be the sum of the rain of so many rows.
+    """Return whether every value can be the sum of the rain in so many rows.
 
     Args:
-        spells: from the row before each wet spell to the one after it, the differences of rows.
-        rows: their number.
-        nearly: amount that is as good as 0.
+        spells: for every wet spell, the differences of rows from the one before it to the one after
+            it.
+        rows: number of rows.
+        nearly: amount that counts as 0.
     """
-    wet_at, changed_at = set[int](), set[int]()  # rows since the begin of their spell
+    wet_at, changed_at = set[int](), set[int]()  # rows since the beginning of their spell
     for spell in spells:
         whole = np.zeros(-(-len(spell) // rows) * rows)
         whole[: len(spell)] = spell
@@ -531,17 +534,17 @@ def _is_sum_of_rows(spells: Iterable[tuple[float, ...]], rows: int, nearly: floa
 
 
 COLUMN_RULES = (find_running_total, find_fraction, find_sum, find_sliding_sum)
-"""What a whole column cannot be: each rule returns why it is refused, or nothing."""
+"""What a column cannot be: each rule returns why the column is rejected, or nothing."""
 COLUMN_DOUBTS = (find_event_total,)
-"""What it is hardly: each rule returns a note, or nothing."""
+"""What a column is unlikely to be: each rule returns a note, or nothing."""
 
 
 class Column:
     """The values of a column of a table, in our unit, as they are read row by row.
 
-    A value just outside the range is treated as its end. A code such as -999, a word, a negative
-    value of what cannot be negative, and a few other values that are not plausible are left out.
-    The table's notes name them all.
+    A value just outside the range is moved to its end. Codes such as -999, words, negative values
+    of a quantity that cannot be negative, and a few other implausible values are treated as
+    missing. The table's notes name them all.
     """
 
     def __init__(
@@ -550,17 +553,18 @@ class Column:
         cell: Callable[[Row], str] | None = None,
         rules: Sequence[Callable[[Given], str]] = COLUMN_RULES,
     ) -> None:
-        """Prepare.
+        """Prepare the column.
 
         Args:
-            table: of the column.
-            name: of the column.
-            quantity: its name, of :data:`.quantities.QUANTITIES`.
-            unit: of the column; ours by default.
+            table: table of the column.
+            name: name of the column.
+            quantity: name of the quantity, one of :data:`.quantities.QUANTITIES`.
+            unit: unit of the column; ours by default.
             step_h: time between rows (h).
-            optional: codes alone are as good as no column; by default all but precipitation is.
-            cell: returns a row's text; by default the column's.
-            rules: of the whole column; none if its rows do not follow each other in time.
+            optional: whether a column of codes only counts as no column; by default, for all
+                quantities but precipitation.
+            cell: returns the text for a row; by default, that of the column.
+            rules: rules for the whole column; none if its rows are not consecutive in time.
         """
         self._rules, self._of = rules, quantity
         self._table, self._name = table, name
@@ -570,7 +574,7 @@ class Column:
         self._step_h = step_h
         self._cell = cell or (lambda row: table.cell(row, name))
         self._values, self._given = array("d"), array("d")
-        # The first number like 1.019; whether others have other decimals, or are 100 and more.
+        # The first number like 1.019; whether others have other decimals, or are 100 or more.
         self._grouped: Row | None = None
         self._has_decimals = self._has_hundreds = False
         self._odd: dict[str, list[Row]] = {NEAR: [], CODE: [], WRONG: []}
@@ -582,7 +586,7 @@ class Column:
         self._values.append(value)
         self._given.append(math.nan if what == CODE else cell.value)
         if math.isnan(cell.number) and _GROUPS.fullmatch(cell.text):
-            raise self._table.refuse(f"has marks between its digits. {_PLAIN}", self._name, row)
+            raise self._table.refuse(f"has marks among its digits. {_PLAIN}", self._name, row)
         if "." not in cell.text:
             self._has_hundreds = self._has_hundreds or abs(cell.number) >= _A_HUNDRED
         elif _THOUSANDS.fullmatch(cell.text):
@@ -594,19 +598,19 @@ class Column:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no row has a cell, apart from those that stand for a missing value."""
+        """Whether no row has a cell, not counting cells that stand for a missing value."""
         return not any(self._odd.values()) and all(map(math.isnan, self._values))
 
     def judge(self) -> NDArray[np.float64]:
         """Return the values of all rows, shape (rows,); NaN for those that cannot be used.
 
         Raises:
-            ConfigurationError: too few of the values are plausible, or :data:`COLUMN_RULES` refuse
-                them.
+            ConfigurationError: if too few of the values are plausible, or :data:`COLUMN_RULES`
+                reject them.
         """
         if self._grouped and self._has_hundreds and not self._has_decimals:
             raise self._table.refuse(
-                "is a number between numbers of 100 and more without decimals: is its mark between "
+                "stands among numbers of 100 and more without decimals: does its mark separate "
                 f"thousands? {_PLAIN}", self._name, self._grouped,
             )
         numbers = np.array(self._given)
@@ -631,12 +635,12 @@ class Column:
             values[ends] = math.nan
             self._table.notes.append(
                 f"{self._table.file.name}: {self._name} of {end:g} degC in "
-                f"{np.count_nonzero(ends)} rows is {_APART:g} K from all others, as the end of a "
+                f"{np.count_nonzero(ends)} rows is {_APART:g} K from all others, like the end of a "
                 "sensor's scale, and is treated as missing"
             )
         unit, low, high, *_ = self._quantity
-        self._note(near, f"is set to the end of its range, {low:g} to {high:g} {unit}")
-        self._note(sorted(codes + wrong), "is no plausible value, and is treated as missing")
+        self._note(near, f"is moved to the end of its range, {low:g} to {high:g} {unit}")
+        self._note(sorted(codes + wrong), "is not a plausible value, and is treated as missing")
         return values
 
     def _refuse(self, row: Row) -> ConfigurationError:
@@ -650,7 +654,7 @@ class Column:
         )
 
     def _note(self, rows: Sequence[Row], what: str) -> None:
-        """Add a note about some cells, with the first of them and their times."""
+        """Add a note about some cells that shows the first of them and their times."""
         if not rows:
             return
         table = self._table
@@ -664,18 +668,18 @@ class Column:
 
 
 def judge_columns(columns: Mapping[str, Column]) -> dict[str, NDArray[np.float64]]:
-    """Return the values of columns of which all rows were read; see :meth:`Column.judge`."""
+    """Return the values of columns after all rows have been read; see :meth:`Column.judge`."""
     return {name: column.judge() for name, column in columns.items()}
 
 
 def arrange_by_hour(
     columns: Mapping[str, NDArray[np.float64]], hours: NDArray[np.intp]
 ) -> dict[str, NDArray[np.float64]]:
-    """Arrange the rows of columns by hour, NaN in hours without a row.
+    """Arrange the rows of columns by hour, with NaN in hours without a row.
 
     Args:
         columns: values by name, shape (rows,).
-        hours: of each row, from 0.
+        hours: hour of every row, from 0.
     """
     values = {name: np.full(hours.max() + 1, np.nan) for name in columns}
     for name, series in columns.items():
@@ -686,11 +690,11 @@ def arrange_by_hour(
 def number_lines(text: Iterable[str]) -> Iterator[tuple[int, str]]:
     """Yield the lines that are neither comments (``#``) nor without text, numbered from 1.
 
-    Nor is a spreadsheet's first line that names the separator.
+    A spreadsheet's first line that names the separator is left out, too.
     """
     lines = itertools.chain.from_iterable(part.splitlines(keepends=True) for part in text)
     for number, marked in enumerate(lines, start=1):
-        line = marked.removeprefix(_BYTE_ORDER_MARK)  # of a file that was appended
+        line = marked.removeprefix(_BYTE_ORDER_MARK)  # from a file that was appended
         if line.strip(_NO_TEXT) and not _NO_RECORD.match(line):
             yield number, line
 
@@ -699,23 +703,23 @@ def read_table(
     file: Path, lines: Iterable[tuple[int, str]] | None = None,
     observed: Callable[[str], bool] = lambda _: False,
 ) -> Table:
-    """Read CSV as a table; a quoted cell must end in its line.
+    """Read CSV as a table; a quoted cell must end within its line.
 
-    Cells are separated by commas, semicolons or tabs: what the header has most of. A number
-    may have a decimal comma, if it cannot be one between thousands. A header that is repeated, as
-    where files were appended, is left out.
+    Cells are separated by commas, semicolons or tabs, whichever the header has most of. A number
+    may have a decimal comma, unless this could be a separator between thousands. A header that is
+    repeated, as where files were appended, is left out.
 
     Args:
         file: the file.
-        lines: those of the table, the header first, as :func:`number_lines` yields them; by default
-            all of the file.
-        observed: whether a column is one of values. A row that ends before the first of them is an
-            hour that is missing: its other cells are empty.
+        lines: lines of the table, the header first, as :func:`number_lines` yields them; by default
+            the whole file.
+        observed: whether a column holds values. A row that ends before the first of these columns
+            is a missing hour: its other cells are empty.
 
     Raises:
-        ConfigurationError: the file cannot be read; there is no header or no row; a row has more or
-            fewer cells than the header; or a quote is left open or followed by text. A row is
-            refused when it is read; one that is cut off by the end of the file is only noted.
+        ConfigurationError: if the file cannot be read; there is no header or no row; a row has more
+            or fewer cells than the header; or a quote is left open or followed by text. A row is
+            rejected when it is read; one that is cut off by the end of the file is only noted.
     """
     numbered = iter(number_lines(read_lines(file)) if lines is None else lines)
     line, text = next(numbered, (0, ""))
@@ -730,17 +734,17 @@ def read_table(
     def rows() -> Iterator[tuple[int, list[str]]]:
         begun = whole = False
         marks = set[str]()  # decimal marks
-        # The first number of each mark that is a decimal mark or between thousands.
+        # For every mark, the first number in which it may be a decimal mark or separate thousands.
         grouped: dict[str, ConfigurationError] = {}
         for line, text in numbered:
             cells = _split(file, line, text, separator)
             if [cell for cell in cells if cell] == [name for name in header if name]:
-                table.notes.append(f"{file.name}: line {line} repeats the header, and is left out")
+                table.notes.append(f"{file.name}: line {line} repeats the header and is left out")
                 continue
             if begun and cells[0] == header[0]:
                 raise ConfigurationError(
-                    "is a second header, with other columns than the first: make a file of its own "
-                    "of what follows it", file=file, line=line,
+                    "is a second header, with columns other than the first: make a separate file "
+                    "of what follows", file=file, line=line,
                 )
             for place, cell in enumerate(cells):
                 mark = ""
@@ -753,7 +757,7 @@ def read_table(
                     whole = whole or _HUNDREDS.fullmatch(cell) is not None
                 if mark and _THOUSANDS.fullmatch(cell):
                     grouped.setdefault(mark, ConfigurationError(
-                        f"is the '{mark}' a decimal mark, or between thousands? {_PLAIN}",
+                        f"is '{mark}' a decimal mark, or does it separate thousands? {_PLAIN}",
                         file=file, line=line, value=cell,
                     ))
                 elif mark:
@@ -762,7 +766,7 @@ def read_table(
                 if marks - {mark}:
                     raise error
             if begun and len(cells) < len(header) and text == text.rstrip(_LINE_END):
-                table.notes.append(f"{file.name}: line {line} is cut off, and left out")
+                table.notes.append(f"{file.name}: line {line} is cut off and left out")
                 return
             begun = True
             if len(cells) <= first:
@@ -778,7 +782,7 @@ def read_table(
                     file=file, line=line,
                 )
             yield line, cells
-        # Decimals would be written for whole numbers, too.
+        # Otherwise whole numbers would be written with decimals, too.
         for mark, error in grouped.items():
             if not marks and (separator == "," if mark == "," else whole and separator == ";"):
                 raise error

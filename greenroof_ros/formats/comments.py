@@ -1,4 +1,4 @@
-"""What comments at the head of a file state about it: ``key: value``, and prose that is ignored."""
+"""What comments at the head of a file state about it: ``key: value``; prose is ignored."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.ranges import Range, read_number
 
 LATITUDE, LONGITUDE = "latitude", "longitude"
-"""place of the file (degrees), positive to the north and east, or as 79.40 W or 79° 24' W"""
+"""place of the file (degrees), positive to north and east, or written as 79.40 W or 79° 24' W"""
 WIND_HEIGHT = "wind_height"
-"""height of the wind (m)"""
+"""height at which the wind was measured (m)"""
 RAIN_LATE = "rain_late"
-"""delay of the rain's time, 0 or 1 h, which is stated and not corrected"""
+"""delay of the rain's time, 0 or 1 h, which is stated but not corrected"""
 STAMPED = "stamped"
-"""what the time of a row is, one of :data:`STAMPS`"""
+"""what the time of a row means, one of :data:`STAMPS`"""
 START, END = STAMPS = ("start", "end")
-"""The time of a row is the start of the row, or its end."""
+"""The time of a row is the start or the end of the row."""
 RAIN_KIND = "rain_kind"
-"""what the rain is of, if no gauge measured it: one of :data:`RAIN_KINDS`"""
+"""where the rain is from, if no gauge measured it: one of :data:`RAIN_KINDS`"""
 REANALYSIS, FORECAST = RAIN_KINDS = ("reanalysis", "forecast")
 """Results of a weather model, which follows measurements, or runs ahead of them."""
 
@@ -31,7 +31,7 @@ _NUMBERS = {
 _WORDS = {STAMPED: STAMPS, RAIN_KIND: RAIN_KINDS}
 _COMMENT = re.compile(r"\s*(\"?#|$)")
 _KEY = rf"\b({'|'.join((*_NUMBERS, *_WORDS))})\s*[:=]\s*"
-# A value ends at the end of a clause, or before the next key, also an unknown one.
+# A value ends at the end of a clause, or before the next key, even an unknown one.
 _STATED = re.compile(
     rf"{_KEY}(.*?)(?=[;()|]|,(?!\d)|\.(?!\d)|\s+[^\W\d]\w*\s*[:=]|\s*$)", re.IGNORECASE
 )
@@ -50,27 +50,27 @@ _ANGLE = re.compile(
 
 
 class Stated(NamedTuple):
-    """What comments state."""
+    """What the comments state."""
 
     numbers: dict[str, float]
-    """by key, those of the file"""
+    """numbers by key, as in the file"""
     stamped: str
     """one of :data:`STAMPS`"""
     rain_kind: str
     """one of :data:`RAIN_KINDS`, or empty"""
     notes: list[str]
-    """of what is not read"""
+    """notes about what is not read"""
 
 
 def read_comments(file: Path) -> Stated:
     """Return what the comments at the head of a file state.
 
-    What has not the form of its key's value is prose, and noted. The value of a key must be one:
-    a file that was appended to another can state a second.
+    Text that does not have the form of its key's value counts as prose, and is noted. A key may
+    have only one value; a file that was appended to another one may state a second.
 
     Raises:
-        ConfigurationError: a value is out of its range, or has a sign and a cardinal point; or
-            another is stated later.
+        ConfigurationError: if a value is out of range, or has both a sign and a cardinal point; or
+            if a different one is stated later.
     """
     stated: dict[str, float | str] = {}
     notes = list[str]()
@@ -91,7 +91,7 @@ def read_comments(file: Path) -> Stated:
                     notes.append(f"{file.name}: line {number} is not read: {match[0]}")
                 elif value != stated.setdefault(key, value if is_head else START):
                     raise ConfigurationError(
-                        "is not what the head of the file states: make a file of each part",
+                        "differs from the head of the file: make a separate file of each part",
                         file=file, line=number, key=key, value=text,
                     )
     numbers = {key: value for key, value in stated.items() if not isinstance(value, str)}
@@ -101,7 +101,7 @@ def read_comments(file: Path) -> Stated:
 
 
 def _read_value(key: str, text: str, file: Path, line: int) -> float | None:
-    """Return a number; None if the text is not of its form."""
+    """Return a number; None if the text is not in the expected form."""
     match = (_ANGLE if key in _SIDES_OF else _LENGTH).fullmatch(text)
     if match is None:
         return None
@@ -113,7 +113,7 @@ def _read_value(key: str, text: str, file: Path, line: int) -> float | None:
         return None
     if side and match[2].startswith("-"):
         raise ConfigurationError(
-            "has a sign and a cardinal point: leave one of them out", file=file, line=line, key=key,
+            "has both a sign and a cardinal point: leave one out", file=file, line=line, key=key,
             value=text,
         )
     if (match[3] and (degrees % 1 or not 0 <= minutes < 60)) or not 0 <= seconds < 60:

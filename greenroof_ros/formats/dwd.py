@@ -1,13 +1,13 @@
 """Hourly observations of Deutscher Wetterdienst (DWD): ``produkt_*_stunde_*.txt``, unpacked.
 
-Each quantity has files of its own, which are joined as several files of weather::
+Every quantity has its own files, which are joined like several files of weather::
 
     STATIONS_ID;MESS_DATUM;QN_8;  R1;RS_IND;WRTR;eor
            1219;1995090100;    1;   0.0;   0;-999;eor
 
-``MESS_DATUM`` is the hour in UTC. Precipitation is the sum of the hour before, from ten minutes
-before its begin until ten minutes before its end, and is moved an hour back; other quantities are
-of ten minutes before the time. ("The value for UTC 11 contains the precipitation from UTC 9:51-UTC
+``MESS_DATUM`` is the hour in UTC. Precipitation is the sum over an hour that begins 70 minutes and
+ends ten minutes before that time, and is moved back by an hour; other quantities were measured ten
+minutes before the time. ("The value for UTC 11 contains the precipitation from UTC 9:51-UTC
 10:50", "hour x corresponds to the reading from 10min earlier": DWD, Climate Data Center,
 observations_germany/climate/hourly, descriptions of precipitation and air_temperature.) Missing
 values are -999. Units are mm, degC, %, m/s and hPa.
@@ -32,7 +32,7 @@ from greenroof_ros.formats.quantities import (
 from greenroof_ros.model.site import Site
 
 _TIME, _STATION = "MESS_DATUM", "STATIONS_ID"
-# The service's column of each of our quantities, with its unit.
+# The service's column for each of our quantities, with its unit.
 _COLUMNS = {
     "R1": (PRECIPITATION, Unit("mm")),
     "TT_TU": (TEMPERATURE, Unit("degC")),
@@ -41,7 +41,7 @@ _COLUMNS = {
     "F": ("wind speed", Unit("m/s", 1 / 3.6)),
     "P0": ("station pressure", Unit("hPa", 10.0)),
 }
-# Height of the wind at its stations, as WMO has it (m).
+# Height at which the stations measure the wind, as the WMO requires (m).
 _WIND_HEIGHT_M = 10.0
 _HEADER = re.compile(
     rb"(?:\xef\xbb\xbf)?\s*STATIONS_ID\s*[;,]\s*MESS_DATUM\s*[;,]([^\r\n]*)"
@@ -50,7 +50,7 @@ _HOUR = re.compile(r"(\d{8})(\d\d)", re.ASCII)
 
 
 def recognises(head: bytes, /) -> bool:
-    """Return whether the first line has the service's columns, one of them of our quantities."""
+    """Return whether the first line has the service's columns, including one of our quantities."""
     match = _HEADER.match(head)
     return match is not None and not _COLUMNS.keys().isdisjoint(
         name.strip() for name in re.split("[;,]", match[1].decode("utf-8", "replace"))
@@ -58,10 +58,10 @@ def recognises(head: bytes, /) -> bool:
 
 
 def read_records(file: Path, _site: Site, /) -> Records:
-    """Read a file of one or two quantities.
+    """Read a file with one or two quantities.
 
     Raises:
-        ConfigurationError: a line is broken or out of order, or too few values are plausible.
+        ConfigurationError: if a line is broken or out of order, or too few values are plausible.
     """
     table = read_table(file, observed=_COLUMNS.__contains__)
     present = {name: _COLUMNS[name] for name in table.header if name in _COLUMNS}
@@ -83,7 +83,7 @@ def _parse_hour(text: str) -> datetime:
     """Return an hour such as ``2024060112``, in UTC.
 
     Raises:
-        ValueError: it is none; ten-minute values have two digits more.
+        ValueError: if it is not an hour; ten-minute values have two digits more.
     """
     match = _HOUR.fullmatch(text)
     if match is None:

@@ -1,7 +1,8 @@
 """Hourly files of Environment and Climate Change Canada (ECCC), as downloaded.
 
-Bulk files of its page, in English or French, and CSV of its collection ``climate-hourly``
-(api.weather.gc.ca, GeoMet-OGC-API), with the same observations in the same units under other names.
+These are bulk files from its web page, in English or French, and CSV from its collection
+``climate-hourly`` (api.weather.gc.ca, GeoMet-OGC-API), which has the same observations in the same
+units under other names.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.quantities import DEW_POINT, PRECIPITATION, TEMPERATURE
 from greenroof_ros.model.site import Site
 
-# Names of columns, in English and French, without accents, case, spaces and points; in the English
-# files before 2021 the time has no zone. The last are of GeoMet.
+# Names of columns, in English and French, without accents, case, spaces and points; in English
+# files before 2021, the time has no zone. The last names are GeoMet's.
 _GEOMET_TIME = "local_date"
 _TIME = ("date/time(lst)", "date/time", "date/heure(hnl)", "date/heure", _GEOMET_TIME)
 _LATITUDE, _LONGITUDE = ("latitude(y)", "y"), ("longitude(x)", "x")
 _STATION = ("climateid", "idclimatologique", "climate_identifier", "station_name")
-# Height of the wind at its stations, as WMO has it (m).
+# Height at which the stations measure the wind, as the WMO requires (m).
 _WIND_HEIGHT_M = 10.0
-# The service's columns of each of our quantities; the units are the same. Flags are in the next.
+# The service's columns for each of our quantities, in the same units. Flags are in the next column.
 _COLUMNS = {
     PRECIPITATION: ("precipamount(mm)", "hauteurdeprecip(mm)", "precip_amount"),
     TEMPERATURE: ("temp(°c)", "temp"),
@@ -37,7 +38,7 @@ _COLUMNS = {
     "station pressure": ("stnpress(kpa)", "pressionalastation(kpa)", "station_pressure"),
 }
 _FLAG = ("flag", "indicateur")
-# In the name of a column of daily and monthly files.
+# A column in daily and monthly files has this in its name.
 _LONGER = "max"
 _DOWNLOAD = (
     "download hourly data of the station with precipitation (climate.weather.gc.ca, Hourly data; "
@@ -66,28 +67,29 @@ def _simplify(name: str) -> str:
 
 
 def read_records(file: Path, site: Site, /) -> Records:
-    """Read a bulk file; times are local standard time, at the site's offset from UTC.
+    """Read a bulk file; its times are local standard time at the site's offset from UTC.
 
     A record is for the hour that starts at its time, as in the paper. But rain is for the hour
-    before: the service's current observations call it ``pcpn_amt_pst1hr``, and by the column
-    ``Weather`` it rains at a wet row's time and an hour before about equally often, and less often
-    an hour after. So rain is recorded an hour late; ``rain_late`` of the records states this, and
-    forecasts are compared accordingly. Flags ``M`` (missing) and ``NA`` make a value missing even
-    if one is given. Other flags, such as ``E`` (estimated by the service), do not. A row that ends
-    before the first observation, as the service writes for hours without any, is all missing.
+    before: the service's current observations call it ``pcpn_amt_pst1hr``, and according to the
+    column ``Weather`` it rains about equally often at a wet row's time and an hour earlier, and
+    less often an hour later. So rain is recorded an hour late; ``rain_late`` of the records states
+    this, and forecasts are compared accordingly. Flags ``M`` (missing) and ``NA`` make a value
+    missing even if a number is given. Other flags, such as ``E`` (estimated by the service), do
+    not. A row that ends before the first observation, which the service writes for hours without
+    observations, is missing altogether.
 
     Args:
-        file: as downloaded, in English or French, with or without a byte order mark.
-        site: gives the offset of local standard time, which is not in the file.
+        file: file as downloaded, in English or French, with or without a byte order mark.
+        site: site with the offset of local standard time, which the file does not contain.
 
     Raises:
-        ConfigurationError: the file is not hourly or lacks a column, a line is broken or out of
+        ConfigurationError: if the file is not hourly or lacks a column, a line is broken or out of
             order, too few values are plausible, or the site's offset is missing or does not fit the
             station.
     """
     if site.utc_offset is None:
         raise ConfigurationError(
-            "is in local standard time; the site file must give its offset from UTC, as in "
+            "is in local standard time; the site file must state its offset from UTC, as in "
             "'utc_offset: -5.0'",
             file=file, line=1,
         )
@@ -121,10 +123,10 @@ def read_records(file: Path, site: Site, /) -> Records:
 
 
 def _make_reader(table: Table, column: str) -> Callable[[Row], str]:
-    """Return what reads a row's text; empty if its flag states that it is missing.
+    """Return a function that reads a row's text; empty if the flag states that it is missing.
 
-    The flag is in the column of its name, or else in the next. A value flagged M is not an
-    observation: it often repeats the last one before the gap.
+    The flag is in the column named for it, or otherwise in the next column. A value flagged M is
+    not an observation: it often repeats the last one before the gap.
     """
     place = table.header.index(column)
     flag = f"{column}_FLAG"
@@ -138,11 +140,11 @@ def _make_reader(table: Table, column: str) -> Callable[[Row], str]:
 
 
 def _read_place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[float, float]]:
-    """Return the station's place, by file; empty if a column is missing.
+    """Return the station's location, by file; empty if a column is missing.
 
     Args:
         table: the file.
-        names: its columns, by their plain names.
+        names: the file's columns, by their simplified names.
     """
     columns = [
         next((names[name] for name in these if name in names), "")
@@ -163,7 +165,7 @@ def _find_quantity(name: str) -> str | None:
 
 
 def _check_kind(table: Table, names: Iterable[str], quantities: Container[str]) -> None:
-    """Refuse a file that does not have each hour's rain, and state what it is."""
+    """Reject a file that does not have the rain of every hour, and state what it is."""
     if any(_LONGER in name for name in names):
         what = "holds days or months, not hours"
     elif PRECIPITATION not in quantities:
@@ -174,7 +176,7 @@ def _check_kind(table: Table, names: Iterable[str], quantities: Container[str]) 
 
 
 def _check_zone(table: Table, column: str, utc_offset: float) -> None:
-    """Refuse a station whose solar time is not near the site's standard time."""
+    """Reject a station whose solar time is not near the site's standard time."""
     longitude = table.read_number(table.first, column, Range(-180.0, 180.0, "degrees"))
     if abs(longitude / 15 - utc_offset) > _MAX_FROM_SOLAR_TIME:
         raise table.refuse(

@@ -1,4 +1,4 @@
-"""Forecasts as they were issued: one each, and archives of them."""
+"""Forecasts as they were issued: single ones, and archives of them."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from greenroof_ros.common.times import to_minutes
 from greenroof_ros.formats.hourly import bridge_gaps
 from greenroof_ros.model.look_ahead import MAX_MEMBERS
 
-# Maximum gap of temperature and evapotranspiration in a forecast that is bridged (h).
+# Longest gap of temperature and evapotranspiration in a forecast that is bridged (h).
 _MAX_BRIDGE_H = 6
-# Global models have runs each six or twelve hours; some of a day are missed.
+# Global models run every six or twelve hours; some runs of a day may be missed.
 _MAX_UNCHANGED = timedelta(days=1)
 ISSUE_HOURS = 6
-"""Interval at which services start runs of a global model (h): at 00, 06, 12 and 18 UTC."""
+"""interval at which services start runs of a global model (h): at 00, 06, 12 and 18 UTC"""
 SERVICE_DELAY_H = 6.0
-"""Time from a run's nominal time until a service has it (h). Open-Meteo, Single Runs API:
+"""time from a run's nominal time until a service provides it (h). Open-Meteo, Single Runs API:
 "typically 4-6 hours for global models"."""
 
 
 @dataclass(frozen=True)
 class IssuedForecast:
-    """A forecast of a file.
+    """A forecast from a file.
 
     Attributes:
-        issued: its nominal time, at which its first hour starts.
-        file: where it is from.
+        issued: nominal time, at which the first hour starts.
+        file: file that it is from.
         line: its first line in the file; None if unknown.
-        rain: mm/h, shape (members, hours).
-        evapotranspiration: mm/day, shape (hours,); None if the file has none.
-        temperature: of the air (degC), likewise.
-        available: when it arrived; None for the archive's delay after its nominal time.
-        notes: what could not be used as it is.
+        rain: rain rate (mm/h), shape (members, hours).
+        evapotranspiration: rate (mm/day), shape (hours,); None if the file has none.
+        temperature: air temperature (degC), shape (hours,); None if the file has none.
+        available: when it arrived; None if it is the archive's delay after the nominal time.
+        notes: what could not be used as it was.
     """
 
     issued: datetime
@@ -57,13 +57,13 @@ class IssuedForecast:
 
     @property
     def order(self) -> tuple[datetime, datetime]:
-        """What issues are sorted by: nominal time, then arrival."""
+        """The key by which issues are sorted: nominal time, then arrival."""
         return self.issued, self.available or self.issued
 
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
         """Return evapotranspiration some hours ahead (mm/day); None if the file has none.
 
-        After its end the issue repeats its last day, or its last hour if it is shorter than a day.
+        After its end, the issue repeats its last day, or its last hour if it is shorter than a day.
         """
         if self.evapotranspiration is None:
             return None
@@ -73,12 +73,12 @@ class IssuedForecast:
 
 
 def join_members(numbered: Iterable[tuple[float, IssuedForecast]]) -> IssuedForecast:
-    """Return one issue of all members, each given as its number and an issue of that member alone.
+    """Return one issue with all members, from (number, issue of this member alone) pairs.
 
     Members that end early are missing (NaN) from then on.
 
     Raises:
-        ConfigurationError: the numbers are not 0, 1, 2 and so on, or there are too many.
+        ConfigurationError: if the numbers are not 0, 1, 2 and so on, or there are too many.
     """
     ordered = sorted(numbered, key=lambda member: member[0])
     numbers, issues = [number for number, _ in ordered], [issue for _, issue in ordered]
@@ -89,7 +89,7 @@ def join_members(numbered: Iterable[tuple[float, IssuedForecast]]) -> IssuedFore
             "and so on, each once"
         )
     elif len(numbers) > MAX_MEMBERS:
-        wrong = f"has {len(numbers)} members; at most {MAX_MEMBERS} are allowed"
+        wrong = f"has {len(numbers)} members; no more than {MAX_MEMBERS} are allowed"
     if wrong:
         raise ConfigurationError(
             f"the issue of {to_minutes(first.issued)} {wrong}", file=first.file, line=first.line
@@ -102,15 +102,15 @@ def join_members(numbered: Iterable[tuple[float, IssuedForecast]]) -> IssuedFore
 
 
 def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
-    """Return an issue without missing values, with notes of what was done.
+    """Return an issue without missing values, and with notes on what was done.
 
-    A missing hour of rain has the mean of its neighbours, and temperature and evapotranspiration
-    are bridged likewise for up to six hours. A member that still has less than half the hours of
-    the longest is left out, and so is such a temperature. The issue ends where another member,
-    evapotranspiration or temperature does.
+    A missing hour of rain is replaced by the mean of its neighbours; gaps of temperature and
+    evapotranspiration are bridged in the same way if they are no longer than six hours. A member
+    that still has less than half the hours of the longest one is left out, and so is such a
+    temperature. The issue ends where another member, evapotranspiration or temperature ends.
 
     Raises:
-        ConfigurationError: nothing is left.
+        ConfigurationError: if nothing is left.
     """
     rain = np.array([bridge_gaps(series, 1) for series in issue.rain])
     if issue.hours > 1:  # the first hour has one neighbour
@@ -146,10 +146,10 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
         else:
             hours = min(hours, known)
     if hours < max(lengths):
-        notes.append(f"ends after {hours} of {max(lengths)} hours, from which something is missing")
+        notes.append(f"ends after {hours} of {max(lengths)} hours: later values are missing")
     count = int(np.isnan(issue.rain[used, :hours]).sum())
     if count:
-        notes.append(f"{count} missing hours of precipitation have the mean of their neighbours")
+        notes.append(f"{count} missing hours of precipitation are the mean of their neighbours")
     return replace(
         issue, rain=rain[used, :hours],
         notes=(*issue.notes, *(
@@ -161,12 +161,12 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
 
 
 def _count_complete_hours(series: NDArray[np.float64]) -> int:
-    """Return the number of values before the first that is missing."""
+    """Return the number of values before the first missing one."""
     return int(np.append(np.isnan(series), True).argmax())
 
 
 class Repetition:
-    """Tells forecasts that only repeat the one before, as where a service's model has stopped."""
+    """Detects forecasts that only repeat the previous one, as when a service's model stops."""
 
     def __init__(self) -> None:
         """Begin without a forecast."""
@@ -174,9 +174,9 @@ class Repetition:
         self._since: datetime | None = None
 
     def follow(self, issue: IssuedForecast) -> str:
-        """Follow a forecast, and return a note if none has changed for a day; otherwise nothing.
+        """Follow a forecast; return a note if forecasts have not changed for a day, otherwise "".
 
-        Rain and temperature of the hours that both have count.
+        Only rain and temperature in the hours that both forecasts cover count.
         """
         before, self._newest = self._newest, issue
         if self._since is None or before is None or not _agree(before, issue):
@@ -184,13 +184,13 @@ class Repetition:
         if issue.order[1] - self._since < _MAX_UNCHANGED:
             return ""
         return (
-            f"the forecasts have not changed since {to_minutes(self._since)}: they repeat one run "
-            "of a model, and are as old as it"
+            f"the forecasts have not changed since {to_minutes(self._since)}: they repeat a single "
+            "run of a model, and are as old as that run"
         )
 
 
 def _agree(before: IssuedForecast, issue: IssuedForecast) -> bool:
-    """Return whether two forecasts are the same in the hours that both have."""
+    """Return whether two forecasts are the same in the hours that both cover."""
     late = (issue.issued - before.issued) // timedelta(hours=1)
     hours = min(before.hours - late, issue.hours)
     return late >= 0 and hours > 0 and all(
@@ -205,16 +205,16 @@ def _agree(before: IssuedForecast, issue: IssuedForecast) -> bool:
 
 
 def check_same_form(earlier: IssuedForecast, later: IssuedForecast) -> None:
-    """Refuse an issue of an archive that repeats the issue before it, or has a different form.
+    """Reject an issue of an archive that repeats the previous issue, or has a different form.
 
     Raises:
-        ConfigurationError: it repeats it, or has other quantities.
+        ConfigurationError: if it repeats the issue, or has other quantities.
     """
     wrong, when = "", to_minutes(later.issued)
     if earlier.order == later.order:
-        wrong = f"has the issue of {when}, which {earlier.file.name} has already"
+        wrong = f"has the issue of {when}, which is already in {earlier.file.name}"
     elif (earlier.evapotranspiration is None) != (later.evapotranspiration is None):
-        wrong = f"must have a column of evapotranspiration, or none, like {earlier.file.name}"
+        wrong = f"must have evapotranspiration exactly if {earlier.file.name} has it"
     if wrong:
         raise ConfigurationError(wrong, file=later.file, line=later.line)
 
@@ -225,12 +225,12 @@ class Archive:
 
     Attributes:
         source: the file or directory.
-        kind: what it is, in words.
-        issues: at least one, in order of time, all with the same number of members.
-        delay: time after its nominal time from which an issue is known (h).
-        verified: the issues to verify, mostly the same ones; their rain can be NaN.
-        finest_lead: finest lead resolution at which it can be verified (h).
-        notes: what could not be used as it is.
+        kind: kind of archive, in words.
+        issues: at least one issue, in order of time, all with the same number of members.
+        delay: time after the nominal time from which an issue is known (h).
+        verified: the issues to verify, usually the same ones; their rain can be NaN.
+        finest_lead: finest lead-time resolution at which it can be verified (h).
+        notes: what could not be used as it was.
     """
 
     source: Path
@@ -243,5 +243,5 @@ class Archive:
 
     @property
     def members(self) -> int:
-        """Number of members of each issue."""
+        """Number of members in every issue."""
         return len(self.issues[0].rain)

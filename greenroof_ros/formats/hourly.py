@@ -1,4 +1,4 @@
-"""Hourly records of weather: their missing hours, and several files as one."""
+"""Hourly records of weather: filling missing hours, and joining several files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.quantities import DEW_POINT, HUMIDITY, PRECIPITATION, TEMPERATURE
 
 ENOUGH = 0.75
-"""Minimum share of an hour whose rain must be known; another quantity needs one value."""
+"""Minimum share of an hour in which the rain must be known; another quantity needs one value."""
 _MINUTE = timedelta(minutes=1)
 _ROUNDING = 1e-6
 
@@ -26,21 +26,24 @@ class Records:
     """Consecutive hours; each record is for the hour that starts at its time.
 
     Attributes:
-        files: where they come from, in order of time.
+        files: files that they are from, in order of time.
         first: start of the first hour, with its offset from UTC.
-        values: of each quantity of :data:`.quantities.QUANTITIES` that the files have, in its unit
-            there, or of each forecast by its column, shape (hours,); NaN if missing.
-        method: of the evapotranspiration among them; empty if there is none.
-        shifted: quantities that the files have at the end of their hour, moved to its start.
+        values: values by name, shape (hours,); NaN if missing. The names are those quantities of
+            :data:`.quantities.QUANTITIES` that the files have, in the units used there, or the
+            columns of forecasts.
+        method: method of the evapotranspiration among them; empty if there is none.
+        shifted: quantities that the files give at the end of their hour, and that were moved to its
+            start.
         rain_late: delay of the rain's time (h): 1 if the files give rain at the end of its hour and
             it was not moved to the start, otherwise 0.
         filled: for each quantity, whether an hour was missing and filled, shape (hours,).
-        left_out: what could not be used as it is, in sentences that name it.
-        places: latitude and longitude (degrees) of each file that gives them, by file.
-        wind_height: height at which the wind was measured (m); None if it is in the site file.
-        minutes: rain of each minute (mm/h), shape (hours, 60), NaN where no row of less than an
-            hour has it; None if there are none. The precipitation of their hours is their mean.
-        rain_kind: one of :data:`.comments.RAIN_KINDS` if any of the rain is; otherwise empty.
+        left_out: sentences about what could not be used as it was.
+        places: latitude and longitude (degrees), by file, for the files that state them.
+        wind_height: height at which the wind was measured (m); None to use the site file's.
+        minutes: rain in every minute (mm/h), shape (hours, 60), NaN where no row shorter than an
+            hour gives it; None if there is none. The precipitation of such an hour is their mean.
+        rain_kind: one of :data:`.comments.RAIN_KINDS` if any of the rain is of that kind; otherwise
+            empty.
     """
 
     files: tuple[Path, ...]
@@ -63,7 +66,7 @@ class Records:
 
     @property
     def parts_of_hours(self) -> NDArray[np.bool_]:
-        """Whether only a part of an hour's minutes is known, shape (hours,)."""
+        """Whether only some of an hour's minutes are known, shape (hours,)."""
         if self.minutes is None:
             return np.zeros(self.hours, dtype=bool)
         known = np.count_nonzero(~np.isnan(self.minutes), axis=1)
@@ -71,14 +74,14 @@ class Records:
 
     @property
     def source(self) -> str:
-        """Name of all files, for messages and tables."""
+        """One name for all files, for messages and tables."""
         return name_files(self.files)
 
     @property
     def rain_note(self) -> str:
-        """What every result that is computed from the rain must state; mostly empty."""
+        """What every result computed from the rain must state; usually empty."""
         return self.rain_kind and (
-            f"rain is of a {self.rain_kind}, the mean of a grid cell: its peaks are lower than a "
+            f"rain is from a {self.rain_kind}, the mean of a grid cell: its peaks are lower than a "
             "gauge's, so overflow, discharge and peaks of runoff are underestimated"
         )
 
@@ -94,7 +97,7 @@ class Records:
 
 
 def average_minutes(minutes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean rain of each hour's minutes; NaN with less than 0.75 of them."""
+    """Return the mean rain of every hour's minutes; NaN with less than 0.75 of them."""
     count = np.count_nonzero(~np.isnan(minutes), axis=1)
     # Tenths of a millimetre do not add up exactly in binary numbers.
     means = np.round(np.nansum(minutes, axis=1) / np.maximum(count, 1), 9)
@@ -102,7 +105,7 @@ def average_minutes(minutes: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def add_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """Return values with the dew point in place of relative humidity, by FAO-56 Eqs. 11 and 14."""
+    """Return values with the dew point instead of relative humidity (FAO-56 Eqs. 11 and 14)."""
     rest = {name: series for name, series in values.items() if name != HUMIDITY}
     if HUMIDITY in values and TEMPERATURE in values:
         share, warmth = np.maximum(values[HUMIDITY], 1.0) / 100, values[TEMPERATURE]
@@ -114,7 +117,7 @@ def add_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArra
 
 
 def bridge_gaps(series: NDArray[np.float64], max_hours: int) -> NDArray[np.float64]:
-    """Return hourly values with gaps of at most ``max_hours`` hours bridged by a straight line."""
+    """Return hourly values with gaps of up to ``max_hours`` bridged by linear interpolation."""
     filled = series.copy()
     for low, high in find_gaps(np.isnan(series)):
         if high - low <= max_hours and low > 0 and high < len(series):
@@ -127,7 +130,7 @@ def bridge_gaps(series: NDArray[np.float64], max_hours: int) -> NDArray[np.float
 def name_files(files: Sequence[Path]) -> str:
     """Return one name for files: the path of a single one, or their number, first and last.
 
-    Empty if there are none.
+    The name is empty if there are no files.
     """
     if not files:
         return ""
@@ -148,11 +151,11 @@ def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
 
     Args:
         first: start of hour 0.
-        hours: indices.
+        hours: indices of the hours.
 
     Returns:
-        One text for each span: ``2021-07-20T13:00-05:00`` for a single hour, otherwise the first
-        and last hour and their number.
+        One text for every span: ``2021-07-20T13:00-05:00`` for a single hour, otherwise the first
+        and last hour and the number of hours.
     """
     indices = np.sort(np.array(list(hours), dtype=np.intp))
     spans = []
@@ -166,7 +169,7 @@ def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
 
 
 def number_days(days: NDArray[np.datetime64]) -> NDArray[np.int64]:
-    """Return the number of each day in its year, from 1."""
+    """Return the number of every day within its year, from 1."""
     since = (days - days.astype("datetime64[Y]")).astype("timedelta64[D]")
     return np.asarray(since.astype(np.int64) + 1)
 
@@ -175,14 +178,14 @@ def join_records(parts: Sequence[Records]) -> Records:
     """Join the records of several files.
 
     They are sorted by time. A value that no file has is missing (NaN). If several files have it,
-    they must agree, except in an hour of which a file has a part: others then go before, and the
-    rain is that of all minutes. If hours of a file do not begin with hours of the first, each of
-    its values is the mean of the two hours in which it lies; values of other files then go before.
-    Files with other quantities than the first, as of services with a file for each, are joined by
-    quantities.
+    they must agree, except in an hour that one file has only in part: other files then take
+    precedence, and the rain is taken from all minutes. If a file's hours do not begin when those of
+    the first file do, each of its values becomes the mean of the two hours that it overlaps; values
+    from other files then take precedence. Files with quantities other than the first file's, as
+    from services with a file for each, are joined by quantity.
 
     Raises:
-        ConfigurationError: two files have different values for an hour, different quantities,
+        ConfigurationError: if two files have different values for an hour, different quantities,
             methods of evapotranspiration or conventions of time. The message names both.
     """
     first = min(parts, key=lambda part: part.first)
@@ -244,10 +247,10 @@ def join_records(parts: Sequence[Records]) -> Records:
 def _join_minutes(
     hours: int, parts: Iterable[tuple[int, Records]]
 ) -> NDArray[np.float64] | None:
-    """Return the rain of each minute of parts, each with its first hour; None if none has it.
+    """Return the rain in every minute of parts given with their first hours; None if none has it.
 
     Raises:
-        ConfigurationError: two parts differ in a minute.
+        ConfigurationError: if two parts differ in a minute.
     """
     joined = None
     for begin, part in parts:
@@ -272,11 +275,11 @@ def _add_quantities(first: Records, other: Records) -> Records:
     """Return records with the quantities of both, from the first hour of either to the last.
 
     Raises:
-        ConfigurationError: their hours do not begin together.
+        ConfigurationError: if their hours do not begin at the same time.
     """
     if (other.first - first.first) % HOUR:
         raise ConfigurationError(
-            f"its hours must begin with those of {first.source}, which has other quantities",
+            f"its hours must begin when those of {first.source} do, which has other quantities",
             file=other.source,
         )
     begin = min(first.first, other.first)
@@ -317,11 +320,11 @@ def _check_same_kind(first: Records, part: Records) -> None:
 
 
 def _shift_to_hours_of(first: Records, part: Records) -> Records:
-    """Return records on hours that begin with another's, as local hours at UTC-3:30 do not."""
+    """Return records on hours that begin when another's do; local hours at UTC-3:30 do not."""
     late = (part.first - first.first) % HOUR
     share, values = late / HOUR, part.values
     minutes, begin = part.minutes, part.first - late + HOUR
-    if minutes is not None:  # the rain of the first and last hour counts as far as it goes
+    if minutes is not None:  # rain of the first and last hour is kept as far as it is known
         begin -= HOUR
         edge = late // _MINUTE, 60 - late // _MINUTE
         minutes = np.pad(minutes.ravel(), edge, constant_values=np.nan).reshape(-1, 60)
@@ -341,7 +344,7 @@ def _shift_to_hours_of(first: Records, part: Records) -> Records:
     return replace(
         part, first=begin, minutes=minutes, values=values,
         left_out=(*part.left_out, (
-            f"{part.source}: its hours begin {late // _MINUTE} min after the hours of "
-            f"{first.source}; each value is the mean of the two hours in which it lies"
+            f"{part.source}: its hours begin {late // _MINUTE} min after those of {first.source}; "
+            "each value is the mean of the two hours that it overlaps"
         )),
     )

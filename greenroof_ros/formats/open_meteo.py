@@ -1,7 +1,7 @@
 """Hourly files of Open-Meteo, CSV or JSON: past weather, and forecasts as they were issued.
 
 The service's CSV begins with two lines about the place, followed by a header with units and the
-hours; its JSON has the same under ``hourly_units`` and ``hourly``::
+hours; in its JSON the same values are under ``hourly_units`` and ``hourly``::
 
     latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation
     43.620384,-79.41748,77.0,-18000,America/Toronto,GMT-5
@@ -9,28 +9,29 @@ hours; its JSON has the same under ``hourly_units`` and ``hourly``::
     time,temperature_2m (°C),precipitation (mm),shortwave_radiation (W/m²)
     2021-07-07T00:00,21.4,0.20,0.0
 
-Files that a program has saved without those lines and units are read too, if they have variables
-by the service's names. The first column is then ``time``, ``datetime`` or ``date``, in UTC unless
-it has an offset, and units are the service's defaults.
+Files that a program has saved without those lines and without units are read, too, if they use the
+service's names of variables. The first column is then ``time``, ``datetime`` or ``date``, in UTC
+unless it has an offset, and units are the service's defaults.
 
-Precipitation is the sum, and shortwave radiation the mean, of the hour *before* their time; the
+Precipitation is the sum, and shortwave radiation the mean, over the hour *before* their time; the
 other quantities are instantaneous. (Open-Meteo, Historical Weather API and Weather Forecast API,
-Hourly Parameter Definition: "Preceding hour sum", "Preceding hour mean", "Instant".) Here a record
-is for the hour that starts at its time. So rain and radiation are moved an hour back, and an
-instantaneous value holds for the hour after it, as in ECCC's files.
+Hourly Parameter Definition: "Preceding hour sum", "Preceding hour mean", "Instant".) In this
+project, a record is for the hour that starts at its time. So rain and radiation are moved back by
+an hour, and an instantaneous value holds for the hour after it, as in ECCC's files.
 
-Local times have one offset from UTC in the whole file, even across a change of daylight saving
-time: ``utc_offset_seconds``. With ``timeformat=unixtime`` they are seconds since 1970 in UTC.
+Local times have one offset from UTC throughout the file, even across a change to or from daylight
+saving time: ``utc_offset_seconds``. With ``timeformat=unixtime`` they are seconds since 1970 in
+UTC.
 
-**Past weather** has ``precipitation`` and what evapotranspiration is computed from. **Previous
-runs** have ``precipitation_previous_day1`` to 7: for each hour the newest forecast that was at
-least N x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets"). They do not contain
-single runs, and nothing newer than 24 h. So what was known of an hour at some time is the value of
-the smallest N whose age fits. **A run** has ``precipitation`` and ``precipitation_member01`` ...;
-the first is the control run. The answer does not name its run, so the file's name must end in it,
-as in ``gem_2024060112.json``. The first time does not show it: an answer to ``run=`` begins at the
-run, but one without begins at midnight, or days before with ``past_days=``, and would give away
-rain that fell until the download.
+**Past weather** has ``precipitation`` and the quantities from which evapotranspiration is computed.
+**Previous runs** have ``precipitation_previous_day1`` to 7: for every hour the newest forecast that
+was at least N x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets"). They do not
+contain single runs, and nothing newer than 24 h. So what was known about an hour at some time is
+the value with the smallest N whose age fits. **A run** has ``precipitation`` and
+``precipitation_member01`` ...; the first is the control run. The answer does not name its run, so
+the file's name must end with it, as in ``gem_2024060112.json``. The first time does not reveal it:
+an answer to ``run=`` begins at the run, but one without it begins at midnight, or days earlier with
+``past_days=``, and would reveal rain that fell before the download.
 """
 
 from __future__ import annotations
@@ -83,14 +84,14 @@ from greenroof_ros.formats.quantities import (
 from greenroof_ros.model.site import Site
 
 _OFFSET = "utc_offset_seconds"
-# The service's unit of a variable that the model does not have: all its values are missing.
+# The service's unit for a variable that the model does not have: all its values are missing.
 _NO_UNIT = "undefined"
-# From March 1973 on; fewer digits can be a date.
+# From March 1973 on; with fewer digits it can be a date.
 _UNIX_TIME = re.compile(r"\d{9,10}(\.0*)?", re.ASCII)
-# The header of a section; its line can be quoted.
+# The header of a section; its line may be quoted.
 _SECTION = re.compile(r'"?time"?[,;\t]')
 _SAVED_TIMES = ("time", "datetime", "date")
-# Names of variables that others would not give.
+# Names of variables that other sources would not use.
 _ONLY_ITS_OWN = re.compile(
     r"(temperature|dew_?point|relative_?humidity|wind_?(speed|gusts|direction))_\d+m(?![a-z])"
     r"|soil_[a-z]+_\d|precipitation_(previous_day|member)\d|surface_pressure"
@@ -98,14 +99,14 @@ _ONLY_ITS_OWN = re.compile(
 )
 _SOURCE = "Open-Meteo's hourly files"
 _OTHER_JSON = "is JSON, but no hourly answer of Open-Meteo; from other services download CSV"
-# Keys under which services say what went wrong.
+# Keys under which services state what went wrong.
 _MESSAGES = ("reason", "message", "detail", "description", "error", "title")
 VARIABLES = {
     PRECIPITATION: PRECIPITATION, TEMPERATURE: "temperature_2m", DEW_POINT: "dew_point_2m",
     "wind speed": "wind_speed_10m", "station pressure": "surface_pressure",
     RADIATION: "shortwave_radiation",
 }
-"""The service's variable for each of our quantities."""
+"""the service's variable for each of our quantities"""
 _QUANTITIES = {variable: quantity for quantity, variable in VARIABLES.items()} | {
     "relative_humidity_2m": HUMIDITY,
     # Names before 2023.
@@ -123,7 +124,7 @@ UNITS = {
     RADIATION: (Unit("W/m²"), Unit("W/m2")),
     HUMIDITY: (Unit("%"),),
 }
-"""Units of the service for each quantity; the first is its default."""
+"""the service's units for each quantity; the first is its default"""
 # Height of the wind that is requested and read, wind_speed_10m (m).
 _WIND_HEIGHT_M = 10.0
 # Largest distance of a file's place from the site, and the end of the range: a cell of the coarsest
@@ -133,7 +134,7 @@ _PREVIOUS = re.compile(r"precipitation_previous_day([1-7])")
 _MEMBER = re.compile(r"precipitation(?:_member(\d{2,3}))?")
 # A browser adds " (1)" to the name of a second download.
 _RUN_IN_NAME = re.compile(r"(\d{4})-?(\d\d)-?(\d\d)T?(\d\d)(?:-?00)?(?: ?\(\d+\))?$")
-# The service's longest forecasts, of ensembles, reach 36 days (h).
+# The service's longest forecasts, those of ensembles, reach 36 days (h).
 _MAX_RUN_H = 36 * 24
 _DAY_H = 24
 _JUDGED_ROWS = 1000
@@ -142,7 +143,7 @@ _T = TypeVar("_T")
 
 
 def recognises(head: bytes, /) -> bool:
-    """Return whether a file is JSON, or its first line has names that only the service gives."""
+    """Return whether a file is JSON, or its first line has names that only the service uses."""
     cells = _split_header(head)
     return cells[0].startswith(("{", "[")) or _OFFSET in cells or (
         cells[0] in _SAVED_TIMES and any(map(_ONLY_ITS_OWN.match, cells))
@@ -152,7 +153,7 @@ def recognises(head: bytes, /) -> bool:
 def recognises_forecasts(head: bytes, /) -> bool:
     """Return whether a file is the service's, or a forecast saved with its name ``precipitation``.
 
-    Weather with this name alone can be of any source, which need not have the service's times.
+    Weather with this name alone can be from any source, whose times may mean something else.
     """
     cells = _split_header(head)
     return recognises(head) or (cells[0] in _SAVED_TIMES and any(
@@ -165,7 +166,7 @@ def _split_header(head: bytes) -> list[str]:
     return [cell.strip(' "\r') for cell in re.split("[,;\t]", text.partition("\n")[0])]
 
 
-# --- hours of either ---------------------------------------------------------------------------
+# --- hours of both -----------------------------------------------------------------------------
 
 
 def _read(
@@ -174,14 +175,15 @@ def _read(
     """Return a file's table, and its hours by variable; values are at their time, not yet moved.
 
     Args:
-        file: of one place with hourly values.
-        site: must be near the file's place, if both give theirs.
+        file: file with hourly values for one place.
+        site: site that must be near the file's place, if both state where they are.
         quantity_of: returns the quantity of a variable, or None if it is not needed; raises
             ValueError if it is unknown.
 
     Raises:
-        ConfigurationError: the file is broken or of another place, a time is out of order, a unit
-            is unknown, or too few values are plausible; the message names line or key, and value.
+        ConfigurationError: if the file is broken or for another place, a time is out of order, a
+            unit is unknown, or too few values are plausible; the message names line or key, and
+            value.
     """
     place, table = _read_tables(file)
     if place is None:
@@ -208,7 +210,7 @@ def _read(
         known = {unit.name: unit for unit in UNITS[quantity]}
         text = text.strip("()") or next(iter(known))
         if text not in (*known, _NO_UNIT) or name in columns:
-            raise table.refuse(f"must be in {' or '.join(known)}, and only one column", cell)
+            raise table.refuse(f"must be in {' or '.join(known)}, in one column only", cell)
         if text == _NO_UNIT:
             without_unit.append(cell)
         columns[name] = Column(
@@ -218,7 +220,7 @@ def _read(
     first, values = table.read_hours(table.header[0], columns, parse, "2024-06-01T12:00")
     for cell in without_unit:
         if not columns[cell.partition(" ")[0]].is_empty:
-            raise table.refuse("must be in a unit that is known, since it has values", cell)
+            raise table.refuse("must be in a known unit, since it has values", cell)
     return table, Records(
         (file,), first, values, left_out=tuple(table.notes), places=places,
         wind_height=_WIND_HEIGHT_M,
@@ -226,7 +228,7 @@ def _read(
 
 
 def _read_tables(file: Path) -> tuple[Table | None, Table]:
-    """Return the place of a file, None if it has none, and its hours."""
+    """Return the place of a file (None if it states none), and its hours."""
     if next(filter(str.strip, read_lines(file))).lstrip().startswith(("{", "[")):
         return _read_json_tables(file, read_text(file))
     lines = number_lines(read_lines(file))
@@ -243,7 +245,7 @@ def _read_tables(file: Path) -> tuple[Table | None, Table]:
 
 
 def _parse(parse: Callable[[str, tzinfo], datetime], text: str, zone: tzinfo) -> datetime:
-    """Return a time, which with ``timeformat=unixtime`` is in seconds since 1970 in UTC."""
+    """Return a time; with ``timeformat=unixtime`` it is given in seconds since 1970 in UTC."""
     if _UNIX_TIME.fullmatch(text):
         return parse_unix_time(text).astimezone(zone)
     return parse(text, zone)
@@ -254,9 +256,9 @@ def _select_hours(
 ) -> Iterator[tuple[int, str]]:
     """Return the lines of the hours, from their header on, without other sections.
 
-    The service writes a section each for ``current``, ``minutely_15``, ``hourly`` and ``daily``,
-    as chosen on its page. If none is of hours, it is the first. A download that was appended begins
-    with the lines ``about`` the place again.
+    The service writes one section each for ``current``, ``minutely_15``, ``hourly`` and ``daily``,
+    as chosen on its page. If none of them is hourly, the first one is returned. A download that was
+    appended begins with the lines ``about`` the place again.
     """
     sections: list[list[tuple[int, str]]] = []
     broken: ConfigurationError | None = None
@@ -266,14 +268,14 @@ def _select_hours(
                 place = next(lines, (0, ""))[1]
                 if [line[1].strip(), place.strip()] != [text.strip() for _, text in about]:
                     raise ConfigurationError(
-                        "begins a download of another place or clock: make a file of it",
+                        "begins a download for another place or clock: make it a separate file",
                         file=file, line=line[0],
                     )
                 continue
             if _SECTION.match(line[1]) or not sections:
                 sections.append([])
             sections[-1].append(line)
-    except ConfigurationError as error:  # reported when its line is reached
+    except ConfigurationError as error:  # reported when its line is read
         broken = error
     of_hours = [section for section in sections if _may_be_hours(section[1:_JUDGED_ROWS])]
     yield from itertools.chain.from_iterable(of_hours or sections[:1])
@@ -282,7 +284,7 @@ def _select_hours(
 
 
 def _may_be_hours(rows: Sequence[tuple[int, str]]) -> bool:
-    """Return whether most rows of a section can be hours; wrong times are refused later."""
+    """Return whether most rows of a section can be hours; wrong times are rejected later."""
     if len(rows) < 2:
         return False
     try:
@@ -297,7 +299,7 @@ def _may_be_hours(rows: Sequence[tuple[int, str]]) -> bool:
 
 
 def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
-    """Return the place and the hours of a JSON answer as tables; numbers are text as in CSV."""
+    """Return the place and the hours of a JSON answer as tables, with numbers as text as in CSV."""
     refuse = partial(ConfigurationError, file=file)
     try:
         content = json.loads(text, parse_int=str, parse_float=str, parse_constant=str)
@@ -311,7 +313,7 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
         raise refuse(_OTHER_JSON)
     why = next((content[key] for key in _MESSAGES if isinstance(content.get(key), str)), "")
     if content.get("error") or (why and "hourly" not in content):
-        raise refuse(f"is not a forecast but the service's refusal: {clean_text(why)}")
+        raise refuse(f"is not a forecast but an error message of the service: {clean_text(why)}")
     units, hourly = (content.get(key, {}) for key in ("hourly_units", "hourly"))
     for key, value in (("hourly_units", units), ("hourly", hourly)):
         if not isinstance(value, dict):
@@ -344,10 +346,10 @@ def _write_cell(value: Any, missing: str = "") -> str:
 
 
 def _check_place(place: Table, site: Site) -> timezone:
-    """Refuse a place that is not near the site's, if both are known; return its offset from UTC.
+    """Reject a place that is not near the site's, if both are known; return its offset from UTC.
 
     Raises:
-        ConfigurationError: it is not near, or the place or offset is invalid.
+        ConfigurationError: if it is not near, or the place or offset is invalid.
     """
     row = place.first
     if "location_id" in place.header:
@@ -356,7 +358,7 @@ def _check_place(place: Table, site: Site) -> timezone:
     offset = place.read_number(row, _OFFSET, Range(-43200.0, 50400.0, "s"))  # UTC-12 to UTC+14
     if offset % 3600:
         raise place.refuse(
-            "must be whole hours: the service's data are for whole hours of UTC, and its local "
+            "must be whole hours: the service's data are for whole hours in UTC, and its local "
             "times are not; download the data again in GMT (timezone=GMT)", _OFFSET, row,
         )
     for name, (maximum, end) in _PLACE.items():
@@ -383,15 +385,15 @@ def _check_place(place: Table, site: Site) -> timezone:
 def read_records(file: Path, site: Site, /) -> Records:
     """Read past weather; an empty cell or ``NaN`` is a missing value.
 
-    All of it is of weather models. Precipitation is required; what evapotranspiration is computed
-    from is used if present, and other variables are ignored.
+    All of it is from weather models. Precipitation is required; the quantities from which
+    evapotranspiration is computed are used if present, and other variables are ignored.
 
     Args:
-        file: of one place.
-        site: must be near the file's place, if both give theirs.
+        file: file for one place.
+        site: site that must be near the file's place, if both state where they are.
 
     Raises:
-        ConfigurationError: see :func:`_read`; or a column is missing.
+        ConfigurationError: as for :func:`_read`, or if a column is missing.
     """
     table, records = _read(file, site, _QUANTITIES.get)
     values: dict[str, NDArray[np.float64]] = {}
@@ -402,11 +404,12 @@ def read_records(file: Path, site: Site, /) -> Records:
         table.require_columns([f"{PRECIPITATION} (mm)"], _SOURCE)
     if not records.places:
         records = replace(records, left_out=(*records.left_out, (
-            f"{file.name}: its variables are Open-Meteo's, so its times without an offset are "
-            "taken as UTC"
+            f"{file.name}: its variables are named as in Open-Meteo's files, so times without an "
+            "offset are taken as UTC"
         )))
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
-    # One more hour: the hour before the first time has only rain and radiation, the last neither.
+    # One more hour: the hour before the first time has only rain and radiation, the last has
+    # neither.
     nothing = np.array([math.nan])
     return replace(records, first=records.first - HOUR, rain_kind=REANALYSIS, values={
         quantity: np.concatenate((series, nothing) if quantity in shifted else (nothing, series))
@@ -418,15 +421,15 @@ def read_records(file: Path, site: Site, /) -> Records:
 
 
 def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
-    """Read forecasts: all of previous runs, or one run in each file.
+    """Read forecasts: all files are previous runs, or each file is one run.
 
     Args:
-        files: at least one.
-        site: must be near the place of each file that gives its place.
+        files: at least one file.
+        site: site that must be near the place of every file that states its place.
 
     Raises:
-        ConfigurationError: see :func:`_read`; or the files are of several kinds or models, or lack
-            required values of a run or an hour.
+        ConfigurationError: as for :func:`_read`, or if the files are of several kinds or models, or
+            lack required values of a run or an hour.
     """
     parts, notes = _read_usable(files, lambda file: _read_precipitation(file, site))
     previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]
@@ -439,7 +442,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
         )
     if not all(previous):
         raise ConfigurationError(
-            f"must contain previous runs, as {parts[previous.index(True)].files[0].name} does",
+            f"must contain previous runs, like {parts[previous.index(True)].files[0].name}",
             file=parts[previous.index(False)].source,
         )
     whole = join_records([
@@ -455,12 +458,12 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
 
 
 def _read_usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[_T], list[str]]:
-    """Return what is read from each source that can be used, and a note of each other.
+    """Return what is read from each usable source, and a note about every other one.
 
-    Among thousands of downloads some are the service's refusals, or end too early.
+    Among thousands of downloads, some are error messages of the service, or end too early.
 
     Raises:
-        ConfigurationError: of the first, if none can be used.
+        ConfigurationError: the error of the first source, if none can be used.
     """
     read_ones, errors = [], []
     for source in sources:
@@ -474,7 +477,7 @@ def _read_usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[
 
 
 def _read_precipitation(file: Path, site: Site) -> Records:
-    """Return a file's precipitation by variable, each for the hour that starts at its time."""
+    """Return a file's precipitation by variable; a value is for the hour starting at its time."""
     table, hours = _read(file, site, _find_quantity)
     if not hours.values:
         raise table.refuse(
@@ -498,18 +501,18 @@ def read_run(file: Path, site: Site, issued: datetime) -> IssuedForecast:
     """Read an answer as a forecast whose time of issue is known.
 
     Args:
-        file: of one place.
-        site: must be near it.
-        issued: start of the first hour; earlier hours of the file are left out.
+        file: file for one place.
+        site: site that must be near it.
+        issued: start of the first hour; earlier hours in the file are left out.
 
     Raises:
-        ConfigurationError: see :func:`_read`; or there is no precipitation from then on.
+        ConfigurationError: as for :func:`_read`, or if there is no precipitation from then on.
     """
     return _select_run(_read_precipitation(file, site), issued)
 
 
 def _select_run(hours: Records, run: datetime) -> IssuedForecast:
-    """Return the run of a file; a series without a number is the control, member 0."""
+    """Return the run in a file; a series without a number is the control run, member 0."""
     (file,) = hours.files
     refuse = partial(ConfigurationError, file=file)
     start, rest = divmod(run - hours.first, HOUR)
@@ -518,7 +521,7 @@ def _select_run(hours: Records, run: datetime) -> IssuedForecast:
             f"must have the hour after its run, {to_minutes(run)}; its first time is "
             f"{to_minutes(hours.first + HOUR)}"
         )
-    # Some runs have no control, and a download may lack a member.
+    # Some runs have no control run, and a download may lack a member.
     series = [hours.values[name] for name in sorted(filter(_MEMBER.fullmatch, hours.values))]
     issue = join_members(
         (number, IssuedForecast(run, file, None, member[None, start:]))
@@ -526,7 +529,7 @@ def _select_run(hours: Records, run: datetime) -> IssuedForecast:
     )
     if issue.hours > _MAX_RUN_H:
         raise refuse(
-            f"has {issue.hours} hours; a run has at most {_MAX_RUN_H}. For a longer past "
+            f"has {issue.hours} hours; a run has no more than {_MAX_RUN_H}. For a longer past, "
             "use previous runs, precipitation_previous_day1 and so on"
         )
     known = np.flatnonzero(~np.isnan(issue.rain).all(axis=0))  # NaN beyond the model's horizon
@@ -535,26 +538,26 @@ def _select_run(hours: Records, run: datetime) -> IssuedForecast:
 
 
 def _read_run_time(file: Path) -> datetime:
-    """Return the run at the end of a file's name."""
+    """Return the run with which the file's name ends."""
     with suppress(ValueError):
         if match := _RUN_IN_NAME.search(file.stem):
             year, month, day, hour = map(int, match.groups())
             return datetime(year, month, day, hour, tzinfo=timezone.utc)
     raise ConfigurationError(
-        "its name must end in the run that it holds, such as 2024060112: year, month, day and hour "
-        "in UTC; the file itself does not contain it. For more than one run use previous "
+        "its name must end with the run that it holds, such as 2024060112: year, month, day and "
+        "hour in UTC; the file itself does not state it. For more than one run, use previous "
         "runs, precipitation_previous_day1 and so on", file=file,
     )
 
 
 def _make_issues(previous: Records) -> list[IssuedForecast]:
-    """Return what was known at each 00, 06, 12 and 18 UTC about the following hours, as issues.
+    """Return what was known at 00, 06, 12 and 18 UTC about the following hours, as issues.
 
-    With the lead l (h) from then to an hour's end, that is the value of the smallest N with
+    With the lead l (h) from then to an hour's end, this is the value with the smallest N for which
     24 N >= l that is not missing. An issue ends before the first hour without a known value.
 
     Raises:
-        ConfigurationError: all values are missing, or no issue has a known first hour.
+        ConfigurationError: if all values are missing, or no issue has a known first hour.
     """
     issues = []
     for issued, by_days in _list_windows(previous, ISSUE_HOURS):
@@ -577,11 +580,11 @@ def _make_issues(previous: Records) -> list[IssuedForecast]:
 
 
 def _make_daily(previous: Records) -> list[IssuedForecast]:
-    """Return one issue a day, at 00 UTC, for verification: each hour comes only from its own N.
+    """Return one issue a day, at 00 UTC, for verification: every hour comes only from its own N.
 
-    The hours from 24 (N - 1) to 24 N after it have the values of N, so each value of the file is in
-    exactly one issue, in the day that it stands for; missing values are NaN. In contrast,
-    :func:`_make_issues` uses a value in up to four issues, or replaces it by another N's.
+    The hours from 24 (N - 1) to 24 N after the issue have the values of N, so every value of the
+    file is in exactly one issue, on the day that it stands for; missing values are NaN. In
+    contrast, :func:`_make_issues` uses a value in up to four issues, or replaces it by another N's.
     """
     issues = []
     for issued, by_days in _list_windows(previous, _DAY_H):
@@ -596,7 +599,7 @@ def _list_windows(
 ) -> Iterator[tuple[datetime, NDArray[np.float64]]]:
     """Yield the times of issue, ``every`` hours from 00 UTC on, and the values after each.
 
-    The values have a row for each N up to the maximum, and as many days; NaN if missing.
+    The values have one row for each N up to the maximum, and as many days; NaN if missing.
     """
     days = {int(name[-1]): series for name, series in previous.values.items()}
     maximum = max(days)

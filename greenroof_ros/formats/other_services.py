@@ -1,6 +1,6 @@
 """Files of services that are not read: what they are, and which of their columns to rename.
 
-A service more is a row of :data:`SERVICES`, with a test.
+To add a service, add a row to :data:`SERVICES`, and a test.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ _ENDED = "add the comment '# stamped: end', since each hour ends at its time"
 
 
 class OtherService(NamedTuple):
-    """A kind of file of a service."""
+    """A kind of file from a service."""
 
     name: str
     pattern: str
-    """regular expression of what only its files have in their first lines, in any case"""
+    """regular expression (ignoring case) for text that only its files have in their first lines"""
     columns: Mapping[str, str]
-    """from what to make each column of this project's CSV"""
+    """what to make each column of this project's CSV from"""
     further: str = ""
     """what else to do"""
 
@@ -36,7 +36,7 @@ class OtherService(NamedTuple):
 # measurement interval"; NASA POWER: Hourly API, "precipitation values will be shown in mm/hour",
 # and that rows begin at their hour [assumed]; Météo-France: H_descriptif_champs.csv; NOAA: Local
 # Climatological Data (LCD) Dataset Documentation, Federal Climate Complex Data Documentation for
-# Integrated Surface Data. NOAA, LCD version 2 and GHCNh: units by their users [assumed].
+# Integrated Surface Data. NOAA, LCD version 2 and GHCNh: units according to their users [assumed].
 SERVICES = (
     OtherService(
         "KNMI, hourly values", r"STN,\s*YYYYMMDD,\s*HH?\b",
@@ -61,7 +61,7 @@ SERVICES = (
         _ENDED,
     ),
     OtherService(
-        "MeteoSwiss, of other than hours", r"\b(rre150|tre200|rka150|gre000)\w\d\b", {},
+        "MeteoSwiss, values that are not hourly", r"\b(rre150|tre200|rka150|gre000)\w\d\b", {},
         "hourly values are needed (names end in h0)",
     ),
     OtherService(
@@ -75,7 +75,7 @@ SERVICES = (
         "-999 may stay",
     ),
     OtherService(
-        "NASA POWER, of other than hours", r"NASA/POWER|YEAR,(MO,DY|DOY|PARAMETER)\b", {},
+        "NASA POWER, values that are not hourly", r"NASA/POWER|YEAR,(MO,DY|DOY|PARAMETER)\b", {},
         "hourly values are needed as CSV (temporal/hourly)",
     ),
     OtherService(
@@ -132,16 +132,16 @@ SERVICES = (
         f"keep one NUM_POSTE; {_ENDED}",
     ),
     OtherService(
-        "Météo-France, of other than hours", r"\bNUM_POSTE\b", {},
+        "Météo-France, values that are not hourly", r"\bNUM_POSTE\b", {},
         "hourly values are needed (BASE/HOR)",
     ),
     OtherService(
-        "Deutscher Wetterdienst, of other than hourly rain, temperature, wind or pressure",
+        "Deutscher Wetterdienst, values other than hourly rain, temperature, wind or pressure",
         r"STATIONS_ID\s*[;,]\s*MESS_DATUM", {},
-        "the files that are read are produkt_rr_stunde, tu, td, ff and p0, of hours",
+        "the files that can be read are the hourly produkt_rr_stunde, tu, td, ff and p0",
     ),
 )
-"""The first whose pattern is found names a file."""
+"""the first entry whose pattern is found names the file"""
 
 # A service's message instead of a file: one line of words, without a separator.
 _MESSAGE = re.compile(r"[^,;\t\r\n]*[A-Za-z]{3,}:? [^,;\t\r\n]*", re.ASCII)
@@ -149,10 +149,10 @@ _LINES, _MAX_SHOWN = 100, 80
 
 
 def explain_file(file: Path) -> None:
-    """Refuse a file of a service that is not read, or a message in place of a file.
+    """Reject a file from a service that is not read, or a message in place of a file.
 
     Raises:
-        ConfigurationError: it is one; the message gives its name, and what to do.
+        ConfigurationError: if it is one; the message gives its name, and what to do.
     """
     lines = []
     for line in read_lines(file):
@@ -174,10 +174,10 @@ def explain_file(file: Path) -> None:
         raise ConfigurationError(
             f"is JSON, perhaps a service's message: {first[:_MAX_SHOWN]}", file=file
         )
-    # Of a line alone the first clause is enough.
+    # For a single line, the first clause is enough.
     words = re.split("[,;]", first)[0] if len(lines) == 1 else first
     if _MESSAGE.fullmatch(words) and not first.startswith("#"):
         raise ConfigurationError(
-            f"begins with {first[:_MAX_SHOWN]!r}, which is no header: is it a service's message?",
+            f"begins with {first[:_MAX_SHOWN]!r}, which is not a header: did a service send it?",
             file=file,
         )

@@ -62,12 +62,12 @@ from greenroof_ros.model.site import Site
 
 TIME = "time"
 _WEATHER = [name for name in QUANTITIES if name not in ROOF]
-# Columns of forecasts, by quantity; then the optional ones.
+# Columns of forecasts, by quantity, followed by the optional ones.
 _FORECAST = {
     quantity: f"{quantity} [{QUANTITIES[quantity].unit}]"
     for quantity in (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE)
 }
-# Of a live site's file only the last bytes are read, enough for 100 members of 36 days.
+# Only the last bytes of a live site's file are read, enough for 100 members of 36 days.
 _MAX_BYTES, _CHUNK = 16_000_000, 1_000_000
 _LEVELS = ("level", "cistern level")
 _COLUMN = re.compile(r"([^\[\]]+?)\s*\[([^\[\]]*)\]")
@@ -81,19 +81,19 @@ _OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEM
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows of a file of measurements, which are a regular step apart.
+    """The rows of a file of measurements, at a regular interval.
 
     Attributes:
         table: the file, for messages; its rows have been read.
-        columns: name and unit of each quantity's column.
-        method: of the evapotranspiration among them; empty if there is none.
+        columns: name and unit of every quantity's column.
+        method: method of the evapotranspiration among them; empty if there is none.
         first: start of the first row, with its offset from UTC.
-        steps: of the rows, counted from the first, each once.
-        since: start of each row since the first (s), likewise.
-        values: of each quantity in its unit in :data:`.quantities.QUANTITIES`, likewise; NaN if
-            missing.
-        about: what comments at the head of the file state; see :mod:`.comments`.
-        rain_kind: what they state of the rain.
+        steps: steps of the rows, counted from the first; no step occurs twice.
+        since: start of every row since the first (s), in the same order.
+        values: values of every quantity, in its unit in :data:`.quantities.QUANTITIES` and in the
+            same order; NaN if missing.
+        about: what the comments at the head of the file state; see :mod:`.comments`.
+        rain_kind: what they state about the rain.
     """
 
     table: Table
@@ -116,20 +116,20 @@ def read_rows(
     units, as in ``rain [mm]``: ``time``, and others of :data:`.quantities.QUANTITIES`; ``...
     evapotranspiration [mm/day]`` begins with the name of its method. An amount without ``/`` is the
     sum over its row. Litres and m3 are for the whole roof of area ``a2``. Comments at the head may
-    state what :mod:`.comments` reads. Each further line begins at its ``time``, or with ``stamped:
-    end`` ends there, except levels, which are at the time. It is ISO 8601 with the offset from UTC;
-    without an offset it is a time of the site's clock, by its ``time_zone``, or else its
-    ``utc_offset``. Rows are at a regular step, which may change. An empty cell, or a missing row,
-    is a missing value.
+    state what :mod:`.comments` reads. Every further line begins at its ``time``, or ends there with
+    ``stamped: end``, except for levels, which hold at that time. The time is ISO 8601 with the
+    offset from UTC; without an offset it is a time of the site's clock, according to its
+    ``time_zone``, or else its ``utc_offset``. Rows are at a regular interval, which may change. An
+    empty cell or a missing row is a missing value.
 
     Args:
         file: the file.
-        site: its clock, and the area of its roof.
-        wanted: the quantities that are read; columns of others are left out.
-        stamped: one of :data:`.comments.STAMPS`; by default what a comment states.
+        site: site with the clock and the area of the roof.
+        wanted: the quantities to read; other columns are left out.
+        stamped: one of :data:`.comments.STAMPS`; by default, what a comment states.
 
     Raises:
-        ConfigurationError: the file breaks any of this; the message names the line and value.
+        ConfigurationError: if the file breaks any of these rules; the message names line and value.
     """
     table = _open(file)
     named, method = _find_columns(table)
@@ -140,8 +140,8 @@ def read_rows(
     if (stamped or about.stamped) == END:
         rows, since = _end_at_stamps(rows, since)
         first -= timedelta(seconds=float(rows.durations[0]))
-        notes.append(f"{file.name}: each row ends at its time, and was moved to its start")
-    table = _open(file)  # again: amounts in a row can be judged now that the step is known
+        notes.append(f"{file.name}: each row ends at its time; the time was moved to its start")
+    table = _open(file)  # again: amounts per row can be judged now that the step is known
     read: dict[float, dict[str, Column]] = {}
     for duration_s in np.unique(rows.durations).tolist():
         read[duration_s] = {
@@ -165,8 +165,9 @@ def read_rows(
     steps = rows.steps
     if (np.diff(steps) == 0).any():
         notes.append(
-            f"{file.name}: {np.count_nonzero(np.diff(steps) == 0)} rows are in the step of the row "
-            "before, as after a clock was set; their amounts are added up, other values averaged"
+            f"{file.name}: {np.count_nonzero(np.diff(steps) == 0)} rows are in the same step as "
+            "the row before, as after a clock was set; their amounts are added up, and other "
+            "values averaged"
         )
         steps, begins, counts = np.unique(steps, return_index=True, return_counts=True)
         since, rows = since[begins], rows._replace(steps=steps, durations=rows.durations[begins])
@@ -194,7 +195,7 @@ def _end_at_stamps(rows: RowSteps, since: Values) -> tuple[RowSteps, Values]:
 
 
 def _move_to_next(values: Values, steps: NDArray[np.int64]) -> Values:
-    """Return the value at the start of each step from values at ends; NaN without a row before."""
+    """Return the value at the start of every step from values at ends; NaN if no row is before."""
     moved = np.full(len(values), math.nan)
     follows = np.flatnonzero(np.diff(steps) == 1)
     moved[follows + 1] = values[follows]
@@ -210,7 +211,7 @@ def _open(file: Path) -> Table:
 
 
 def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[str]]:
-    """Return the first time, each row's seconds since 1970, and a note about the clock."""
+    """Return the first time, the seconds since 1970 of all rows, and a note about the clock."""
     has_clock = site.time_zone is not None or site.utc_offset is not None
     zone = site.zone if has_clock else None
     seconds = array("d")
@@ -219,13 +220,13 @@ def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[
     for row in table.rows:
         time = table.read_time(
             row, TIME, zone=zone, before=before,
-            hint="; if it is of a clock, give the site file its time_zone, such as "
+            hint="; if it is read from a local clock, set time_zone in the site file, such as "
             "America/Toronto, or Etc/GMT+5 for UTC-5 without daylight saving time",
         )
         if before is not None and time <= before:
             raise table.refuse(
                 "must be later than the time of the row before; if the clock has daylight saving "
-                "time, give the site file its time_zone, or write times in UTC, such as "
+                "time, set time_zone in the site file, or write times in UTC, such as "
                 "2015-06-01T14:05Z", TIME, row,
             )
         first, before = first or time, time
@@ -234,14 +235,14 @@ def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[
     notes = []
     if site.time_zone is None and parse_time(table.cell(table.first, TIME)).tzinfo is None:
         notes.append(
-            f"{table.file.name}: its times are taken as UTC{first:%z}, utc_offset of the site "
-            "file; if its clock has daylight saving time, give the site file its time_zone"
+            f"{table.file.name}: its times are taken as UTC{first:%z}, the utc_offset of the site "
+            "file; if its clock has daylight saving time, set time_zone in the site file"
         )
     return first, seconds, notes
 
 
 def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
-    """Return each quantity's column and unit, and the method of evapotranspiration."""
+    """Return the column and unit of every quantity, and the method of evapotranspiration."""
     if table.header[0] != TIME:
         explain_file(table.file)
         raise table.refuse(f"the first column must be '{TIME}'", table.header[0])
@@ -261,7 +262,7 @@ def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
         if unit not in units:
             raise table.refuse(f"the unit of {name} must be [{'] or ['.join(units)}]", column)
         if quantity in columns:
-            raise table.refuse(f"there is a column of {quantity} before this one", column)
+            raise table.refuse(f"an earlier column already has {quantity}", column)
         columns[quantity] = column, unit
         if quantity == EVAPOTRANSPIRATION:
             method = name.removesuffix(EVAPOTRANSPIRATION).strip() or "unnamed"
@@ -271,13 +272,13 @@ def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
 def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Records:
     """Read a weather file; see :func:`read_rows`.
 
-    Each row is the hour that starts at its time. Of rows less than an hour apart, rain is kept
-    minute by minute, and the rain of an hour is the mean of its minutes; it is missing with less
-    than 0.75 of them. Other quantities are averaged by the hours of the clock in which rows begin,
-    apart from a clock's error.
+    Each row is the hour that starts at its time. From rows less than an hour apart, rain is kept
+    minute by minute, and the rain of an hour is the mean of its minutes; it is missing if less than
+    0.75 of them are known. Other quantities are averaged over the clock hours in which rows begin,
+    allowing for the clock's error.
 
     Raises:
-        ConfigurationError: its step is more than an hour; or see :func:`read_rows`.
+        ConfigurationError: if its step is longer than an hour; or as for :func:`read_rows`.
     """
     rows = read_rows(file, site, _WEATHER, stamped)
     steps, first, values, minutes = rows.steps, rows.first, rows.values, None
@@ -286,7 +287,7 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
     if steps.step_s >= 3600:
         if steps.step_s != 3600 or (durations_h % 1).any():
             raise rows.table.refuse(
-                f"the rows are {duration(steps.step_s)} apart; they must be an hour apart, or less"
+                f"the rows are {duration(steps.step_s)} apart; more than an hour is not allowed"
             )
         hours = steps.steps
         first = _round_first(first, steps)
@@ -311,8 +312,8 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
             values[PRECIPITATION] = average_minutes(minutes)
         notes.append(
             f"{file.name}: rows are {' and '.join(duration(3600 * each) for each in durations_h)} "
-            "apart: their rain is simulated as it is, to the minute; other quantities are means of "
-            "hours"
+            "apart: their rain is simulated as recorded, to the minute; other quantities are "
+            "means of hours"
         )
     if steps.changes:
         notes.append(
@@ -340,24 +341,24 @@ def _round_first(first: datetime, steps: RowSteps) -> datetime:
 
 
 def _round_begins(first_s: float, steps: RowSteps) -> Values:
-    """Return the starts of rows since the first hour (s), of whole minutes to the minute.
+    """Return the starts of rows since the first hour (s), rounded if rows are whole minutes.
 
     Args:
         first_s: start of the first row since the first hour (s).
-        steps: of the rows.
+        steps: steps of the rows.
     """
     begins = np.asarray(first_s - steps.late + steps.steps * steps.step_s)
     return begins if steps.step_s % 60 else 60 * np.round(begins / 60)
 
 
 def _spread_over_minutes(rain: Values, begins: Values, durations: Values, hours: int) -> Values:
-    """Return the mean rain of each minute, NaN where no row is, shape (hours, 60).
+    """Return the mean rain in every minute, NaN where there is no row, shape (hours, 60).
 
     Args:
-        rain: of the rows (mm/h), NaN if missing.
+        rain: rain in the rows (mm/h), NaN if missing.
         begins: starts of the rows since the first hour (s).
-        durations: of the rows (s).
-        hours: their number.
+        durations: durations of the rows (s).
+        hours: number of hours.
     """
     known = ~np.isnan(rain)
     edges = np.stack((begins, begins + durations), axis=1)[known].ravel()
@@ -376,12 +377,12 @@ def _spread_over_minutes(rain: Values, begins: Values, durations: Values, hours:
 def _average_hours(
     series: Values, hours: NDArray[np.intp], weights: Values, count: int
 ) -> Values:
-    """Return the mean of each hour's rows, shape (count,); NaN if there are none.
+    """Return the mean of every hour's rows, shape (count,); NaN if it has none.
 
     Args:
         series: values of the rows, NaN if missing.
-        hours: of the rows.
-        weights: of the rows.
+        hours: hours of the rows.
+        weights: weights of the rows.
         count: number of hours.
     """
     known = ~np.isnan(series)
@@ -390,25 +391,25 @@ def _average_hours(
     lowest, highest = np.full((2, count), [[math.inf], [-math.inf]])
     np.minimum.at(lowest, hours, series)
     np.maximum.at(highest, hours, series)
-    # Tenths do not add up exactly in binary numbers; the mean of equal values is their value.
+    # Tenths do not add up exactly in binary numbers; the mean of equal values is that value.
     means = np.round(total / np.where(weight > 0, weight, 1.0), 9)
     return np.where(weight > 0, np.where(lowest == highest, lowest, means), np.nan)
 
 
 def _find_longest_step(minutes: Values) -> int:
-    """Return the longest rows (min) that hold the rain of each minute, shape (hours, 60)."""
+    """Return the longest rows (min) that can hold the rain of every minute, shape (hours, 60)."""
     changes = np.diff(np.nan_to_num(minutes, nan=-1.0), axis=1).any(axis=0)
     return math.gcd(minutes.shape[1], *(1 + np.flatnonzero(changes)).tolist())
 
 
 def write_records(records: Records, about: str) -> str:
-    """Return records as the text of a file, which :func:`read_records` reads bit for bit.
+    """Return records as the text of a file, which :func:`read_records` reads back bit for bit.
 
-    With rain by the minute, rows are the longest that hold it; other values are in the first row of
-    their hour.
+    If rain is known by the minute, rows are the longest that can hold it; other values are in the
+    first row of their hour.
 
     Args:
-        records: hours of one place; gaps are empty cells.
+        records: hours of one place; gaps become empty cells.
         about: the first comment, of one or more lines.
     """
     head = []
@@ -453,30 +454,30 @@ def write_records(records: Records, about: str) -> str:
 
 
 def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
-    """Read files in this format; issues are known from their arrival, or else time of issue."""
+    """Read files in this format; an issue is known from its arrival, or else its time of issue."""
     issues = [issue for file in files for issue in read_forecasts(file)]
     return Archive(files[0], "own format", issues, 0.0, issues)
 
 
 def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForecast]:
-    """Read a file of forecasts, one issue after the other.
+    """Read a file of forecasts, one issue after another.
 
     Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
-    ``available`` if the time of its arrival is known, ``time``, then ``member`` if there is more
-    than one forecast per issue, ``precipitation [mm/h]``, and ``evapotranspiration [mm/day]`` and
-    ``temperature [degC]`` if the file has them (only member 0's values are used). Each further line
-    is the hour that starts at its ``time``, as forecast at ``issued`` (ISO 8601 with the offset
-    from UTC). The hours of each issue and member are consecutive, and the first starts with the
-    issue. All issues have the members 0, 1, 2 and so on. What is missing is mended, see
+    ``available`` if the time of arrival is known, ``time``, then ``member`` if there is more than
+    one forecast per issue, ``precipitation [mm/h]``, and ``evapotranspiration [mm/day]`` and
+    ``temperature [degC]`` if the file has them (only member 0's values are used). Every further
+    line is the hour that starts at its ``time``, as forecast at ``issued`` (ISO 8601 with the
+    offset from UTC). The hours of every issue and member are consecutive, and the first starts with
+    the issue. All issues have the members 0, 1, 2 and so on. What is missing is filled in; see
     :func:`greenroof_ros.formats.forecasts.mend_forecast`.
 
     Args:
-        path: of the file.
+        path: path of the file.
         now: if given, only the newest issue at this time and later ones are read, and no more than
             the last 16 MB of the file: a live site needs no others.
 
     Raises:
-        ConfigurationError: the file breaks any of this; the message names the line and value.
+        ConfigurationError: if the file breaks any of these rules; the message names line and value.
     """
     table = read_table(path, None if now is None else _select_newest(path, now))
     columns = ["issued", "available", "time", "member", *_FORECAST.values()]
@@ -486,12 +487,12 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
         f"; they are {', '.join(map(repr, columns))}; {', '.join(optional)} may be left "
         "out",
     )
-    # Rows by issue, with its arrival, and member.
+    # Rows by issue (with its arrival) and member.
     rows_of: dict[tuple[datetime, datetime | None], dict[float, list[int]]] = {}
     lines: dict[tuple[datetime, datetime | None], int | None] = {}
     arrivals, members = ("available" in table.header, "member" in table.header)
     read = {
-        quantity: Column(table, column, quantity, rules=())  # of several issues and members
+        quantity: Column(table, column, quantity, rules=())  # for several issues and members
         for quantity, column in _FORECAST.items() if column in table.header
     }
     for row in table.rows:
@@ -505,16 +506,16 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
             )
         if issued < last:
             raise table.refuse(
-                f"must not be before {to_minutes(last)}, the issue above: issues must be in order "
-                "of time", "issued", row,
+                f"must not be before {to_minutes(last)}, the previous issue: issues must be in "
+                "order of time", "issued", row,
             )
         lines.setdefault((issued, available), row.line)
         rows = rows_of.setdefault((issued, available), {}).setdefault(member, [])
         expected = issued + len(rows) * HOUR
         if time != expected:
             raise table.refuse(
-                f"must be {to_minutes(expected.astimezone(time.tzinfo))}: each forecast, from its "
-                "issue on, must have consecutive hours, without gap or repetition", "time", row,
+                f"must be {to_minutes(expected.astimezone(time.tzinfo))}: every forecast must have "
+                "consecutive hours from its issue on, without gap or repetition", "time", row,
             )
         rows.append(row.number)
         for column in read.values():
@@ -543,7 +544,7 @@ def _select_newest(path: Path, now: datetime) -> list[tuple[int, str]]:
     """Return the header, and the numbered lines of the newest issue at a time and of later ones.
 
     Raises:
-        ConfigurationError: the file cannot be read, or its last issue is too long.
+        ConfigurationError: if the file cannot be read, or its last issue is too long.
     """
     if not path.is_file() or path.stat().st_size <= _MAX_BYTES:
         lines = [*number_lines(read_lines(path))]
@@ -559,13 +560,13 @@ def _select_newest(path: Path, now: datetime) -> list[tuple[int, str]]:
             if parse_time(issued.strip(' "')) > now:
                 break
         except (TypeError, ValueError):
-            break  # the table's error names the line
+            break  # the error of the table names the line
         first = at
     return lines[:1] + lines[first:]
 
 
 def _read_last_lines(path: Path) -> list[tuple[int, str]]:
-    """Return the header of a large file, and the numbered lines of the last whole issues."""
+    """Return the header of a large file, and the numbered lines of its last complete issues."""
     with path.open(encoding="utf-8-sig", errors="replace") as stream:
         header = next(number_lines(stream))
     tail, skipped = path.stat().st_size - _MAX_BYTES, 0
@@ -586,10 +587,10 @@ def _read_last_lines(path: Path) -> list[tuple[int, str]]:
 
 
 def write_forecasts(issues: Sequence[IssuedForecast]) -> str:
-    """Return issues as the text of a file, which :func:`read_forecasts` reads bit for bit.
+    """Return issues as the text of a file, which :func:`read_forecasts` reads back bit for bit.
 
     Args:
-        issues: of an archive, in order of time, all with the quantities of the first.
+        issues: issues of an archive, in order of time, all with the quantities of the first.
     """
     quantities = [PRECIPITATION] + [
         name for name in (EVAPOTRANSPIRATION, TEMPERATURE) if getattr(issues[0], name) is not None

@@ -13,18 +13,18 @@ DEW_POINT = "dew point"
 PRESSURE = "station pressure"
 
 FOR_EVAPOTRANSPIRATION = (TEMPERATURE, DEW_POINT, "wind speed", PRESSURE)
-"""What evapotranspiration is computed from, if it is not given."""
+"""the quantities from which evapotranspiration is computed, if it is not given"""
 
 
 class Unit(NamedTuple):
-    """A unit of a file, expressed in our unit: theirs = ours * per_ours + zero."""
+    """A unit in a file, expressed in ours: theirs = ours * per_ours + zero."""
 
     name: str
-    """as the file writes it"""
+    """name of the unit in the file"""
     per_ours: float = 1.0
-    """how many of it equal one of ours; 10 for hPa if ours is kPa"""
+    """how many of it make one of ours; 10 for hPa if ours is kPa"""
     zero: float = 0.0
-    """its value at 0 of ours; 32 for degF"""
+    """its value where ours is 0; 32 for degF"""
 
 
 class Quantity(NamedTuple):
@@ -34,24 +34,24 @@ class Quantity(NamedTuple):
     low: float
     high: float
     nearly: float = 0.0
-    """How far outside its range a value is set to the end of the range.
+    """How far outside its range a value may be to be moved to the end of the range.
 
-    Models round, and interpolate below 0: rain of -0.1 mm and radiation of -0.3 W/m2 are seen. A
+    Models round, and interpolate below 0: rain of -0.1 mm and radiation of -0.3 W/m2 occur. A
     pyranometer has an offset of up to 15 W/m2 at night (ISO 9060, first class). Dew is negative
-    evapotranspiration, of at most some 0.1 mm/h. A humidity sensor is off by up to 5 %, and a flow
+    evapotranspiration, of up to about 0.1 mm/h. A humidity sensor is off by up to 5 %, and a flow
     meter has a zero error.
     """
     units: tuple[str, ...] = ()
-    """of a column in this project's CSV, besides our own"""
+    """units of a column in this project's CSV, besides our own"""
 
     @property
     def is_water(self) -> bool:
-        """Whether it is a depth of water in a time."""
+        """Whether it is a depth of water per time."""
         return self.unit.startswith("mm/")
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """All units of a column in this project's CSV."""
+        """All units that a column in this project's CSV may have."""
         return self.unit, *self.units
 
 
@@ -59,7 +59,7 @@ _LENGTHS = ("cm", "mm")
 _WATER = ("mm", "l", "l/s", "m3/h")
 
 # A value above the world record of an hour's rain, or of a day's evapotranspiration, shows a wrong
-# unit. No roof gives back more than its rain. The minimum level allows for a sensor's zero error.
+# unit. No roof returns more than its rain. The minimum level allows for a sensor's zero error.
 QUANTITIES: dict[str, Quantity] = {
     PRECIPITATION: Quantity("mm/h", 0.0, 500.0, 0.5, ("mm",)),
     EVAPOTRANSPIRATION: Quantity("mm/day", 0.0, 50.0, 2.5, ("mm/h", "mm")),
@@ -81,20 +81,20 @@ ROOF = (
     "minimum temperature", "maximum temperature", "runoff", "pumped", "level", "cistern level",
     "pump state",
 )
-"""The quantities that only a measured roof has; weather is the others."""
+"""the quantities that only a measured roof has; the others are weather"""
 
-# The maximum of water in rows shorter than an hour (mm/h): 31.2 mm fell in a minute at Unionville
-# in 1956 (WMO).
+# The maximum amount of water in rows shorter than an hour (mm/h): 31.2 mm fell in a minute at
+# Unionville in 1956 (WMO).
 _MAX_SHORT_WATER = 1900.0
-# How many of a unit equal one of ours, of units that are no amounts of water.
+# How many of a unit make one of ours, for units that are not amounts of water.
 _PER_OURS = {"cm": 100.0, "mm": 1000.0, "%": 100.0, "1": 0.01, "m/s": 1 / 3.6}
 _HOURS = {"s": 1 / 3600, "h": 1.0, "day": 24.0}
 
 
 def find_plausible(quantity: str, step_h: float, unit: Unit) -> Quantity:
-    """Return a quantity with its plausible values in rows a step (h) apart.
+    """Return a quantity with its plausible values for rows that are a step (h) apart.
 
-    In short rows more can fall, and what sums over a row are off by is a larger rate.
+    In short rows, more rain can fall per hour, and the error of a row's sum is a larger rate.
     """
     found = QUANTITIES[quantity]
     if step_h < 1 and is_amount(quantity, unit):
@@ -105,7 +105,7 @@ def find_plausible(quantity: str, step_h: float, unit: Unit) -> Quantity:
 
 
 def is_amount(quantity: str, unit: Unit) -> bool:
-    """Return whether a unit of water is the sum over a row, not a rate."""
+    """Return whether a unit of water is the sum over a row rather than a rate."""
     return QUANTITIES[quantity].is_water and "/" not in unit.name
 
 
@@ -113,10 +113,10 @@ def find_unit(quantity: str, name: str, step_h: float, area: float) -> Unit:
     """Return a unit of a column in this project's CSV.
 
     Args:
-        quantity: of the column.
-        name: of the unit, one of the quantity's :attr:`Quantity.columns`.
+        quantity: quantity of the column.
+        name: name of the unit, one of the quantity's :attr:`Quantity.columns`.
         step_h: time between rows (h), over which an amount without ``/`` is summed.
-        area: of the roof (m2), for litres and m3.
+        area: area of the roof (m2), for litres and m3.
     """
     ours = QUANTITIES[quantity].unit
     if name == ours:

@@ -17,11 +17,11 @@ from greenroof_ros.formats.hourly import Records
 from greenroof_ros.model.site import Site
 
 SUFFIXES = (".csv", ".json")
-"""Suffixes of files of forecasts; the format is recognised by the content."""
+"""suffixes of forecast files; the format is recognised from the content"""
 _HEAD_BYTES = 4096
 
-# The first format that recognises a file by its first bytes reads it. None recognises the last,
-# own CSV: its errors state what is expected.
+# The first format that recognises a file from its first bytes reads it. The last one, own CSV,
+# recognises nothing: its errors state what is expected.
 _WEATHER_NAMES = {
     eccc: "Environment and Climate Change Canada", open_meteo: "Open-Meteo",
     dwd: "Deutscher Wetterdienst", own_csv: "own CSV",
@@ -35,12 +35,12 @@ def read_records(file: Path, site: Site, stamped: str | None = None) -> Records:
 
     Args:
         file: the file.
-        site: its place and clock.
-        stamped: what the time of a row in this project's format is; see
+        site: place and clock.
+        stamped: what the time of a row in this project's format means; see
             :func:`.own_csv.read_rows`.
 
     Raises:
-        ConfigurationError: the file does not follow its format, or is too large.
+        ConfigurationError: if the file does not follow its format, or is too large.
     """
     form = _find_format(file, _WEATHER)
     if form is own_csv:
@@ -53,7 +53,7 @@ def name_format(file: Path) -> str:
     """Return the name of a weather file's format, for people.
 
     Raises:
-        ConfigurationError: the file cannot be read.
+        ConfigurationError: if the file cannot be read.
     """
     return _WEATHER_NAMES[_find_format(file, _WEATHER)]
 
@@ -62,18 +62,18 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
     """Read an archive of forecasts.
 
     An issue is known once it is available, which is hours after its nominal time, because its run
-    must be computed and distributed. The nominal time is the time of its observations, at which its
-    first hour begins.
+    must be computed and distributed. The nominal time is the time of the run's observations, at
+    which its first hour begins.
 
     Args:
-        source: a file, or a directory of files of one format.
-        site: the archive's place must be near it, if the archive gives its place.
-        delay: time after its nominal time from which an issue is known (h); by default the usual
-            one of its kind.
+        source: a file, or a directory of files in one format.
+        site: site that must be near the archive's place, if the archive states its place.
+        delay: time after the nominal time from which an issue is known (h); by default, the usual
+            one for its kind.
 
     Raises:
-        ConfigurationError: a file does not follow its format, the files have several formats, an
-            issue occurs twice, or issues differ in having evapotranspiration.
+        ConfigurationError: if a file does not follow its format, the files have several formats, an
+            issue occurs twice, or only some issues have evapotranspiration.
     """
     files = [source]
     if source.is_dir():
@@ -107,13 +107,14 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
 
 
 def _equalise_members(issues: Sequence[IssuedForecast]) -> tuple[list[IssuedForecast], list[str]]:
-    """Return issues that all have equally many members, and notes of what was left out.
+    """Return issues that all have the same number of members, and notes on what was left out.
 
-    An issue that was downloaded twice is kept once. Where an issue has fewer members, all
-    have as few, unless it would be less than half: then that issue is left out.
+    An issue that was downloaded twice is kept once. If one issue has fewer members, all are reduced
+    to that number, unless this would be less than half: then that issue is left out.
 
     Raises:
-        ConfigurationError: an issue repeats one with other values, or has a different form.
+        ConfigurationError: if an issue repeats another one with other values, or has a different
+            form.
     """
     alike = list(issues[:1])
     notes = []

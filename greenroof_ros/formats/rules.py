@@ -1,12 +1,13 @@
 """What is implausible in measurements: one list of rules, for weather and for roofs.
 
 The weather command, runs, studies and calibration share it. A rule yields a sentence for each thing
-that it finds; it finds nothing in a record that lacks its columns. A new rule is a function, a row
-of :data:`RULES` and a test. What a single cell may hold, :mod:`.cells` and :mod:`.quantities` tell.
+that it finds; it finds nothing in a record that lacks its columns. To add a rule, add a function, a
+row of :data:`RULES` and a test. What a single cell may hold is defined in :mod:`.cells` and
+:mod:`.quantities`.
 
 The bounds separate the records of two roofs (Neubrandenburg 2014 and 2015, Berlin 2019, April to
 October, in windows of 30 to 100 days) from the same records with a wrong unit, a shifted clock or a
-broken sensor. Bounds for levels do so with simulated levels of these roofs.
+broken sensor. The bounds for levels do the same with simulated levels of these roofs.
 """
 
 from __future__ import annotations
@@ -49,18 +50,18 @@ class Rule(NamedTuple):
     find: Callable[[StepRecord, Site], Iterator[str]]
     """yields a sentence for each implausible thing"""
     refuses: bool = False
-    """whether a record is refused in which it finds something; otherwise its sentences warn"""
+    """whether a record in which it finds something is rejected; otherwise its sentences warn"""
 
 
 def check_steps(record: StepRecord, site: Site) -> list[str]:
     """Return what is implausible in a record, each in a sentence.
 
     Args:
-        record: the measurements; those that do not count are left out of it.
-        site: its roof and place.
+        record: the measurements, without those that do not count.
+        site: site with the roof and its place.
 
     Raises:
-        ConfigurationError: a rule refuses it.
+        ConfigurationError: if a rule rejects it.
     """
     warnings = []
     for rule in RULES:
@@ -74,7 +75,7 @@ def check_steps(record: StepRecord, site: Site) -> list[str]:
 def check_hours(records: Records, site: Site, hours: range) -> list[str]:
     """Return what is implausible in some hours of weather; see :func:`check_steps`.
 
-    A place that the records give counts more than the site's.
+    A place given by the records takes precedence over the site's.
     """
     for latitude, longitude in [*records.places.values()][:1]:
         site = replace(site, latitude=latitude, longitude=longitude)
@@ -94,21 +95,21 @@ def check_hours(records: Records, site: Site, hours: range) -> list[str]:
 
 # --- units ----------------------------------------------------------------------------------------
 
-# More rain than falls in most places on earth in a week or longer (mm a day).
+# More rain than falls almost anywhere on earth in a week or longer (mm a day).
 _MAX_A_DAY, _MIN_DAYS = 60.0, 7.0
-# More evapotranspiration than any day has (mm). Alfalfa, with 1.15 times the evapotranspiration of
-# grass, had 14 mm, weighed, on the windiest days of four years in Texas (Evett, Howell, Todd,
+# More evapotranspiration than on any day (mm). Alfalfa, with 1.15 times the evapotranspiration of
+# grass, had 14 mm, by weighing, on the windiest days of four years in Texas (Evett, Howell, Todd,
 # Schneider and Tolk, Alfalfa reference ET measurement and prediction, 4th Decennial National
 # Irrigation Symposium, 2000).
 _MAX_EVAPORATED = 20.0
-# Less movement of a level (m) than any roof has in 20 mm of water.
+# Less movement of a level (m) than any roof shows in 20 mm of water.
 _MIN_MOVEMENT = 0.002
-# Dew point less temperature (K) in the median, which errors of sensors explain.
+# Median of dew point minus temperature (K) that sensor errors can explain.
 _MAX_ABOVE = 1.0
 
 
 def find_much_rain(record: StepRecord, _site: Site) -> Iterator[str]:
-    """Find more rain and pumped water than a place gets in weeks."""
+    """Find more rain and pumped water than a place can have in weeks."""
     days = float(np.count_nonzero(~np.isnan(record.rain))) * record.step_s / DAY_S
     water, limit = float(record.water.sum()), _MAX_A_DAY * max(days, _MIN_DAYS)
     if water > limit:
@@ -119,7 +120,7 @@ def find_much_rain(record: StepRecord, _site: Site) -> Iterator[str]:
 
 
 def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
-    """Find evapotranspiration, levels and dew points that are nowhere."""
+    """Find evapotranspiration, levels and dew points that occur nowhere."""
     amounts = []
     if record.reference_column:
         _, day = np.unique(record.seconds // DAY_S, return_inverse=True)
@@ -136,34 +137,34 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
         ]
     for column, what, value, low, high in amounts:
         if value < low or value > high:
-            bound = f"at most {high:.4g}" if value > high else f"at least {low:.4g}"
+            bound = f"no more than {high:.4g}" if value > high else f"at least {low:.4g}"
             yield (
                 f"{column}: is {value:.3g} {what}; it must be {bound}: is the unit of the column "
                 "right, and those of the others?"
             )
 
 
-# The mean of the hours with rain (mm), in so many of them: at most 5.9 in months of eleven years at
-# Toronto, so 8 elsewhere [assumed]; tenths of a millimetre make ten times as much. In so many hours
-# the wettest has less than 1 mm only if the unit is wrong, or if amounts of rows are in a column of
-# rates.
+# The mean of the hours with rain (mm), over this many of them: up to 5.9 in months of eleven years
+# at Toronto, so 8 elsewhere [assumed]; tenths of a millimetre make it ten times as much. In this
+# many hours, the wettest has less than 1 mm only if the unit is wrong, or if amounts per row are in
+# a column of rates.
 _MAX_MEAN_WET, _FEW_WET = 8.0, 20
 _MIN_WETTEST, _MANY_WET = 1.0, 100
-# Reference evapotranspiration is between these shares of what the sun's energy outside of the
-# atmosphere could evaporate, in so many days with so much of it (mm) [assumed]; in mm/h in a column
-# of mm/day it would be a twenty-fourth.
+# Reference evapotranspiration is between these shares of what the sun's energy outside the
+# atmosphere could evaporate, in this many days with this much of it (mm) [assumed]; mm/h in a
+# column of mm/day would be a twenty-fourth.
 _OF_ENERGY, _MIN_ENERGY_DAYS, _MIN_ENERGY = (0.03, 1.0), 1, 1.0
-# Radiation at the ground is 0.25 of that outside of the atmosphere under clouds, 0.75 without them
-# (FAO-56, Eq. 35), so the clearest of so many days has a share between these; J/cm2 in an hour make
-# 0.36 of W/m2.
+# Radiation at the ground is 0.25 of that outside the atmosphere under clouds, 0.75 without them
+# (FAO-56, Eq. 35), so the clearest of this many days has a share between these; J/cm2 in an hour
+# make 0.36 of W/m2.
 _CLEAREST, _CLEAREST_DAYS = (0.3, 1.0), 10
-# The warmest places have less than this median (degC) under so much sun (MJ/m2 a day) [assumed];
-# where it is 2 degC in winter, degF are above.
+# The warmest places have a median below this (degC) under this much sun (MJ/m2 a day) [assumed];
+# where it is 2 degC in winter, degF would be above it.
 _WARMEST, _WARMEST_PER_MJ = 18.0, 0.6
 
 
 def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
-    """Find rain in another unit, or of other spans than its rows."""
+    """Find rain in another unit, or over periods other than its rows."""
     if record.step_s > HOUR_S:
         return
     rain = np.nan_to_num(record.rain if record.all_rain is None else record.all_rain)
@@ -172,7 +173,7 @@ def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
     mean = float(wet.mean()) if wet.size else 0.0
     if wet.size >= _FEW_WET and mean > _MAX_MEAN_WET:
         yield (
-            f"rain is {mean:.3g} mm in the mean of its {wet.size} wet hours; more than "
+            f"rain has a mean of {mean:.3g} mm in its {wet.size} wet hours; more than "
             f"{_MAX_MEAN_WET:g} is rare: is it in tenths of a millimetre?"
         )
     if wet.size >= _MANY_WET and float(wet.max()) < _MIN_WETTEST:
@@ -182,7 +183,7 @@ def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
         )
     if wet.size >= _FEW_WET and (wet % 1 == 0).all() and wet.max() > 1:
         yield (
-            f"rain is whole millimetres in each of its {wet.size} wet hours: is it a number of "
+            f"rain is a whole number of millimetres in all {wet.size} wet hours: is it a number of "
             "tips, or in tenths of a millimetre?"
         )
     for what, at in (
@@ -190,12 +191,12 @@ def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
     ):
         every = int(np.gcd.reduce(np.diff(at))) if len(at) >= _FEW_WET else 1
         if every > 1:
-            yield f"rain {what} only every {every} h: is each value the total of {every} hours?"
+            yield f"rain {what} only every {every} h: is each value the total over {every} hours?"
             break
 
 
 def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
-    """Find evapotranspiration, radiation and temperature that do not go with the sun's energy."""
+    """Find evapotranspiration, radiation and temperature that do not fit the sun's energy."""
     if site.latitude is None:
         return
     days, day = np.unique(record.seconds // DAY_S, return_inverse=True)
@@ -213,11 +214,11 @@ def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
         radiation = np.bincount(day, record.radiation)[sunny] * record.step_s / 1e6
         amounts.append((
             RADIATION, np.fmax.reduce(radiation / energy),
-            "of the sun's outside of the atmosphere on the clearest day", *_CLEAREST,
+            "of the sun's outside the atmosphere on the clearest day", *_CLEAREST,
         ))
     if record.temperature is not None and count >= _MIN_ENERGY_DAYS:
         amounts.append((
-            TEMPERATURE, _find_median(record.temperature), "degC in the median under this sun",
+            TEMPERATURE, _find_median(record.temperature), "degC as a median under this sun",
             -math.inf, _WARMEST + _WARMEST_PER_MJ * energy.mean(),
         ))
     for column, value, what, low, high in amounts:
@@ -226,13 +227,13 @@ def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
             yield f"{column} is {value:.3g} {what}; {bound} is rare: is the unit right?"
 
 
-# No air has its dew point above its temperature, by more than errors of sensors (K) in so many of
-# its hours; at saturation, vapour pressure in hPa is 2 or more above the temperature in degC. In
-# kPa it stays between 0 and 4.5 up to a dew point of 31 degC. A dew point does not in so many
+# The dew point of air does not exceed its temperature by more than sensor errors (K) in this many
+# hours; at saturation, the vapour pressure in hPa exceeds the temperature in degC by 2 or more. In
+# kPa it stays between 0 and 4.5 up to a dew point of 31 degC. A dew point does not in this many
 # hours: in ten days of twelve years at Toronto it moved by 4.3 K or more.
 _MAX_SATURATED, _VAPOUR_KPA, _DEW_HOURS = 0.05, 4.5, 240
-# No town has a median wind of this (km/h) in so many hours [assumed]; at Toronto it is at most 34
-# in ten days. The numbers of a wind in km/h are 3.6 times those in m/s.
+# No town has a median wind of this (km/h) in this many hours [assumed]; at Toronto it is no more
+# than 34 in ten days. Numbers of a wind in km/h are 3.6 times those in m/s.
 _WINDIEST, _WIND_HOURS = 43.0, 240
 
 
@@ -245,7 +246,7 @@ def find_unlike_air(record: StepRecord, _site: Site) -> Iterator[str]:
             if saturated > _MAX_SATURATED * dew_point.size:
                 yield (
                     f"{DEW_POINT} is more than {_MAX_ABOVE:g} K above the temperature in "
-                    f"{saturated} rows: is it vapour pressure, or of another place?"
+                    f"{saturated} rows: is it vapour pressure, or from another place?"
                 )
         if len(dew_point) * record.step_s >= _DEW_HOURS * HOUR_S and (
             dew_point.min() >= 0 and dew_point.max() <= _VAPOUR_KPA
@@ -259,7 +260,7 @@ def find_unlike_air(record: StepRecord, _site: Site) -> Iterator[str]:
         median = _find_median(record.wind)
         if hours >= _WIND_HOURS and median > _WINDIEST:
             yield (
-                f"wind speed is {median:.3g} km/h in the median; more than {_WINDIEST:g} is rare: "
+                f"wind speed has a median of {median:.3g} km/h; more than {_WINDIEST:g} is rare: "
                 "is the unit right?"
             )
 
@@ -269,23 +270,23 @@ def _find_median(series: Values) -> float:
     return float(np.median(known)) if known.size else math.nan
 
 
-# The largest excess of runoff over water, summed over storms, as a share of their runoff: at most
-# 0.13 for both roofs; with a wrong unit at least 0.21, mostly 0.4. A few drops (mm) do not count.
+# The largest excess of runoff over water, summed over storms, as a share of their runoff: up to
+# 0.13 for both roofs; with a wrong unit at least 0.21, usually 0.4. A few drops (mm) do not count.
 _MAX_EXCESS, _DROPS = 0.25, 5.0
-# A roof keeps at most the soil's volume and this much more of a storm (mm).
+# A roof retains no more of a storm than the soil's volume and this (mm).
 _EXTRA_STORAGE = 20.0
 # Runoff of a record as a share of its water, if there is any: at least 0.0025 in windows of 30 days
-# or more, and with runoff in m instead of mm at most 0.0007.
+# or more; with runoff in m instead of mm, no more than 0.0007.
 _MIN_SHARE = 0.001
 
 
 def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
-    """Compare runoff with water: in all, and in each storm and the day after it."""
+    """Compare runoff with water: in total, and in every storm including the day after it."""
     if record.runoff is None:
         return
     total = float(np.nansum(record.runoff))
     inflow = float(np.sum(record.water[~np.isnan(record.runoff)]))
-    # A watered roof may keep it all.
+    # A watered roof may retain all of it.
     if 0 < total < _MIN_SHARE * inflow and not np.any(record.pumped > 0):
         yield (
             f"runoff is {total:.2g} mm of {inflow:.4g} mm of water: is the unit of the column "
@@ -305,7 +306,7 @@ def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
     kept = float(np.max(came - gone, initial=0.0))
     if kept > 1000 * site.z_soil + _EXTRA_STORAGE:
         yield (
-            f"rain is {kept:.3g} mm more than the runoff of a storm, and the soil cannot hold it: "
+            f"rain is {kept:.3g} mm more than the runoff of a storm, which the soil cannot hold: "
             "are the units right, and z_soil?"
         )
 
@@ -313,22 +314,21 @@ def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
 # --- clocks ---------------------------------------------------------------------------------------
 
 # Water reaches a level sensor within minutes and leaves a roof within hours; a longer delay means a
-# shifted clock. So does a response before the rain by more than this many steps, or by two hours:
-# clocks can differ by minutes, and a level's rises are between means of half an hour.
+# shifted clock. So does a response more than this many steps before the rain, or two hours: clocks
+# can differ by minutes, and a level's rises are between half-hour means.
 _MAX_DELAY_S, _MAX_SHIFT_S = 4 * HOUR_S, 26 * HOUR_S
 _EARLY_STEPS, _EARLY_S = {"runoff": 1, "level": 2}, 2 * HOUR_S
 # The minimum correlation that counts, and the minimum ratio of the best correlation to the one
 # without a shift. An early response is always wrong: in 64 windows of 30 and 60 days of the two
-# roofs this ratio is at most 1.03; with a clock an hour early it is above 1.1 in 47 of
-# them.
+# roofs this ratio is no more than 1.03; with a clock an hour early it is above 1.1 in 47 of them.
 _CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
 
 
 def find_shifted_clock(record: StepRecord, _site: Site) -> Iterator[str]:
     """Find a roof that responds before the rain, or hours after it.
 
-    Only rises of runoff or level count: how long runoff continues after rain indicates nothing
-    about clocks. A level's rise is between two means of half an hour, to reduce a sensor's noise.
+    Only rises of runoff or level count: how long runoff continues after rain says nothing about
+    clocks. A level's rise is between two half-hour means, to reduce a sensor's noise.
     """
     if not record.measured:
         return
@@ -361,36 +361,35 @@ def find_shifted_clock(record: StepRecord, _site: Site) -> Iterator[str]:
     if (early or lag > usual_s[1]) and best > _CLEAR and best > better * usual:
         yield (
             f"{column} follows the rain best {name_time(abs(lag))} "
-            f"{'before' if early else 'after'} it falls (correlation {best:.2f}, {usual:.2f} as it "
-            "stands): is a clock shifted, or in another time zone?"
+            f"{'before' if early else 'after'} it falls (correlation {best:.2f}, but {usual:.2f} "
+            "without a shift): is a clock shifted, or in another time zone?"
         )
 
 
 # --- sensors --------------------------------------------------------------------------------------
 
 # A sensor is stuck if its reading stays the same for this long (s) while this much rain falls (mm),
-# and in this many steps: with steps of a day, a roof can have equal levels on two wet days.
+# and in this many steps: with steps of a day, a roof can have the same level on two wet days.
 _STUCK_S, _STUCK_RAIN, _SAME_STEPS = DAY_S, 10.0, 6
-# Rain is stuck above 0 for a day; or for this long (s) in so many steps. In eleven years at Toronto
-# it was the same for 9 hours, in models, which have steps of 3 or 6 hours, for 12.
+# Rain is stuck above 0 for a day, or for this long (s) in this many steps. In eleven years at
+# Toronto it was the same for 9 hours; in models with steps of 3 or 6 hours, for 12.
 _RAIN_STUCK_S, _SAME_RAIN_STEPS = 6 * HOUR_S, 24
-# More water than this (mm) must cause some runoff if it also exceeds what the soil can hold. Both
-# roofs had no runoff from 44 mm in four weeks.
+# More water than this (mm) must cause some runoff if it also exceeds what the soil can hold.
+# Neither roof had runoff from 44 mm in four weeks.
 _LEAVES_SOME = 80.0
-# A watered roof evaporates at the full rate, at most 1.3 times the rate of the reference grass
-# (FAO-56, Eq. 72: 1.05 to 1.3). The two roofs are not watered, and dry out.
+# A watered roof evaporates at the full rate, which is up to 1.3 times the rate of the reference
+# grass (FAO-56, Eq. 72: 1.05 to 1.3). The two roofs are not watered, and dry out.
 _FULL_RATE = 1.3
-# More runoff than this (mm), after this long (s) without rain, has no explanation.
+# More runoff than this (mm), this long (s) or longer after rain, has no explanation.
 _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
 
 
 def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
-    """Find sensors that show one value, apart from gaps, while it must change.
+    """Find sensors that show one value, apart from gaps, although it has to change.
 
-    A flow meter must change from 0 if more water comes in any part of the time than the soil can
-    hold. From a roof with a
-    pump, evapotranspiration is subtracted at its full rate, because a good controller pumps no more
-    than that, and nothing while it rains often enough.
+    A flow meter must change from 0 if, in any part of the time, more water comes than the soil can
+    hold. From a roof with a pump, evapotranspiration is subtracted at its full rate, because a good
+    controller pumps no more than that, and nothing while it rains often enough.
     """
     rate = max(_FULL_RATE, site.crop_coefficient) * bool(np.nansum(record.pumped) > 0)
     gained = record.water - rate * record.reference
@@ -411,7 +410,7 @@ def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
             if stuck and len(same) >= _SAME_STEPS:
                 yield (
                     f"{column} is {value:g} {'m' if column == 'level' else 'mm'} for "
-                    f"{same_s / HOUR_S:.0f} h from {record.time(int(same[0]))}, in which "
+                    f"{same_s / HOUR_S:.0f} h from {record.time(int(same[0]))}, while "
                     f"{np.sum(record.water[same]):.3g} mm of water came: is the sensor stuck or "
                     "dead? Leave these cells empty"
                 )
@@ -436,15 +435,15 @@ def find_blocked_gauge(record: StepRecord, _site: Site) -> Iterator[str]:
 
 
 _PERCENTILE = 95
-# Factor of the percentile from which rain is an outlier; the second below 0 degC.
+# Factor of the percentile above which rain is an outlier; the second one is for below 0 degC.
 _FACTOR, _FROST_FACTOR = 9.0, 5.0
-# Days of the year to either side; minimum number of wet hours in them for a check.
+# Days of the year on either side, and minimum number of wet hours in them for a check.
 _DAYS, _MIN_WET = 14, 20
 _YEAR = 366
 
 
 def find_outlying_rain(record: StepRecord, _site: Site) -> Iterator[str]:
-    """Find hours with more rain than is plausible by the station's own records.
+    """Find hours with more rain than is plausible according to the station's own records.
 
     The limit is 9 times the 95th percentile of the wet hours within 14 days of the hour's day of
     the year, in all years of the records; 5 times below 0 degC. With fewer than 20 wet hours there

@@ -1,4 +1,4 @@
-"""Measurements step by step: of a roof, or the weather alone, with their storms."""
+"""Measurements step by step: of a roof, or of weather alone, and the storms in them."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ _STORM_GAP_S, AFTER_STORM_S = 6 * HOUR_S, DAY_S
 class StepRecord:
     """Steps of equal length, each beginning at its time, with NaN for missing measurements.
 
-    Depths (mm) are over the roof's area and for the whole step.
+    Depths (mm) are averages over the roof's area, and totals for the whole step.
 
     Attributes:
         source: the file or bag.
         start: time of the first step, with its offset from UTC.
         step_s: duration of a step (s).
-        rain: mm, shape (steps,).
+        rain: rain (mm), shape (steps,).
         reference: evapotranspiration of FAO-56's reference grass (mm); never NaN.
         pumped: water pumped onto the roof (mm).
         runoff: water that ran off the roof (mm); None if not measured.
         level: water level in the substrate at the beginning of the step (m); None if not measured.
-        temperature: of the air (degC); None if not measured.
+        temperature: air temperature (degC); None if not measured.
         last_decimal: unit of the last decimal place of the runoff (mm); 0 if it was not rounded.
         cistern: level of the cistern at the beginning of the step (m); None if not measured.
         command: mean share of the pumps' maximum flow (1); None if unknown.
         reference_column: column of the evapotranspiration in the file; empty if it was computed.
-        notes: what could not be used as it is.
-        all_rain: rain also in steps that :meth:`select` left out; None before.
-        dew_point: of the air (degC); None if not measured.
-        radiation: of the sun (W/m2); None if not measured.
-        wind: km/h; None if not measured.
+        notes: what could not be used as it was.
+        all_rain: rain including the steps that :meth:`select` left out; None before that.
+        dew_point: dew point of the air (degC); None if not measured.
+        radiation: solar radiation (W/m2); None if not measured.
+        wind: wind speed (km/h); None if not measured.
     """
 
     source: Path
@@ -78,22 +78,22 @@ class StepRecord:
 
     @property
     def seconds(self) -> NDArray[np.int64]:
-        """Start of each step on the record's own clock, in seconds since 1970-01-01 there."""
+        """Start of every step on the record's own clock, in seconds since 1970-01-01 there."""
         first = round(self.start.timestamp() + self.offset_s)
         return first + np.round(self.step_s * np.arange(self.steps)).astype(np.int64)
 
     @property
     def times(self) -> NDArray[np.datetime64]:
-        """Start of each step on the record's own clock."""
+        """Start of every step on the record's own clock."""
         return self.seconds.astype("datetime64[s]")
 
     def time(self, step: int) -> str:
-        """Return when a step begins, as text; for a step after the last, when the last begins."""
+        """Return the start of a step as text; for a step after the last, the start of the last."""
         return str(self.times[min(step, self.steps - 1)]).replace("T", " ")
 
     @property
     def water(self) -> Values:
-        """Rain and pumped water on the roof (mm); unknown amounts are treated as 0."""
+        """Rain and pumped water on the roof (mm); unknown amounts count as 0."""
         return np.asarray(np.nan_to_num(self.rain) + np.nan_to_num(self.pumped))
 
     @property
@@ -103,16 +103,16 @@ class StepRecord:
         return {name: series for name, series in columns.items() if series is not None}
 
     def select(self, steps: Steps) -> StepRecord:
-        """Return the record with NaN instead of rain, runoff and level outside of some steps."""
+        """Return the record with NaN for rain, runoff and level outside the given steps."""
         series = {"rain": self.rain, **self.measured}
         there = {name: np.where(steps, values, np.nan) for name, values in series.items()}
         return replace(self, all_rain=self.rain, **there)  # type: ignore[arg-type]
 
     @property
     def complete(self) -> Steps:
-        """Steps with rain, pumped and :attr:`measured`, also one step before and after.
+        """Steps with rain, pumped water and :attr:`measured`, and with all of them one step around.
 
-        A sensor that failed in a step often recorded only a part of the step next to it.
+        A sensor that failed in a step often recorded only part of the step next to it.
         """
         series = [self.rain, self.pumped, *self.measured.values()]
         missing = np.isnan(series).any(axis=0)
@@ -135,10 +135,10 @@ def prolong_steps(steps: Steps, count: int) -> Steps:
 
 
 def find_storms(record: StepRecord) -> list[slice]:
-    """Return the steps of each storm, from its first rain to a day after its last.
+    """Return the steps of every storm, from its first rain to a day after its last.
 
-    Storms are separated by six hours without rain, and at least one step. One ends where the next
-    begins.
+    Storms are separated by six hours without rain, and by at least one step. A storm ends where the
+    next one begins.
     """
     wet = np.flatnonzero(record.rain > 0)
     gap_steps = max(1.0, _STORM_GAP_S / record.step_s)

@@ -1,4 +1,4 @@
-"""Rows at a regular step, as loggers write them, and where the step changes."""
+"""Rows at a regular step, as loggers write them, and the places where the step changes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from greenroof_ros.formats.hourly import find_gaps
 Values = NDArray[np.float64]
 
 CLOCK_ERROR = 0.1
-"""A row further than this from whole steps (share of a step) is off."""
-# At most this share of rows may be off: a clock that is set each week makes two in a thousand.
+"""A row that is further than this from a whole number of steps (share of a step) is off."""
+# At most this share of rows may be off: a clock that is set every week makes two in a thousand.
 _MAX_OFF = 0.01
-# Rows may be further off their times than that, each by itself, if no more than this.
+# Single rows may be further off their times than that, if they are no more than this share.
 _MAX_JITTER = 0.3
-# A step that is as near to one of these (s) as clocks are right is this one.
+# A step that is as near to one of these (s) as clocks are accurate is that one.
 _USUAL_S = np.array([
     *(1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0),
     *(60.0 * minutes for minutes in (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30)),
@@ -37,13 +37,13 @@ class RowSteps(NamedTuple):
     """When the rows of a file begin, and how long they last."""
 
     steps: NDArray[np.int64]
-    """of each row, counted from the first, shape (rows,); two rows can be in one step"""
+    """step of every row, counted from the first, shape (rows,); two rows can be in one step"""
     step_s: float
-    """duration of a step (s), the greatest that all spacings of rows are multiples of"""
+    """duration of a step (s), the largest of which all spacings of rows are multiples"""
     durations: Values
-    """of each row (s), shape (rows,)"""
+    """duration of every row (s), shape (rows,)"""
     late: float = 0.0
-    """how much later than step 0 the first row is, by an irregular clock (s)"""
+    """how much later than step 0 the first row is, because of an irregular clock (s)"""
     ended: bool = False
     """whether rows ended at their times"""
     clock_error: float = CLOCK_ERROR
@@ -51,25 +51,25 @@ class RowSteps(NamedTuple):
 
     @property
     def changes(self) -> list[int]:
-        """The first row of each later duration."""
+        """The first row of every later duration."""
         return [int(row) + 1 for row in np.flatnonzero(np.diff(self.durations))]
 
 
 def find_steps(read: Callable[[], Table], column: str, since: Values) -> RowSteps:
-    """Return the steps of rows; of a single row an hour.
+    """Return the steps of rows; a single row lasts an hour.
 
-    The step is the median spacing of the rows; if they are no whole number of such steps apart, the
-    minimum. A row belongs to the step that begins nearest to its time, at most half a step away,
-    so errors of a clock do not add up. Where at least six spacings in succession are alike and
-    others than the median, the step has changed.
+    The step is the median spacing of the rows; if they are not a whole number of such steps apart,
+    it is the minimum spacing. A row belongs to the step that begins nearest to its time, no more
+    than half a step away, so errors of a clock do not add up. Where at least six spacings in
+    succession are alike but differ from the median, the step has changed.
 
     Args:
         read: reads the file, for messages.
-        column: its column of times.
-        since: times of the rows since the first (s), each later than the one before.
+        column: column of times in the file.
+        since: times of the rows since the first (s), each later than the previous one.
 
     Raises:
-        ConfigurationError: more than one spacing in a hundred is not a whole number of steps.
+        ConfigurationError: if more than one spacing in a hundred is not a whole number of steps.
     """
     spacing = np.diff(since)
     if not spacing.size:
@@ -106,7 +106,7 @@ def find_steps(read: Callable[[], Table], column: str, since: Values) -> RowStep
 
 
 def _find_usual(spacing: Values) -> Values:
-    """Return the step (s) that is usual around each spacing."""
+    """Return the step (s) that is usual around every spacing."""
     usual = np.full(len(spacing), _round_step(spacing, float(np.median(spacing))))
     median = float(usual[0])
     alike = np.abs(np.diff(np.log(spacing))) < CLOCK_ERROR
@@ -118,7 +118,7 @@ def _find_usual(spacing: Values) -> Values:
 
 
 def _round_step(spacing: Values, step_s: float) -> float:
-    """Return a usual step if the mean of spacings is as near to one as clocks are right."""
+    """Return a usual step if the mean spacing is as near to one as clocks are accurate."""
     near = spacing[np.abs(spacing / step_s - 1) < 0.5]
     if not near.size:
         return step_s

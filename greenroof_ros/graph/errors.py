@@ -1,4 +1,4 @@
-"""Errors that end a run, and what they are called. ROS is not imported."""
+"""Errors that end a run, and how they are described. ROS is not imported."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class LockstepError(Exception):
 
 
 class MalformedMessageError(Exception):
-    """The bytes of a message are none of its topic's type."""
+    """The bytes received do not form a message of the topic's type."""
 
 
 def describe(error: Exception) -> str:
@@ -25,7 +25,7 @@ def describe(error: Exception) -> str:
 
 
 def explain(error: Exception) -> tuple[str, int]:
-    """Return why a node or a run failed, in a sentence, and the exit code."""
+    """Return in a sentence why a node or a run failed, and the exit code."""
     if isinstance(error, ConfigurationError):
         return str(error), exit_code(error)
     known = isinstance(error, (LockstepError, OSError))

@@ -29,7 +29,7 @@ from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reads a node's own arguments (other than ROS arguments); prints errors in one line."""
+    """Reads a node's own arguments (those that are not for ROS); prints errors in one line."""
 
     def error(self, message: str) -> NoReturn:
         """Print an error in one line and end the process."""
@@ -47,12 +47,12 @@ def node_command(
         make: returns the node, or the nodes of this process; called with the value of the option,
             if there is an option.
         module: the node's module in this package, for ``--help``.
-        purpose: what the node does; a module docstring.
+        purpose: what the node does, as a module docstring.
         parameters: returns all parameters that the node declares for a site, or for the value of
-            the option, None if it is missing.
+            the option (None if it is missing).
         option: the option that the node requires, such as ``--of``; empty for none.
-        spin: runs the nodes and calls its second argument, which can raise, 20 times a second; None
-            for a node of a simulated graph.
+        spin: runs the nodes and calls its second argument, which can raise an error, 20 times a
+            second; None for a node of a simulated graph.
     """
 
     @command
@@ -82,14 +82,14 @@ def node_help(module: str, purpose: str | None, parameters: Iterable[Parameter])
     """Return the text of a node's ``--help``.
 
     Args:
-        module: its module in this package, and the arguments that it requires.
-        purpose: what it does; a module docstring.
-        parameters: all parameters that it declares.
+        module: the node's module in this package, and the arguments that it requires.
+        purpose: what the node does, as a module docstring.
+        parameters: all parameters that the node declares.
     """
     lines = [
         f"usage: python -m greenroof_ros.{module} [--help] [--ros-args ...]\n",
         f"{purpose}".strip().replace("``", "`"),
-        "\nparameters, after --ros-args as -p NAME:=VALUE or by --params-file FILE:",
+        "\nparameters, after --ros-args, as -p NAME:=VALUE or with --params-file FILE:",
     ]
     for parameter in parameters:
         lines += (f"  {parameter.name} ({_about(parameter)})", textwrap.fill(
@@ -109,9 +109,9 @@ def _about(parameter: Parameter) -> str:
     elif isinstance(default, float):
         default = f"{default:.7g}" if default % 1 else f"{default:.1f}"
         if math.isnan(parameter.default):
-            default = "by the site"
+            default = "set by the site"
     limits = f"{parameter.limits and ', '}{parameter.limits}"
-    changes = "; may change in a run" if parameter.may_change else ""
+    changes = "; may change during a run" if parameter.may_change else ""
     return f"{type_name(parameter)}{limits}; default {str(default) or 'empty'}{changes}"
 
 
@@ -126,11 +126,11 @@ def run_nodes(
 
     Args:
         make: the node's class, or a function that returns the node or the nodes.
-        spin: see :func:`node_command`.
+        spin: as for :func:`node_command`.
 
     Returns:
         An exit code: 0 if the run is over or the nodes were asked to stop, 1 if one failed, 2 if
-        arguments or parameters are wrong, 3 if there is another graph.
+        arguments or parameters are wrong, 3 if another graph is running.
     """
     signals = Signals()
     with ros(sys.argv):
@@ -157,7 +157,7 @@ def run_nodes(
 def spin_alone(nodes: Sequence[SimulationNode], check: Callable[[], None]) -> None:
     """Run a node of a simulated graph until its run is over; see :func:`node_command`.
 
-    Until then it logs for whom it waits, each time that this changes.
+    Until then, it logs for whom it is waiting whenever this changes.
     """
     (node,) = nodes
     missing: list[str] = []

@@ -1,6 +1,6 @@
-"""A node with the topics of the interface, which reports its state.
+"""A node with the topics of the interface that reports its state.
 
-``msg_defs/topics.yaml`` defines what each node publishes and subscribes to.
+``msg_defs/topics.yaml`` defines what every node publishes and subscribes to.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from greenroof_ros.graph.parameters import declare, site_file
 from greenroof_ros.graph.rclpy_internals import raw_publish
 from greenroof_ros.model.site import Site, read_site
 
-# How long an ending node waits for its readers at most (s): a killed reader stays matched.
+# The longest time for which an ending node waits for its readers (s): a killed reader stays
+# matched.
 _FLUSH_S = 1.0
 
 
@@ -40,10 +41,10 @@ class GraphNode(Node):
         role: its role in the interface: its name, or ``controller``.
         failure: the error after which the node cannot go on; None if there is none.
         on_failure: called when there is such an error.
-        malformed: how many messages were dropped as malformed, by topic.
+        malformed: number of messages dropped as malformed, by topic.
         inputs: the topics that it acts on, by name in the interface.
-        interface: every topic of the graph, by name.
-        reports: reports the node's state.
+        interface: all topics of the graph, by name.
+        reports: object that reports the node's state.
         warnings: what is wrong with its inputs, in sentences.
     """
 
@@ -55,11 +56,11 @@ class GraphNode(Node):
         Args:
             name: the node's name.
             role: its role in the interface: its name, or ``controller``.
-            interface: every topic of the graph, by name.
-            reports: reports the node's state.
+            interface: all topics of the graph, by name.
+            reports: object that reports the node's state.
 
         Raises:
-            ConfigurationError: ROS arguments or a parameter file are wrong.
+            ConfigurationError: if ROS arguments or a parameter file are wrong.
         """
         try:
             super().__init__(name)
@@ -69,12 +70,12 @@ class GraphNode(Node):
         self.failure: Exception | None = None
         self.on_failure: Callable[[], None] = lambda: None
         self.malformed = Counter[str]()
-        self._malformed: list[str] = []  # a sentence on the first of each topic
+        self._malformed: list[str] = []  # a sentence about the first of every topic
         self.interface = interface
         self.inputs: dict[str, Input] = {}
         self.warnings: list[str] = []
         self.reports = reports(self, role)
-        # Each topic's publisher; and its method to publish, and the encoder of its messages.
+        # The publisher of every topic; its method to publish, and the encoder of its messages.
         self._outputs: dict[str, Publisher] = {}
         self._publish: dict[str, tuple[Callable[[bytes], None], Callable[[Any], bytes]]] = {}
         self._final: dict[str, Any] = {}
@@ -86,10 +87,10 @@ class GraphNode(Node):
         """Do what is due by the wall clock; called 20 times a second."""
 
     def on_stop(self) -> None:
-        """Close what is open; called once at the end, regardless of the reason."""
+        """Close what is open; called once at the end, whatever the reason."""
 
     def progress(self) -> dict[str, Any]:
-        """Return the node's additions to each of its reports."""
+        """Return the node's additions to all of its reports."""
         return {}
 
     # --- topics -----------------------------------------------------------------------------
@@ -97,11 +98,11 @@ class GraphNode(Node):
     def declare_site(self) -> Site:
         """Declare the parameter ``site_file``, and read the site.
 
-        From then on each report has the absolute path of what was read, as ``site``, so that
-        observers can read the same site.
+        From then on, every report has the absolute path of the file as ``site``, so that observers
+        can read the same site.
 
         Raises:
-            ConfigurationError: the file, or a value in it, is wrong.
+            ConfigurationError: if the file, or a value in it, is wrong.
         """
         file = Path(declare(self, [site_file()])["site_file"])
         self._site_file = {"site": str(as_started(file).resolve())}
@@ -127,7 +128,7 @@ class GraphNode(Node):
         self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
         events: SubscriptionEventCallbacks | None = None,
     ) -> None:
-        """Pass each serialised message of a topic to a callback, and keep its error.
+        """Pass every serialised message of a topic to a callback, and keep its error.
 
         A malformed message is dropped and counted, since any program may publish on the topic.
         """
@@ -155,7 +156,7 @@ class GraphNode(Node):
     # --- running ----------------------------------------------------------------------------
 
     def fail(self, error: Exception) -> None:
-        """Note the error that ends the run; only the first counts."""
+        """Remember the error that ends the run; only the first one counts."""
         if self.failure is not None:
             return
         if not isinstance(error, (LockstepError, ConfigurationError, OSError)):
@@ -180,7 +181,7 @@ class GraphNode(Node):
     # --- ending -----------------------------------------------------------------------------
 
     def end(self, failure: str | None) -> None:
-        """Report that the node ends, and wait until its readers have everything, 1 s at most.
+        """Report that the node ends, and wait at most 1 s until its readers have everything.
 
         Args:
             failure: the error that ended it; None if there was none.

@@ -1,4 +1,4 @@
-"""An input of a node: the newest value on a topic, and whether it may be acted on."""
+"""An input of a node: the newest value on a topic, and whether the node may act on it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from greenroof_ros.graph.messages import decoder
 class Input:
     """A topic that a node subscribes to, with its newest value.
 
-    A value that is not finite or is outside the interface's range is refused: it acts as 0 until
-    the next one comes.
+    A value that is not finite or is outside the interface's range is rejected: it acts as 0 until
+    the next one arrives.
 
     Attributes:
         topic: the topic in the interface.
         name: the topic's full name in ROS, with its namespace.
         value: the newest value: nanoseconds for a clock, otherwise a number or an array of numbers.
-        refusal: why the newest value was refused; empty if it may be acted on.
-        refused: how many values were refused.
+        refusal: why the newest value was rejected; empty if the node may act on it.
+        refused: number of rejected values.
     """
 
     def __init__(self, topic: Topic, name: str) -> None:
@@ -43,18 +43,18 @@ class Input:
 
     @property
     def good(self) -> bool:
-        """Whether the newest value may be acted on."""
+        """Whether the node may act on the newest value."""
         return not self.refusal
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """Why the newest value must not be acted on; None if it may be."""
+        """Why the node must not act on the newest value; None if it may."""
         if self.good:
             return None
         return Diagnosis.of("input_refused", "refused", topic=self.name, why=self.refusal)
 
     def receive(self, message: bytes) -> None:
-        """Keep the value of a message, or 0 if the value must be refused."""
+        """Keep the value of a message, or 0 if the value has to be rejected."""
         value = self._decode(message)
         low, high = self._low, self._high
         if isinstance(value, (float, int)):

@@ -1,27 +1,27 @@
-"""Lockstep over topics: a node acts once each of its inputs has its message of the tick.
+"""Lockstep over topics: a node acts once all of its inputs have their message of the tick.
 
-Each topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`` has the tick; the
-others need not, since no node publishes tick k + 1 before it has acted on tick k. The rule for
-every node except the recorder, which only counts:
+Every topic of a tick has exactly one message per tick, k = 0..N. Only ``/clock`` carries the tick;
+the others need not, since no node publishes tick k + 1 before it has acted on tick k. This is the
+rule for every node except the recorder, which only counts:
 
 1. *wait*: a message arrives, and its input is no longer awaited (:meth:`Lockstep.receiver`);
 2. *act*: no input is awaited; from here on all are, for the next tick (:meth:`Lockstep.act`);
-3. *publish*: the node publishes its own messages of the tick, one on each topic.
+3. *publish*: the node publishes its own messages of the tick, one on every topic.
 
-Readers that are discovered late get earlier messages, since topics are transient local and 64 deep,
-and the plant is at most 32 ticks ahead of the recorder. These end a run:
+Readers that are discovered late receive earlier messages, since topics are transient local and 64
+deep, and the plant is no more than 32 ticks ahead of the recorder. The following end a run:
 
-- a message that does not come within the peer limit (before the first answers: the start limit);
-  the plant watches this, and names the topics that it waits for;
+- a message that does not arrive within the peer limit (or the start limit, before the first
+  answers); the plant watches this, and names the topics that it is waiting for;
 - a second publisher, or a second message before the node has acted;
 - a second message after the node has acted. It counts for the next tick, and is found when that
-  tick's own message comes; after the last tick, any message ends the run. A message that only the
+  tick's own message arrives; after the last tick, any message ends the run. A message that only the
   recorder misses shows in its count.
 
-A malformed message is dropped: the tick still awaits its own.
+A malformed message is dropped: the tick still awaits its proper message.
 
-The plant publishes ``/run`` before the first tick: N, with which every node knows its last tick. No
-timer or sleep delays a tick. Wall clocks only end a run that hangs.
+Before the first tick, the plant publishes ``/run`` with N, from which every node knows its last
+tick. No timer or sleep delays a tick. Wall clocks only end a run that hangs.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class RunIdentity(NamedTuple):
 
     Attributes:
         identity: a random number chosen by the plant.
-        last_tick: N.
+        last_tick: N, the last tick.
         speed: simulated time per wall time; 0 for as fast as possible.
     """
 
@@ -61,9 +61,9 @@ class Lockstep:
     """Makes a node act when no input is awaited, and finish with its run.
 
     Attributes:
-        run: the run that the node takes part in; None before the plant has published it.
+        run: the run that the node takes part in; None until the plant has published it.
         tick: the tick on which the node acts next.
-        awaited: names of the inputs without a message of this tick yet.
+        awaited: names of the inputs that have no message of this tick yet.
     """
 
     def __init__(
@@ -118,13 +118,13 @@ class Lockstep:
         """Join the run that the plant has published.
 
         Raises:
-            LockstepError: this is another run, so this node's run has ended; the plant is of
+            LockstepError: if this is another run, so that this node's run has ended; the plant has
                 another version; or a message arrived after the last tick.
         """
         if len(values) != len(RunIdentity._fields) or not all(map(math.isfinite, values)):
             raise LockstepError(
                 f"{RUN} has {len(values)} numbers, not {len(RunIdentity._fields)} finite ones: the "
-                "plant is of another version"
+                "plant has another version"
             )
         before, self.run = self.run, RunIdentity(*values)
         if before not in (None, self.run):

@@ -1,12 +1,13 @@
 """Topics of the interface in ROS terms: message class, quality of service, and serialised values.
 
 The bytes are as on the wire (CDR, XCDR version 1). Numbers, rows of numbers and the clock are
-encoded and decoded here, in a third of the time of the generated code of the message types, which
-first makes a Python object for each field. The generated code also leaves the padding of a message
-uninitialised; here it is 0, so two equal runs give equal bags. Everything is written little-endian,
-like every machine that ROS 2 runs on. Other messages, such as big-endian ones or those with a
-layout, are decoded by the generated code. A publisher may send any bytes: what is no message of the
-type is a :class:`~greenroof_ros.graph.errors.MalformedMessageError`, and nothing else.
+encoded and decoded here, in a third of the time that the generated code of the message types takes,
+which first makes a Python object for every field. The generated code also leaves the padding of a
+message uninitialised; here it is 0, so that two equal runs write equal bags. Everything is written
+little-endian, like every machine that ROS 2 runs on. Other messages, such as big-endian ones or
+those with a layout, are decoded by the generated code. A publisher may send any bytes: whatever is
+not a message of the type raises a :class:`~greenroof_ros.graph.errors.MalformedMessageError`, and
+nothing else.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ _NS = 1_000_000_000
 class WithFront(NamedTuple):
     """Numbers, preceded by others that the layout's ``data_offset`` skips.
 
-    In front of a forecast are the time of its issue and the ends of its steps. A reader that
-    respects the layout, as ROS defines it, gets only the forecast.
+    A forecast is preceded by the time of its issue and the ends of its steps. A reader that
+    respects the layout, as ROS defines it, sees only the forecast.
     """
 
     front: array[float]
@@ -72,7 +73,7 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 
 def find_lacking(offered: QoSProfile, required: Qos) -> list[str]:
-    """Return what an endpoint offers below the required policies, each as a verb and its object."""
+    """Return in which policies an endpoint offers too little, each as a verb and its object."""
     lacking = []
     if required.reliability == "reliable" and offered.reliability != ReliabilityPolicy.RELIABLE:
         lacking.append("is best effort")
@@ -102,8 +103,8 @@ def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any],
 
     Args:
         type_name: ``std_msgs/msg/Float64`` for a number; ``std_msgs/msg/Float64MultiArray`` for an
-            ``array("d")``, a 2-D numpy array or a :class:`WithFront` with either (the shape of an
-            array of more than one row goes into the layout); ``rosgraph_msgs/msg/Clock`` for
+            ``array("d")``, a 2-D numpy array or a :class:`WithFront` containing either (the layout
+            holds the shape of an array with more than one row); ``rosgraph_msgs/msg/Clock`` for
             nanoseconds since 1970; ``std_msgs/msg/String`` for a text.
         dimensions: labels of the rows and columns of a 2-D array.
     """
@@ -119,7 +120,7 @@ def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any],
 def decoder(type_name: str) -> Callable[[bytes], Any]:
     """Return a function that reads the value from a message of a type; see :func:`encoder`.
 
-    The value of a type that has no encoder is the message itself. The function raises
+    For a type that has no encoder, the value is the message itself. The function raises
     MalformedMessageError.
     """
     return {
@@ -130,9 +131,9 @@ def decoder(type_name: str) -> Callable[[bytes], Any]:
 
 
 def pass_whole(type_name: str, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
-    """Return a function that passes on the bytes of a message if they are one of a type.
+    """Return a function that passes on the bytes of a message if they form one of a type.
 
-    Numbers that have the length and the layout of the last ones are not decoded.
+    Numbers with the same length and layout as the last ones are not decoded.
     """
     decode, is_array = decoder(type_name), type_name == "std_msgs/msg/Float64MultiArray"
     length, layout = -1, b""
@@ -142,7 +143,7 @@ def pass_whole(type_name: str, callback: Callable[[bytes], None]) -> Callable[[b
         if len(message) != length or not message.startswith(layout):
             values = decode(message)
             if is_array:
-                # What stands before the values, with the numbers in front of them.
+                # What precedes the values, including the numbers in front of them.
                 length, layout = len(message), message[: len(message) - 8 * np.size(values)]
         callback(message)
 
@@ -155,15 +156,15 @@ def deserialize(kind: Any, message: bytes, size: int | None = None) -> Any:
     Args:
         kind: the class.
         message: its bytes.
-        size: how many they must be; None for any number.
+        size: the number of bytes required; None for any number.
 
     Raises:
-        MalformedMessageError: they are no such message.
+        MalformedMessageError: if the bytes are not such a message.
     """
-    with suppress(Exception):  # of the middleware, or of the class
+    with suppress(Exception):  # errors of the middleware or of the class
         if size in (None, len(message)):
             return deserialize_message(message, kind)
-    raise MalformedMessageError(f"{len(message)} bytes are no {kind.__name__}")
+    raise MalformedMessageError(f"{len(message)} bytes do not form a {kind.__name__}")
 
 
 def _decode_number(message: bytes) -> float:
@@ -176,7 +177,7 @@ def decode_clock(message: bytes) -> int:
     """Return the time of a clock message (ns since 1970).
 
     Raises:
-        MalformedMessageError: it is none, or its time is before 1970.
+        MalformedMessageError: if it is not one, or its time is before 1970.
     """
     if len(message) == _CLOCK.size and message.startswith(_HEADER):
         _, seconds, nanoseconds = _CLOCK.unpack(message)
@@ -195,7 +196,7 @@ def _encode_numbers(
     if isinstance(values, WithFront):
         front, values = values
     if isinstance(values, np.ndarray) and len(values) <= 1:
-        values = array("d", values.tobytes())  # a single forecast is not an ensemble
+        values = array("d", values.tobytes())  # a single forecast does not count as an ensemble
     if isinstance(values, array):
         size = len(front) + len(values)
         return _ROW.pack(_HEADER, 0, len(front), size) + front.tobytes() + values.tobytes()
@@ -216,7 +217,7 @@ def decode_numbers(message: bytes) -> WithFront:
     """Return the numbers of a message, in the shape of its layout, and those in front of them.
 
     Raises:
-        MalformedMessageError: it is none, or its layout is not of that many numbers.
+        MalformedMessageError: if it is not one, or its layout is for a different number of values.
     """
     if len(message) >= _ROW.size:
         header, dimensions, offset, size = _ROW.unpack_from(message)

@@ -1,6 +1,6 @@
 """A node of a simulated graph: its inputs, and when it acts.
 
-A node acts when every input is fresh (:mod:`greenroof_ros.graph.lockstep`), and on no other event.
+A node acts when all inputs are fresh (:mod:`greenroof_ros.graph.lockstep`), and on no other event.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _CHECK_S = 0.25
 class SimulationNode(NoClockSubscription, GraphNode):
     """A node of a simulated graph.
 
-    A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, by their names in
-    the interface. It overrides :meth:`on_inputs` and, as needed, the other ``on_`` methods,
+    A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, using their names
+    in the interface. It overrides :meth:`on_inputs` and, as needed, the other ``on_`` methods,
     ``progress`` and ``summary``.
 
     Attributes:
         lockstep: makes the node act.
         peers: the nodes that publish its inputs.
-        result: what it has added to the run's summary; empty before the run is over.
+        result: what it has added to the run's summary; empty until the run is over.
     """
 
     def __init__(self, name: str, role: str) -> None:
@@ -56,7 +56,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
             role: its role in the interface: its name, or ``controller``.
 
         Raises:
-            ConfigurationError: ROS arguments or a parameter file are wrong.
+            ConfigurationError: if ROS arguments or a parameter file are wrong.
         """
         self._now_ns = 0  # 0: not set yet
         super().__init__(name, role, read_topics(), NodeDiagnostics)
@@ -72,7 +72,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
     # --- to override ------------------------------------------------------------------------
 
     def on_inputs(self) -> None:
-        """Act: every input is fresh."""
+        """Act: all inputs are fresh."""
 
     def summary(self) -> dict[str, Any]:
         """Return the node's additions to its report at the end of the run."""
@@ -85,7 +85,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         self._now_ns = time_ns
 
     def get_clock(self) -> Clock:
-        """Return the node's clock; it is only set here, since few ticks need it."""
+        """Return the node's clock, which is set only here, since few ticks need it."""
         clock = super().get_clock()
         if self._now_ns:
             now = Time(nanoseconds=self._now_ns, clock_type=ClockType.ROS_TIME)
@@ -93,17 +93,17 @@ class SimulationNode(NoClockSubscription, GraphNode):
         return clock
 
     def subscribe(self, name: str) -> Input:
-        """Open an input that the node waits for in each tick, and return it.
+        """Open an input that the node waits for in every tick, and return it.
 
         Args:
-            name: the topic's name in the interface.
+            name: name of the topic in the interface.
         """
         entry = self._input(name)
         self._open(name, self.lockstep.receiver(entry))
         return entry
 
     def listen(self, name: str, callback: Callable[[Any], None]) -> None:
-        """Open an input that the node does not wait for: each value is passed to a callback."""
+        """Open an input that the node does not wait for: every value is passed to a callback."""
         entry = self._input(name)
 
         def receive(message: bytes) -> None:
@@ -113,7 +113,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         self._open(name, receive)
 
     def record(self, name: str, callback: Callable[[bytes], None]) -> None:
-        """Pass each serialised message of a topic of any type to a callback."""
+        """Pass every serialised message of a topic of any type to a callback."""
         self._open(name, pass_whole(self._input(name).topic.type, callback))
 
     def _input(self, name: str) -> Input:
@@ -135,7 +135,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     @property
     def acted(self) -> bool:
-        """Whether the node has acted, so the run has begun for it."""
+        """Whether the node has acted, so that the run has begun for it."""
         return self.lockstep.tick > 0
 
     @property
@@ -145,7 +145,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     @property
     def good(self) -> bool:
-        """Whether no input's present value was refused."""
+        """Whether no input's present value was rejected."""
         return all(entry.good for entry in self.inputs.values())
 
     def finish(self) -> None:
@@ -156,15 +156,15 @@ class SimulationNode(NoClockSubscription, GraphNode):
         self.report_state()
 
     def check(self, now: float) -> None:
-        """Check what depends on the wall clock, and report the node's state.
+        """Check everything that depends on the wall clock, and report the node's state.
 
         Args:
             now: steady clock (s).
 
         Raises:
-            LockstepError: the graph cannot go on.
-            OccupiedError: a topic had a second publisher before the run.
-            OSError: the node cannot go on, for instance on a full disk.
+            LockstepError: if the graph cannot go on.
+            OccupiedError: if a topic had a second publisher before the run.
+            OSError: if the node cannot go on, for instance on a full disk.
         """
         self.on_timer(now)
         if now - self._checked < _CHECK_S:
@@ -172,7 +172,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         self._checked = now
         if not self.finished:
             if second := self.peers.describe_second():
-                # Before the run it is a wrong set-up, later a failure.
+                # Before the run this is a wrong set-up, later a failure.
                 raise (LockstepError if self.acted else OccupiedError)(second)
             self._update_warnings(now)
             if not self.ready and not self.absent():
@@ -180,7 +180,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         self.report_state()
 
     def _update_warnings(self, now: float) -> None:
-        """Warn of refused values and, before the run, of incompatible publishers."""
+        """Warn about rejected values and, before the run, about incompatible publishers."""
         if not self.acted:
             for publishers in self.peers.publishers.values():
                 if sentence := publishers.warning(now):
@@ -188,7 +188,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         for entry in self.inputs.values():
             if entry.refused:
                 self._warn(
-                    f"refused a value on {entry.name}: it {entry.topic.range.expected()}; it acts "
+                    f"rejected a value on {entry.name}: it {entry.topic.range.expected()}; it acts "
                     "as 0, and further ones are only counted"
                 )
 
@@ -201,12 +201,12 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     @property
     def may_end(self) -> bool:
-        """Whether a node that runs alone may end: the run is over, and all messages have arrived.
+        """Return whether a node alone may end: the run is over and all messages have arrived.
 
-        The plant leaves first: until then a node may still need this node's messages.
+        The plant leaves first: until then, another node may still need this node's messages.
 
         Raises:
-            LockstepError: the plant has ended before the run.
+            LockstepError: if the plant ended before the run did.
         """
         if not self.finished:
             if self.lockstep.run is not None and self._plant_ended():
@@ -224,7 +224,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         return all(publisher.wait_for_all_acked(now) for publisher in self._outputs.values())
 
     def report_state(self, **values: Any) -> None:
-        """Report the node's state, with N."""
+        """Report the node's state, with N, the last tick."""
         run = self.lockstep.run
         super().report_state(run_length=None if run is None else round(run.last_tick), **values)
 

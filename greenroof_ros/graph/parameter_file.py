@@ -1,7 +1,7 @@
 """The user's ROS 2 parameter file for the nodes of a graph, checked before any node starts.
 
 rclpy silently ignores a parameter that a node has not declared, so a mistyped limit would have no
-effect. Here it is refused.
+effect. Here it is rejected.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from greenroof_ros.common.parameter_sections import read_sections
 from greenroof_ros.controllers.registry import OF_EVERY_NODE, ControllerChoice
 from greenroof_ros.model.site import read_site
 
-# Parameters that only bringup sets, by node, each with its option of bringup.
+# Parameters that only bringup sets, by node, each with the option of bringup that sets it.
 _OF_BRINGUP = {
     "pump": {
         "drive": "--drive",
@@ -37,17 +37,18 @@ def node_parameter_files(
     arguments: argparse.Namespace, modules: Mapping[str, str], controller: ControllerChoice,
     given: Mapping[str, float],
 ) -> list[Path]:
-    """Return the file given by ``--node-parameters``, in a list; an empty list if there is none.
+    """Return a list with the file named by ``--node-parameters``; an empty list if there is none.
 
     Args:
         arguments: the command line.
-        modules: the module of each node that bringup runs, by the node's name.
-        controller: the graph's controller.
-        given: its parameters.
+        modules: the module of every node that bringup runs, by the node's name.
+        controller: controller of the graph.
+        given: values of the controller's parameters.
 
     Raises:
-        ConfigurationError: the file does not exist or sets something without effect, or what
-            options set: bringup would then stop the wrong drive, and a summary be wrong.
+        ConfigurationError: if the file does not exist, or sets something without effect or
+            something that options set: bringup would then stop the wrong drive, or a summary would
+            be wrong.
     """
     file: Path | None = arguments.node_parameters
     if file is None:
@@ -61,19 +62,19 @@ def node_parameter_files(
 def _refuse_unknown(
     file: Path, nodes: Mapping[str, str], controller: ControllerChoice, given: Mapping[str, float]
 ) -> None:
-    """Refuse parameters in a file that no node of the graph has, or that only bringup may set.
+    """Reject parameters in a file that no node of the graph has, or that only bringup may set.
 
-    In a section for several nodes, each name must be known to one of them.
+    In a section for several nodes, every name must be known to one of them.
 
     Args:
         file: a ROS 2 parameter file.
-        nodes: each node's module, by the node's name with its namespace.
-        controller: the graph's controller.
-        given: its parameters.
+        nodes: module of every node, by the node's name with its namespace.
+        controller: controller of the graph.
+        given: values of the controller's parameters.
 
     Raises:
-        ConfigurationError: there is such a parameter, a section for no node of the graph, or one in
-            which ``ros__parameters`` is missing or not a mapping.
+        ConfigurationError: if there is such a parameter, a section for no node of the graph, or one
+            in which ``ros__parameters`` is missing or not a mapping.
     """
     known = {name: _names_of(module, controller) for name, module in nodes.items()}
     for section in read_sections(file):
@@ -96,7 +97,7 @@ def _refuse_unknown(
                 option = name in known[node] and _find_option(last, nodes[node], name, value, given)
                 if option:
                     raise ConfigurationError(
-                        f"must not be given to the node {last} here: under bringup {option} sets "
+                        f"must not be set for the node {last} here: under bringup {option} sets "
                         "it", **place,
                     )
             if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:

@@ -1,8 +1,8 @@
-"""Node parameters: described once, declared with description and range, checked when given.
+"""Node parameters: described once, declared with description and range, checked when set.
 
 rclpy silently ignores a parameter that a node has not declared, so a mistyped limit would have no
-effect. Here it is refused on a node's command line; :mod:`greenroof_ros.graph.parameter_file`
-refuses it in files of bringup.
+effect. Here it is rejected on a node's command line; :mod:`greenroof_ros.graph.parameter_file`
+rejects it in files of bringup.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import Site, read_site
 
 USE_SIM_TIME = "use_sim_time"  # rclpy's name
-# The name of each Python type in ROS 2.
+# The name of every Python type in ROS 2.
 _KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "string array"}
 _TEXTS = {bool: "true or false", str: "text", list: "a list of texts"}
 
 
 def site_file() -> Parameter:
-    """Return the parameter that names the site file; all nodes of a run have the same value."""
+    """Return the parameter that names the site file; it is the same for all nodes of a run."""
     default = str(default_site_file())
     return Parameter("site_file", default, meaning="the parameters of Table I")
 
 
 def look_ahead_parameters() -> list[Parameter]:
-    """Return the parameters of a weather node that decide what its forecasts cover."""
+    """Return the parameters of a weather node that determine what its forecasts cover."""
     return [
         Parameter(
             "horizon", 0.0, "", 0.0, MAX_HORIZON, "how far the forecasts reach (h), in "
@@ -72,10 +72,10 @@ def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
     """Declare the parameters that are not declared yet, and return the values of all by name.
 
     A whole number is accepted for a double, as in ``weight: 5``, in a file, on the command line and
-    in ``ros2 param set``; rclpy alone would refuse it.
+    in ``ros2 param set``; rclpy alone would reject it.
 
     Raises:
-        ConfigurationError: a given value has the wrong type or is not in its range or choices.
+        ConfigurationError: if a value has the wrong type, or is not in its range or choices.
     """
     declared = list(parameters)
     doubles = {
@@ -93,7 +93,7 @@ def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
 
 
 def find_given(node: Node, names: Iterable[str]) -> dict[str, Any]:
-    """Return the values that a user gives a node for parameters which it does not declare."""
+    """Return the values that a user sets for parameters which a node does not declare."""
     given = {}
     for name in names:
         anything = ParameterDescriptor(dynamic_typing=True)
@@ -105,7 +105,7 @@ def find_given(node: Node, names: Iterable[str]) -> dict[str, Any]:
 def _declare(node: Node, parameter: Parameter) -> Any:
     if node.has_parameter(parameter.name):
         return node.get_parameter(parameter.name).value
-    # Of any type at first, so that a wrong value is refused in our words, not in rclpy's.
+    # At first of any type, so that a wrong value is rejected in our words, not in rclpy's.
     anything = ParameterDescriptor(dynamic_typing=True)
     given = node.declare_parameter(parameter.name, parameter.default, anything).value
     node.undeclare_parameter(parameter.name)
@@ -123,7 +123,7 @@ def _check_value(parameter: Parameter, value: Any) -> Any:
     """Return a value of a parameter in the parameter's type.
 
     Raises:
-        ValueError: it is wrong; the message states what it must be.
+        ValueError: if it is wrong; the message states what it must be.
     """
     kind = type(parameter.default)
     if kind in (int, float):
@@ -151,7 +151,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def fix(node: Node, name: str, value: Any, reason: str) -> None:
-    """Set a parameter of a node, and refuse every later change for a reason, in words."""
+    """Set a parameter of a node, and reject every later change, for a reason in words."""
     node.set_parameters([RosParameter(name, value=value)])
 
     def refuse_change(changes: list[RosParameter]) -> SetParametersResult:
@@ -167,16 +167,17 @@ def fix(node: Node, name: str, value: Any, reason: str) -> None:
 
 
 def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
-    """Refuse a parameter on the command line that the node has not declared.
+    """Reject a parameter on the command line that the node has not declared.
 
-    In a file, only sections that end with the node's name are checked; others are for several.
+    In a file, only sections that end with the node's name are checked; others are for several
+    nodes.
 
     Args:
         node: the node, after it has declared all its parameters.
         arguments: the process's command line.
 
     Raises:
-        ConfigurationError: there is such a parameter.
+        ConfigurationError: if there is such a parameter.
     """
     own, known = node.get_name(), node.get_parameters_by_prefix("")
 

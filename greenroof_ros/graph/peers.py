@@ -1,7 +1,7 @@
 """The nodes that publish the inputs of a node: which are missing, silent or wrong.
 
 No tick needs this. A node of a simulated graph checks it by the wall clock, before a run and while
-it waits.
+it is waiting.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ class Peers:
     """The nodes that publish a node's inputs.
 
     Attributes:
-        publishers: the publishers of each input, by the topic's name in the interface.
+        publishers: the publishers of every input, by the topic's name in the interface.
     """
 
     def __init__(self, role: str) -> None:
@@ -49,7 +49,7 @@ class Peers:
         )
 
     def describe_silent(self, names: Collection[str]) -> str:
-        """Return a text that names the topics, and the node, for which the node really waits.
+        """Return a text that names the topics, and the node, for which this node is really waiting.
 
         Args:
             names: the awaited topics, in the order of the node's inputs: weather, controller, pump.
@@ -59,7 +59,7 @@ class Peers:
         return self.describe({role: topics})
 
     def name_of(self, role: str) -> str:
-        """Return the name of the node of a role: its node name if it publishes an input here."""
+        """Return the name of the node with a role: its node name if it publishes an input here."""
         nodes = [
             node for publishers in self.publishers.values() if role in publishers.topic.publishers
             for node in publishers.names()
@@ -73,7 +73,7 @@ class Peers:
         return list_nodes(self.publishers[name].names(DISCOVERY_S))
 
     def describe_second(self) -> str:
-        """Return which input has a second publisher, in words; empty if none has."""
+        """Return in words which input has a second publisher; empty if none has."""
         for publishers in self.publishers.values():
             if publishers.count > 1 and publishers.compatible > 1:
                 return f"{publishers.full_name} {publishers.describe_second(DISCOVERY_S)}"
@@ -89,9 +89,9 @@ def group_by_role(
     the node's other inputs, or else the last.
 
     Args:
-        own: the node's role.
-        inputs: its inputs, by name in the interface.
-        names: the names of some of them.
+        own: role of the node.
+        inputs: inputs of the node, by name in the interface.
+        names: names of some of them.
     """
     present = {own} | {topic.publishers[0] for name, topic in inputs.items() if name not in names}
     roles: dict[str, list[str]] = {}

@@ -12,11 +12,11 @@ from rclpy.node import Node
 from greenroof_ros.common.interface import Qos, Topic
 from greenroof_ros.graph.messages import describe_qos, find_lacking
 
-# A node's name and its other endpoints are discovered up to this long after its publisher (s).
+# A node's name and its other endpoints may be discovered this long after its publisher (s).
 DISCOVERY_S = 1.0
 # The name that ROS reports for a node whose name has not been discovered yet.
 _UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
-# The most nodes that a sentence names: a client may join again and again under new names.
+# Maximum number of nodes named in a sentence: a client may join again and again under new names.
 _NAMED = 5
 
 
@@ -25,7 +25,7 @@ class Publishers:
 
     All publishers that ROS knows count. ROS is polled for them, since a middleware event can lock
     up rclpy's fast executor while a peer's liveliness changes (rmw_fastrtps, pull request 890). ROS
-    knows of a publisher before its first message arrives.
+    knows about a publisher before its first message arrives.
 
     Attributes:
         topic: the topic in the interface.
@@ -50,20 +50,20 @@ class Publishers:
 
     @property
     def count(self) -> int:
-        """How many publishers there are."""
+        """The number of publishers."""
         return self._node.count_publishers(self.full_name)
 
     @property
     def compatible(self) -> int:
-        """How many publishers have a compatible quality of service: their messages arrive."""
+        """The number of publishers with a compatible quality of service, whose messages arrive."""
         return len(self._endpoints()) - len(self._incompatible())
 
     def names(self, wait_s: float = 0.0) -> list[str]:
         """Return the names of the publishers' nodes; if all have gone, the last known names.
 
         Args:
-            wait_s: how long to wait for a name that is not discovered yet: after the first
-                messages, it may take :data:`DISCOVERY_S`.
+            wait_s: how long to wait for a name that is not discovered yet; after the first
+                messages, this may take :data:`DISCOVERY_S`.
         """
         until = time.monotonic() + wait_s
         known = {info.node_name for info in self._endpoints()}
@@ -74,25 +74,26 @@ class Publishers:
         return self._names
 
     def describe_second(self, wait_s: float = 0.0) -> str:
-        """Return that there is a second publisher, as a clause; empty if there is none.
+        """Return a clause about a second publisher; empty if there is none.
 
         Args:
-            wait_s: see :meth:`names`.
+            wait_s: as for :meth:`names`.
         """
         count = self.count
         if count < 2 or len(self._endpoints()) < 2:
             return ""
         names = list_nodes(self.names(wait_s))
         return (
-            f"has {count} publishers ({names}), but must have one: end the "
+            f"has {count} publishers ({names}), but must have only one: end the "
             "other, or use another ROS_DOMAIN_ID or --namespace"
         )
 
     def describe_incompatible(self) -> str:
-        """Return which publishers are incompatible, and why, as a clause; empty if none is.
+        """Return a clause on which publishers are incompatible, and why; empty if none is.
 
         DDS does not connect a publisher to a subscription that requests more than it offers, and
-        reports only one of the mismatched policies. The profiles of both are known: list them all.
+        reports only one of the mismatched policies. The profiles of both are known, so all are
+        listed.
         """
         incompatible = self._incompatible()
         if not incompatible:
@@ -126,7 +127,8 @@ class Publishers:
 def display_name(name: str) -> str:
     """Return the name of a node for a message.
 
-    A node that joined just before another was killed may discover its topics but never its name.
+    A node that joined just before another one was killed may discover its topics but never its
+    name.
     """
     if name == _UNKNOWN_NAME:
         return "a node of unknown name, perhaps because it was killed"

@@ -1,7 +1,7 @@
-"""The ROS arguments of ``greenroof run``, after ``--ros-args``, and to which nodes they apply.
+"""The ROS arguments of ``greenroof run``, after ``--ros-args``, and the nodes they apply to.
 
-A remapping applies to all nodes of the run, or to one: ``NODE:FROM:=TO``. What the run itself must
-know becomes its own option: the namespace, and parameters of the controller.
+A remapping applies to all nodes of the run, or to one: ``NODE:FROM:=TO``. What the run itself needs
+to know becomes its own option: the namespace, and parameters of the controller.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ def read_ros_arguments(
 
     Args:
         arguments: the words after ``--ros-args``.
-        controller: the name of the controller's node.
-        parameters: the names of its parameters.
+        controller: name of the controller's node.
+        parameters: names of its parameters.
 
     Raises:
-        ConfigurationError: one would move or rename a node alone, or sets what options set.
+        ConfigurationError: if one would move or rename a single node, or sets what options set.
     """
     options, left, words = list[str](), list[str](), iter(arguments)
     for word in words:
@@ -51,8 +51,8 @@ def read_ros_arguments(
         node, _, name = qualified.rpartition(":")
         if word == _FILE:
             raise ConfigurationError(
-                "is not for a run: give the controller's parameters by --parameters FILE, others "
-                "by --node-parameters FILE", key=word, value=rule,
+                "is not for a run: set the controller's parameters with --parameters FILE, others "
+                "with --node-parameters FILE", key=word, value=rule,
             )
         if word in _PARAMETER:
             if name not in parameters or node.rpartition("/")[2] not in ("", controller):

@@ -1,4 +1,4 @@
-"""Runs nodes of a simulated graph in this process, with one executor, as ROS 2's containers do."""
+"""Runs nodes of a simulated graph in this process, with one executor, like ROS 2's containers."""
 
 from __future__ import annotations
 
@@ -24,10 +24,9 @@ from greenroof_ros.graph.rclpy_internals import take_messages
 
 # How often the wall clock, the signals and the ends of the nodes are checked (s).
 _CHECK_S = 0.05
-# How long the middleware may take to shut down on a busy machine (s); SHUTDOWN_S is of the
-# processor's time.
+# How long the middleware may take to shut down on a busy machine (s); SHUTDOWN_S is processor time.
 _MAX_SHUTDOWN_S = 30
-# A clock that a step of the system's does not move.
+# A clock that is not affected when the system's clock is set.
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
@@ -35,18 +34,18 @@ _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 def ros(arguments: Sequence[str]) -> Iterator[None]:
     """Initialise ROS for the nodes of this process, and shut it down at the end.
 
-    At its end the process must be done: see :func:`end_soon`.
+    When this ends, the process must be done: see :func:`end_soon`.
 
     Args:
         arguments: the command line, with ROS arguments.
 
     Raises:
-        ConfigurationError: rcl cannot parse the arguments.
+        ConfigurationError: if rcl cannot parse the arguments.
     """
     choose_transport()
     try:
-        # Not rclpy's own handlers: after them nothing can be published, and a node that stops must
-        # still send its last report.
+        # Not rclpy's own handlers: after them nothing can be published, and a node that stops still
+        # has to send its last report.
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise ConfigurationError(" ".join(str(error).split())) from error
@@ -60,17 +59,17 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
 def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
     """Run nodes until they may end.
 
-    The loop over messages is in the executor, since one in Python would cost a seventh of a tick.
-    In between, 20 times a second, everything is checked that depends on the wall clock.
+    The loop over messages is in the executor, since a loop in Python would cost a seventh of a
+    tick. In between, everything that depends on the wall clock is checked 20 times a second.
 
     Args:
         nodes: the nodes.
-        may_end: called 20 times a second; can raise to end with an error.
+        may_end: called 20 times a second; it can raise an error to end the run.
 
     Raises:
-        LockstepError: the graph cannot go on.
-        ConfigurationError: the set-up is wrong.
-        OSError: a node cannot go on, for instance on a full disk.
+        LockstepError: if the graph cannot go on.
+        ConfigurationError: if the set-up is wrong.
+        OSError: if a node cannot go on, for instance on a full disk.
     """
     executor, pause = make_executor(), Future()
 
@@ -81,7 +80,8 @@ def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
     for node in nodes:
         node.on_failure = stop
         start_receiving(executor, node)
-    # The timeout alone is not enough: while messages wait, rclpy's fast executor does not return.
+    # The timeout alone is not enough: while messages are waiting, rclpy's fast executor does not
+    # return.
     nodes[0].create_timer(_CHECK_S, stop, clock=_STEADY)
     while not may_end():
         # With a timeout, since without one rclpy's fast executor fires no timers.
@@ -111,15 +111,15 @@ def make_executor() -> Any:
 def start_receiving(executor: Any, node: Any) -> None:
     """Add a node to an executor, and deliver the messages that arrived before it listened.
 
-    rmw_fastrtps counts the waiting messages and then starts to listen. A message that comes in
-    between is not noticed until the next one comes, which in lockstep never happens.
+    rmw_fastrtps counts the waiting messages and then starts to listen. A message that arrives in
+    between is not noticed until the next one arrives, which in lockstep never happens.
 
     Args:
         executor: the executor that will serve the node.
         node: the node; callbacks of its raw subscriptions take one argument.
     """
     executor.add_node(node)
-    executor.spin_once(timeout_sec=0.0)  # it begins to listen here, not in add_node
+    executor.spin_once(timeout_sec=0.0)  # this, not add_node, begins to listen
     for subscription in node.subscriptions:
         if subscription.raw:
             for message, _ in take_messages(subscription):
@@ -134,7 +134,7 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
         failure: the error that ended them; None if there was none.
 
     Returns:
-        The first error, also one of the end; None if there was none.
+        The first error, including errors while ending; None if there was none.
     """
     for node in nodes:
         try:
@@ -157,8 +157,8 @@ def destroy_nodes(nodes: Sequence[GraphNode]) -> None:
 def end_soon() -> None:
     """Let the kernel end this process if it locks up: everything has been sent and written.
 
-    A lock-up spins, so the processor's time is what counts. On a busy machine a normal end takes
-    longer, too, and must keep its exit code.
+    A process that has locked up spins, so its processor time is what counts. On a busy machine a
+    normal end takes longer, too, and must keep its exit code.
     """
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_PROF, SHUTDOWN_S)

@@ -29,10 +29,10 @@ class WeatherOutputs:
             node: the node.
             site: the site.
             horizon: how far the forecasts reach (h).
-            outlet_horizon: how far they reach for a plan of the outlet's valve (h).
+            outlet_horizon: how far they reach for a plan of the outlet valve (h).
         """
         self.publish = node.publish
-        # Prefix of each forecast: the time of its issue (s since 1970), and the ends of its steps
+        # Prefix of every forecast: the time of its issue (s since 1970), and the ends of its steps
         # (s from now).
         self._front = array("d", [math.nan, *look_ahead_ends(site, horizon, outlet_horizon)[1:]])
         node.open_outputs(FROST, RAIN, EVAPOTRANSPIRATION, *_FORECASTS)

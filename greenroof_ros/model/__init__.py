@@ -1,1 +1,1 @@
-"""Site and plant: Eqs. (1)-(10) of the paper, and what a run is judged by."""
+"""Site and plant: Eqs. (1)-(10) of the paper, and the metrics by which a run is judged."""

@@ -13,15 +13,15 @@ _TABLE_II = {
     "high-high": (1.3, 1.3),
 }
 SITE_STATE = "site"
-"""Name of the state that a site file defines by ``initial_cistern`` and ``initial_roof``."""
+"""name of the state that a site file defines with ``initial_cistern`` and ``initial_roof``"""
 INITIAL_STATES = (*_TABLE_II, SITE_STATE)
-"""Names of the states of a site that defines its own."""
+"""names of the states of a site that defines its own"""
 
 
 def initial_states(site: Site) -> dict[str, tuple[float, float]]:
-    """Return the volumes x1 and x2 (m3) of the states that runs begin in, the default first.
+    """Return the volumes x1 and x2 (m3) of the states in which runs begin, the default first.
 
-    The default is the site file's own, or else low-low. The drainage layer of a measured soil
+    The default is the site file's own, or else low-low. The drainage layer of field-capacity soil
     always begins with the site file's ``initial_layer``: the states do not include it.
     """
     states = {
@@ -36,15 +36,16 @@ def initial_states(site: Site) -> dict[str, tuple[float, float]]:
 def find_state(
     site: Site, name: str | None, volumes: tuple[float, float] | None
 ) -> tuple[str, tuple[float, float]]:
-    """Return the state that a run begins in: its name, and the volumes x1 and x2 (m3).
+    """Return the state in which a run begins: its name, and the volumes x1 and x2 (m3).
 
     Args:
         site: the site.
-        name: of a state of the site, or with volumes any other; None for the default.
-        volumes: x1 and x2 (m3); None for the named state's.
+        name: name of a state of the site, or any other name if volumes are given; None for the
+            default.
+        volumes: x1 and x2 (m3); None for those of the named state.
 
     Raises:
-        ConfigurationError: there is no such state, its volumes are others than those given, or the
+        ConfigurationError: if there is no such state, its volumes differ from those given, or the
             site cannot hold them.
     """
     states = initial_states(site)
@@ -53,13 +54,13 @@ def find_state(
         if name not in states:
             raise ConfigurationError(
                 "needs initial_cistern and initial_roof in the site file" if name == SITE_STATE
-                else f"must be one of {', '.join(INITIAL_STATES)}, or volumes in cistern and roof "
-                "must be given (m3)", key="initial", value=name,
+                else f"must be one of {', '.join(INITIAL_STATES)}, or the volumes in the cistern "
+                "and on the roof must be given (m3)", key="initial", value=name,
             )
         volumes = states[name]
     elif states.get(name or "", volumes) != volumes:
         raise ConfigurationError(
-            "has other volumes than those given for cistern and roof; leave out one or the other",
+            "has volumes that differ from those given for cistern and roof; leave one of them out",
             key="initial", value=name,
         )
     check_volumes(site, *volumes)
@@ -67,10 +68,11 @@ def find_state(
 
 
 def check_volumes(site: Site, cistern: float, roof: float) -> None:
-    """Refuse initial volumes that the site cannot hold.
+    """Reject initial volumes that the site cannot hold.
 
-    The plant has no rim: rain can raise the roof above the soil's capacity. It then drains slowly,
-    on a measured soil in the first tick. A run can begin in any state in which another one ends.
+    The plant has no rim: rain can raise the water on the roof above the soil's capacity. It then
+    drains slowly, or on field-capacity soil in the first tick. A run can begin in any state in
+    which another one can end.
 
     Args:
         site: the site.
@@ -78,8 +80,8 @@ def check_volumes(site: Site, cistern: float, roof: float) -> None:
         roof: volume x2 (m3).
 
     Raises:
-        ConfigurationError: no rain can lead to such a state; a unit is wrong. The error's key is
-            ``cistern`` or ``roof``.
+        ConfigurationError: if no rain can lead to such a state, so that a unit is wrong. The
+            error's key is ``cistern`` or ``roof``.
     """
     for key, value, expected in find_unheld(site, cistern, roof):
         raise ConfigurationError(expected, key=key, value=value)

@@ -1,12 +1,13 @@
-"""The metrics of a run, one entry each, for every summary, table and report.
+"""The metrics of a run, one entry each, for all summaries, tables and reports.
 
-A metric is a function of the samples of a run, which gives a number for each sample, and a way to
-combine these numbers: their sum, the maximum, the last; hours are counted in ticks. A ratio comes
-from two sums, and the share of rain kept from hourly sums. The same function serves a run in
-progress, block by block (:class:`BlockMetrics`), and a recorded run (:func:`totals_of`).
+A metric consists of a function of the samples of a run, which returns a number for every sample,
+and a way to combine these numbers: their sum, the maximum or the last one; hours are counted in
+ticks. A ratio is computed from two sums, and the share of rain retained from hourly sums. The same
+function serves a run in progress, block by block (:class:`BlockMetrics`), and a recorded run
+(:func:`totals_of`).
 
-All sums are sequential Euler sums: a value holds from its sample to the next, and the earlier
-total is added first. So the bits of a sum do not depend on the blocks in which it was made.
+All sums are sequential Euler sums: a value holds from its sample to the next, and the earlier total
+is added first. So the bits of a sum do not depend on the blocks in which it was computed.
 """
 
 from __future__ import annotations
@@ -49,42 +50,42 @@ _WEEK_S = 7 * 24 * _HOUR_S
 _WATER_DENSITY = 1000.0  # kg/m3
 _JOULES_PER_KWH = 3.6e6
 _RUNS = f"above {RUNNING_SHARE:.0%} of the maximum or of the commanded flow"
-# A roof drains water that came within this many hours; as many hours without rain end an event.
+# A roof drains water that came within this many hours; the same number of dry hours ends an event.
 _DRAINS_H = 6
 # Sums of rain are rounded: 20 mm must not be treated as more than 20 mm.
 _ROUNDING_MM = 1e-6
 
 NEAR_TARGET = 0.05
-"""Half width of the band in which a level is near the roof's target, as a share of the target."""
+"""half width of the band in which a level is near the roof's target, as a share of the target"""
 
 Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Samples:
-    """A stretch of a run; each array has shape (n,).
+    """A stretch of a run; every array has shape (n,).
 
-    A run ends in the state of its last sample: there nothing flows and the command is 0. This
+    A run ends in the state of its last sample: there, nothing flows and the command is 0. This
     sample lasts one tick, so that the deviation counts it as in the paper.
 
     Attributes:
-        duration: from each sample to the next (s).
+        duration: time from every sample to the next (s).
         cistern: water volume x1 (m3).
         roof: water volume x2 (m3).
-        command: as given (1); a pump driver carries it out as far as it can.
-        precipitation: rain (m/s).
-        outflow: from the cistern to the sewer (m3/s).
-        pump: from the cistern to the roof (m3/s).
-        drainage: off the roof (m3/s).
-        evapotranspiration: off the roof, at most what it held (m3/s).
-        layer: water volume in the drainage layer of a measured soil (m3); 0 on others.
+        command: command of the controller (1); a pump driver carries it out as far as it can.
+        precipitation: rain rate (m/s).
+        outflow: flow from the cistern to the sewer (m3/s).
+        pump: flow from the cistern to the roof (m3/s).
+        drainage: drainage from the roof (m3/s).
+        evapotranspiration: evapotranspiration from the roof, no more than what it held (m3/s).
+        layer: water volume in the drainage layer of field-capacity soil (m3); 0 for other soils.
         potential: evapotranspiration of plants that lack no water (m3/s).
-        time: start of each sample, since the run's start (s).
-        start: of the run (s since 1970).
-        mains: from the mains into the cistern (m3/s); 0 if there is no valve.
+        time: start of every sample, since the run's start (s).
+        start: start of the run (s since 1970).
+        mains: flow from the mains into the cistern (m3/s); 0 if there is no valve.
         low_outlet: the part of the outflow through the low outlet (m3/s); None if unknown.
-        limited: 1 if a tank held less than was demanded, else 0; None if unknown.
-        discharge_known: whether outflow and drainage are known, or nobody recorded them.
+        limited: 1 if a tank held less than was demanded, otherwise 0; None if unknown.
+        discharge_known: whether outflow and drainage are known, rather than recorded by nobody.
         pumping_before: whether the pumps ran in the sample before the first.
         earlier_starts: times of pump starts in the hour before the first sample (s, negative).
     """
@@ -139,9 +140,9 @@ class _Sums(NamedTuple):
     """Sums by minute, hour, day or week, each a row of some arrays."""
 
     earlier: tuple[Values, ...]
-    """those that no further sample belongs to; they are not copied any more"""
+    """sums to which no further sample belongs; they are not copied any more"""
     first: int
-    """place of the first of the others"""
+    """index of the first of the others"""
     open: Values
 
     def whole(self) -> Values:
@@ -149,12 +150,12 @@ class _Sums(NamedTuple):
         return np.concatenate((*self.earlier, self.open), axis=1)
 
 
-# Sums are set aside when there are so many.
+# Sums are set aside when there are this many.
 _MANY = 4096
 
 
 def _sums_by(before: _Sums | float, values: Values) -> _Sums:
-    """Add up each row except the first, which has the minute, hour, day or week of each sample."""
+    """Add up all rows except the first, which has the minute, hour, day or week of every sample."""
     places = values[0].astype(np.intp)
     if not isinstance(before, _Sums):
         before = _Sums((), 0, np.empty((len(values) - 1, 0)))
@@ -191,26 +192,26 @@ def _ratio(site: Site, sums: Values) -> float | None:
 
 
 def _rolling(values: Values, hours: int) -> Values:
-    """Return the sum of each value and the values before it, ``hours`` values in all."""
+    """Return the sum of every value and the values before it, ``hours`` values in total."""
     padded = np.concatenate((np.zeros(hours - 1), values))
     return np.asarray(sum(padded[k : k + len(values)] for k in range(hours)))
 
 
 def _retained(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> float | None:
-    """Return the share of the rain on the roof that did not drain off it in the same hours (1).
+    """Return the share of the rain on the roof that did not drain from it in the same hours (1).
 
     The drainage of an hour is split between rain and pumped water in the ratio in which they came
     in the six hours that end with it. Rain, and its part of the drainage, count in every hour that
-    is part of a stretch of ``hours`` with more than ``above``.
+    belongs to a stretch of ``hours`` with more than ``above``.
 
     Args:
-        site: with the area of the roof.
-        by_hour: rain on the roof, pumped and drained water (m3), shape (3, n).
+        site: site with the area of the roof.
+        by_hour: rain on the roof, pumped water and drained water (m3), shape (3, n).
         above: depth of rain (mm).
-        hours: length of a stretch.
+        hours: length of a stretch (h).
 
     Returns:
-        From 0 to 1; None if there was no such rain.
+        A share from 0 to 1; None if there was no such rain.
     """
     rain, pumped, drained = by_hour
     rained, watered = _rolling(rain, _DRAINS_H), _rolling(pumped, _DRAINS_H)
@@ -226,12 +227,12 @@ class Metric:
     """A metric of a run.
 
     Attributes:
-        name: key of ``summary.json``, column of ``results.csv``.
-        unit: for people; 1 for a plain number.
+        name: key in ``summary.json``, and column in ``results.csv``.
+        unit: unit for people; 1 for a plain number.
         label: name in tables.
-        meaning: in a few words.
-        function: gives a value for each sample; None if the samples do not have it.
-        combine: combines the earlier number, at first 0, with the values of further samples.
+        meaning: meaning in a few words.
+        function: returns a value for every sample; None if the samples do not have it.
+        combine: combines the earlier number, 0 at first, with the values of further samples.
         form: format of its number in tables.
         max: a larger value is shown as a warning.
         finish: computes the metric from the combined number (a sum of ticks is exact, a sum of
@@ -254,14 +255,14 @@ class Metric:
         return self.meaning if self.unit == "1" else f"{self.unit}, {self.meaning}"
 
 
-# --- the values of each sample -------------------------------------------------------------------
+# --- the values of all samples -------------------------------------------------------------------
 
 
 def _running_share(site: Site, samples: Samples) -> Values:
-    """Return the share of each sample in which the pumps run (1).
+    """Return the share of every sample in which the pumps run (1).
 
-    They run with more than 1 % of their maximum flow, or of the flow that is commanded. In a tick
-    that is not short, a flow is a mean if the pumps would pass the target or the suction level.
+    They count as running above 1 % of their maximum flow, or of the commanded flow. In a tick that
+    is not short, a flow is a mean if the pumps would pass the target or the suction level.
     """
     flow, tau = samples.pump, site.tau
     head = samples.cistern / site.a1 + site.c_hat - site.d
@@ -273,7 +274,7 @@ def _running_share(site: Site, samples: Samples) -> Values:
         return np.asarray(running, dtype=float)
     arriving = tau * (commanded + samples.precipitation * site.a2)
     stops = samples.roof + arriving >= site.a2 * site.z_veg
-    # Both outlets together take at most what is there.
+    # Both outlets together take no more than what is there.
     stops |= samples.cistern - tau * (commanded + samples.outflow) <= site.a1 * site.suction_level
     share = np.divide(flow, commanded, out=np.ones_like(flow), where=stops & (commanded > 0))
     return np.asarray(running * np.minimum(share, 1.0))
@@ -282,16 +283,16 @@ def _running_share(site: Site, samples: Samples) -> Values:
 def _by_interval(
     site: Site, samples: Samples, seconds: float, *amounts: Values
 ) -> Values:
-    """Return the interval of each sample, counted from the run's start, and its amounts.
+    """Return the interval of every sample, counted from the run's start, and its amounts.
 
-    A tick belongs to the interval with its middle, as its time is rounded. A sample of a recorded
-    run can last longer: then it is shared out among the intervals that it spans.
+    A tick belongs to the interval that contains its middle, as its time is rounded. A sample of a
+    recorded run can last longer: then it is divided among the intervals that it spans.
 
     Args:
-        site: with the duration of a tick.
-        samples: with their times.
+        site: site with the duration of a tick.
+        samples: samples with their times.
         seconds: duration of an interval (s).
-        amounts: of each sample, shape (n,).
+        amounts: amounts of every sample, shape (n,).
     """
     half, time, duration = site.tau / 2, samples.time, samples.duration
     first = (time + half) // seconds
@@ -308,7 +309,7 @@ def _by_interval(
 
 
 def _discharge(site: Site, samples: Samples) -> Values | None:
-    """Return what reaches the sewer in each sample (m3); None if unknown."""
+    """Return what reaches the sewer in every sample (m3); None if unknown."""
     if not samples.discharge_known:
         return None
     flow = samples.outflow + (1 - site.drainage_to_cistern) * samples.drainage
@@ -316,7 +317,7 @@ def _discharge(site: Site, samples: Samples) -> Values | None:
 
 
 def _storm_water(site: Site, samples: Samples) -> Values | None:
-    """Return each sample's interval, with its rain (m) and its discharge to the sewer (m3)."""
+    """Return every sample's interval, with its rain (m) and its discharge to the sewer (m3)."""
     discharge = _discharge(site, samples)
     if discharge is None:
         return None
@@ -345,7 +346,7 @@ def _peak_depth(site: Site, sums: Values, minutes: float) -> float:
 
 
 def _overflow(site: Site, samples: Samples) -> Values | None:
-    """Return each sample's calendar day, and what left through the upper outlet (m3)."""
+    """Return every sample's calendar day, and what left through the upper outlet (m3)."""
     if samples.low_outlet is None or not samples.discharge_known:
         return None
     return np.stack((
@@ -359,12 +360,12 @@ def _overflow_days(site: Site, days: Values) -> int:
 
 
 def find_calendar_days(site: Site, start: float, times: Values) -> Values:
-    """Return the day of each tick on the site's clock, 0 for the day on which the run starts.
+    """Return the day of every tick on the site's clock, 0 for the day on which the run starts.
 
     Args:
-        site: with the duration of a tick.
-        start: of the run (s since 1970).
-        times: at which the ticks begin (s since the run's start), shape (n,).
+        site: site with the duration of a tick.
+        start: start of the run (s since 1970).
+        times: times at which the ticks begin (s since the run's start), shape (n,).
     """
     middles = start + times + site.tau / 2
     begins, first, last = (
@@ -379,7 +380,7 @@ def find_calendar_days(site: Site, start: float, times: Values) -> Values:
 
 
 def _rain_and_discharge(site: Site, samples: Samples) -> Values | None:
-    """Return what reaches the sewer in each sample, and the rain on the connected area (m3)."""
+    """Return what reaches the sewer in every sample, and the rain on the connected area (m3)."""
     discharge = _discharge(site, samples)
     if discharge is None:
         return None
@@ -399,13 +400,13 @@ def _pump_starts(site: Site, samples: Samples) -> Values:
 
 
 def _start_times(site: Site, samples: Samples) -> Values:
-    """Return when the pumps started (s, 0 is the first sample), the earlier starts first."""
+    """Return when the pumps started (s, 0 at the first sample), the earlier starts first."""
     times = np.cumsum(samples.duration) - samples.duration
     return np.concatenate((samples.earlier_starts, times[_pump_starts(site, samples) > 0]))
 
 
 def _starts_in_hour(site: Site, samples: Samples) -> Values:
-    """Return, for each start, the number of starts in the hour that ends with it; 0 elsewhere."""
+    """Return, for every start, the number of starts in the hour that ends with it; 0 elsewhere."""
     times = _start_times(site, samples)
     # Half a tick less than an hour: the times are rounded sums.
     first = np.searchsorted(times, times - _HOUR_S + site.tau / 2)
@@ -419,7 +420,7 @@ def _excess_starts(site: Site, samples: Samples) -> Values:
 
 
 def _hydraulic_energy(site: Site, samples: Samples) -> Values:
-    # The head while they run; a mean over a tick in which they stop would be too small.
+    # The head while they run; a mean over a tick in which they stop would be too low.
     share = _running_share(site, samples)
     flow = np.divide(samples.pump, share, out=samples.pump.copy(), where=share > 0)
     head = head_loss(site, samples.cistern, flow)
@@ -436,12 +437,12 @@ def _volume(flow: str) -> Callable[[Site, Samples], Values]:
 
 
 def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, Samples], Values]:
-    """Return a function that gives the ticks in which a condition holds."""
+    """Return a function that returns the ticks in which a condition holds."""
     return lambda site, samples: samples.duration / site.tau * condition(site, samples)
 
 
 def _roof_water(site: Site, samples: Samples) -> Values:
-    """Return each sample's hour of the run, and its rain, pumped and drained water (m3)."""
+    """Return every sample's hour of the run, and its rain, pumped and drained water (m3)."""
     return _by_interval(
         site, samples, _HOUR_S, samples.duration * samples.precipitation * site.a2,
         samples.duration * samples.pump, samples.duration * samples.drainage,
@@ -451,11 +452,12 @@ def _roof_water(site: Site, samples: Samples) -> Values:
 METRICS = (
     Metric(
         "total_deviation_m3", "m3", "total deviation",
-        "sum of |x2 - x2*| over the ticks (Fig. 5)", _deviation, form=".2f",
+        "sum over the ticks of |x2 - x2*|, the distance of the roof's volume from its target",
+        _deviation, form=".2f",
     ),
     Metric(
         "near_target_hours", "h", "near the target",
-        f"within {NEAR_TARGET:.0%} of x2*, over the ticks",
+        f"volume on the roof within {NEAR_TARGET:.0%} of its target",
         _ticks_where(
             lambda site, samples: np.abs(samples.roof - site.x2_star) <= NEAR_TARGET * site.x2_star
         ),
@@ -463,13 +465,13 @@ METRICS = (
     ),
     Metric(
         "mean_deviation_mm", "mm", "mean deviation",
-        "mean of |x2 - x2*| over the ticks, as a depth on the roof",
+        "mean distance from the target, as a depth on the roof",
         lambda site, samples: np.stack((_deviation(site, samples), samples.duration / site.tau)),
         _sums, ".2f", finish=lambda site, sums: 1000 * float(sums[0] / sums[1]) / site.a2,
     ),
     Metric(
         "stress_hours", "h", "water stress",
-        "plants get less water than they need: K_s of FAO-56 below 1, or an empty roof",
+        "plants receive less water than they need: K_s of FAO-56 below 1, or an empty roof",
         _ticks_where(
             lambda site, samples: (samples.roof < soil_of(site).stress_volume) | (samples.roof <= 0)
         ),
@@ -484,7 +486,7 @@ METRICS = (
         _sums, ".1%", finish=_ratio,
     ),
     Metric(
-        "rain_kept_share", "1", "rain kept", "share of the rain on the roof that did not drain off",
+        "rain_kept_share", "1", "rain kept", "share of the rain on the roof that did not drain",
         _roof_water, _sums_by, ".1%", finish=_retained,
     ),
     Metric(
@@ -498,7 +500,7 @@ METRICS = (
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=10.0, hours=24),
     ),
     Metric(
-        "mains_m3", "m3", "mains water used", "into the cistern, if there is a top-up",
+        "mains_m3", "m3", "mains water used", "mains water into the cistern, if there is a top-up",
         lambda site, samples: (
             None if site.mains_level is None else samples.duration * samples.mains
         ),
@@ -512,28 +514,29 @@ METRICS = (
         _sums, ".1%", finish=_share_without,
     ),
     Metric(
-        "final_cistern_m3", "m3", "cistern at the end", "the last x1",
+        "final_cistern_m3", "m3", "cistern at the end", "volume in the cistern, x1, at the end",
         lambda site, samples: samples.cistern, _last, ".6g",
     ),
     Metric(
-        "final_roof_m3", "m3", "roof at the end", "the last x2",
+        "final_roof_m3", "m3", "roof at the end", "volume on the roof, x2, at the end",
         lambda site, samples: samples.roof, _last, ".6g",
     ),
     Metric(
-        "final_layer_m3", "m3", "drainage layer at the end", "of a measured soil",
+        "final_layer_m3", "m3", "drainage layer at the end",
+        "volume in the drainage layer of field-capacity soil",
         lambda site, samples: None if site.drainage_storage is None else samples.layer,
         _last, ".6g",
     ),
     Metric("pumped_m3", "m3", "pumped", "from the cistern to the roof", _volume("pump")),
     Metric("outflow_m3", "m3", "outflow", "from the cistern to the sewer", _volume("outflow")),
-    Metric("drainage_m3", "m3", "drainage", "off the roof", _volume("drainage")),
+    Metric("drainage_m3", "m3", "drainage", "from the roof", _volume("drainage")),
     Metric(
         "discharge_m3", "m3", "discharge",
         "to the sewer: outflow, and drainage that does not flow into the cistern", _discharge,
     ),
     Metric(
         "wet_discharge_m3", "m3", "discharge in wet weather",
-        "to the sewer in rain, and wet_after of the site after it", _storm_water, _sums_by,
+        "to the sewer in rain, and for the site's wet_after following it", _storm_water, _sums_by,
         finish=_wet_discharge,
     ),
     *(
@@ -558,7 +561,7 @@ METRICS = (
     ),
     Metric(
         "overflow_days", "1", "days of overflow",
-        "calendar days on the site's clock, with 0.1 mm or more over the connected area", _overflow,
+        "calendar days on the site's clock with 0.1 mm or more over the connected area", _overflow,
         _sums_by, "d", finish=_overflow_days,
     ),
     Metric(
@@ -581,7 +584,8 @@ METRICS = (
         lambda site, samples: samples.duration * samples.precipitation * site.a2,
     ),
     Metric(
-        "evapotranspiration_m3", "m3", "evapotranspiration", "off the roof, at most what it held",
+        "evapotranspiration_m3", "m3", "evapotranspiration",
+        "from the roof, no more than the water that it held",
         _volume("evapotranspiration"),
     ),
     Metric(
@@ -597,20 +601,20 @@ METRICS = (
         lambda site, samples: samples.limited, _count, "d", max=0,
     ),
     Metric(
-        "pump_starts", "1", "pump starts", f"how often the flow rose {_RUNS}",
+        "pump_starts", "1", "pump starts", f"how many times the flow rose {_RUNS}",
         _pump_starts, _count, "d",
     ),
     Metric(
-        "busiest_hour_starts", "1", "starts in an hour", "the most pump starts in 60 minutes",
+        "busiest_hour_starts", "1", "starts in an hour", "maximum of pump starts in 60 minutes",
         _starts_in_hour, lambda before, values: int(_maximum(before, values)), "d",
     ),
     Metric(
         "excess_starts", "1", "too many starts",
-        "pump starts beyond starts_per_hour of the site, in the hour that ends with them",
+        "pump starts beyond the site's starts_per_hour, in the hour that ends with them",
         _excess_starts, _count, "d", max=0,
     ),
     Metric(
-        "pump_hours", "h", "pump running", f"with a flow {_RUNS}",
+        "pump_hours", "h", "pump running", f"time with a flow {_RUNS}",
         _ticks_where(_running_share), form=".3f", finish=_hours,
     ),
     Metric(
@@ -628,11 +632,11 @@ METRICS = (
 def totals_of(
     site: Site, samples: Samples, before: Mapping[str, Any] | None = None
 ) -> dict[str, float]:
-    """Return each metric of a whole run by its name, without those that its samples do not have.
+    """Return all metrics of a whole run by name, without those that its samples do not have.
 
     Args:
-        site: its parameters.
-        samples: at least one.
+        site: parameters of the site.
+        samples: at least one sample.
         before: combined numbers of the samples before these.
     """
     totals = _add(before or {}, site, samples)
@@ -646,7 +650,7 @@ def totals_of(
 def events_of(
     site: Site, samples: Samples, before: Mapping[str, Any] | None = None
 ) -> list[Event]:
-    """Return the events of rain of a whole run; none if its discharge is unknown.
+    """Return the rain events of a whole run; none if its discharge is unknown.
 
     The arguments are as for :func:`totals_of`.
     """
@@ -671,10 +675,10 @@ def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, A
 
 
 TICK = ("cistern", "roof", "layer", "command", "precipitation", "potential", *Flows._fields)
-"""The values of a tick, by their names in :class:`Samples`: state, then what happens until the
-next"""
+"""the values of a tick, by their names in :class:`Samples`: the state, then what happens until the
+next tick"""
 BLOCK = 4096
-"""Ticks that are added up together, in less than half the time of single ticks."""
+"""ticks that are added up together, in less than half the time that single ticks take"""
 
 _pack_tick = struct.Struct(f"{len(TICK)}d").pack
 _BLOCK_BYTES = BLOCK * 8 * len(TICK)
@@ -683,20 +687,20 @@ _BLOCK_BYTES = BLOCK * 8 * len(TICK)
 class BlockMetrics:
     """The metrics of a run in progress, block by block of its ticks.
 
-    A run ends in a state that is given as the values of a last tick, in which nothing happens.
+    A run ends in a state that is passed as the values of a last tick, in which nothing happens.
     """
 
     def __init__(self, site: Site, start: float = 0.0) -> None:
         """Begin with pumps stopped.
 
         Args:
-            site: its parameters.
-            start: of the run (s since 1970).
+            site: parameters of the site.
+            start: start of the run (s since 1970).
         """
         self._site, self._start = site, start
         self._totals: dict[str, Any] = {}
         self._weeks: _Sums | float = 0.0
-        self._done = 0  # ticks that are in the totals
+        self._done = 0  # number of ticks in the totals
         self._pumping = False
         self._starts = np.empty(0)
 
@@ -715,14 +719,14 @@ class BlockMetrics:
         self._starts = starts[starts > -_HOUR_S]
 
     def results(self, end: Values) -> dict[str, float]:
-        """Return each metric by its name, if the run ends in a state, shape (:data:`TICK`, 1)."""
+        """Return every metric by name, if the run ends in a state, shape (:data:`TICK`, 1)."""
         return totals_of(self._site, self._end(end), self._totals)
 
     def weekly_deviations(self, end: Values) -> list[float]:
-        """Return the total deviation of each week of the run (m3), summed over its ticks.
+        """Return the total deviation in every week of the run (m3), summed over its ticks.
 
         A bad fortnight does not show in a season's sum. The last week can be short; it includes the
-        last tick of all, so that the weeks add up to the total.
+        very last tick, so that the weeks add up to the total.
 
         Args:
             end: as for :meth:`results`.
@@ -730,13 +734,13 @@ class BlockMetrics:
         return [float(week) for week in self._weekly(self._end(end)).whole()[0]]
 
     def events(self, end: Values) -> list[Event]:
-        """Return the events of rain, if the run ends in a state as for :meth:`results`."""
+        """Return the rain events, if the run ends in a state as for :meth:`results`."""
         return events_of(self._site, self._end(end), self._totals)
 
     def _end(self, state: Values) -> Samples:
         """Return the state in which the run ends.
 
-        It counts in the hour and week of the tick before it, and begins no new one.
+        It counts in the hour and week of the tick before it, and does not begin a new one.
         """
         return self._samples(state, max(0, self._done - 1))
 
@@ -750,7 +754,7 @@ class BlockMetrics:
         )
 
     def _weekly(self, samples: Samples) -> _Sums:
-        """Return the deviation of each week, further samples included."""
+        """Return the deviation in every week, including further samples."""
         week = (samples.time + self._site.tau / 2) // _WEEK_S
         return _sums_by(self._weeks, np.stack((week, _deviation(self._site, samples))))
 
@@ -767,9 +771,9 @@ class Metrics:
         """Start with pumps stopped.
 
         Args:
-            site: its parameters.
+            site: parameters of the site.
             plant: cistern and roof, always in the state of the present tick.
-            start: of the run (s since 1970).
+            start: start of the run (s since 1970).
         """
         self._plant, self._blocks = plant, BlockMetrics(site, start)
         self._ticks = bytearray()
@@ -777,13 +781,13 @@ class Metrics:
     def step(
         self, command: float, precipitation: float, potential: float, flows: Flows
     ) -> None:
-        """Add what happens from the present tick to the next, for each tick 0..N-1.
+        """Add what happens from the present tick to the next, for every tick 0..N-1.
 
         Args:
-            command: the command given (1).
-            precipitation: rain (m/s).
+            command: command of the controller (1).
+            precipitation: rain rate (m/s).
             potential: evapotranspiration of plants that lack no water (m3/s).
-            flows: what moves (m3/s).
+            flows: flows in the tick (m3/s).
         """
         plant = self._plant
         self._ticks += _pack_tick(
@@ -793,15 +797,15 @@ class Metrics:
             self._add_ticks()
 
     def results(self) -> dict[str, float]:
-        """Return each metric by its name, if the run ends in the present tick."""
+        """Return every metric by its name, as if the run ended in the present tick."""
         return self._blocks.results(self._end())
 
     def weekly_deviations(self) -> list[float]:
-        """Return the total deviation of each week (m3), if the run ends in the present tick."""
+        """Return the total deviation in every week (m3), as if the run ended in this tick."""
         return self._blocks.weekly_deviations(self._end())
 
     def events(self) -> list[Event]:
-        """Return the events of rain, if the run ends in the present tick."""
+        """Return the rain events, as if the run ended in the present tick."""
         return self._blocks.events(self._end())
 
     def __getitem__(self, name: str) -> float:

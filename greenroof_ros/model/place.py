@@ -8,7 +8,7 @@ _EARTH_KM = 6371.0
 
 
 def measure_distance(here: tuple[float, float], there: tuple[float, float]) -> float:
-    """Return the distance of two places along a great circle (km); latitudes and longitudes."""
+    """Return the great-circle distance (km) of two places, given as (latitude, longitude)."""
     (north, east), (north2, east2) = (map(math.radians, place) for place in (here, there))
     chord = math.sin((north2 - north) / 2) ** 2 + (
         math.cos(north) * math.cos(north2) * math.sin((east2 - east) / 2) ** 2
@@ -19,7 +19,7 @@ def measure_distance(here: tuple[float, float], there: tuple[float, float]) -> f
 def format_place(latitude: float | None, longitude: float | None) -> str:
     """Write a place for people: 43.63 N, 79.4 W."""
     if latitude is None or longitude is None:
-        return "place not given"
+        return "place not stated"
     return (
         f"{abs(latitude):.2f} {'N' if latitude >= 0 else 'S'}, "
         f"{abs(longitude):.2f} {'E' if longitude >= 0 else 'W'}"

@@ -1,9 +1,9 @@
 """The plant: Eqs. (1)-(4) of the paper, integrated tick by tick.
 
-In a short tick, as in Table I, that is Euler's method, as in the paper. In a longer one, outlets,
+In a short tick, as in Table I, this is Euler's method, as in the paper. In a longer one, outlets,
 pumps and mains act within the tick: each stops at its level (:func:`has_short_ticks`). Eq. (4) is
-in :mod:`greenroof_ros.model.soil`, with the measured soil, which can have a third state: the water
-in its drainage layer.
+in :mod:`greenroof_ros.model.soil`, together with the field-capacity soil, which can have a third
+state: the water in its drainage layer.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from greenroof_ros.model.soil import Soil, soil_of
 
 Values = NDArray[np.float64]
 
-# Makes a named tuple from a tuple in half the time of its own class.
+# Makes a named tuple from a tuple in half the time that its own class takes.
 _new = tuple.__new__
 
 # A short tick: see :func:`has_short_ticks`.
 _SHORT_HEAD = 1e-4
 
 SHORT_SHARE = 0.01
-"""Pumps at full flow move at most this share of the roof's target in a short tick."""
+"""maximum share of the roof's target that pumps at full flow move in a short tick"""
 
 MAX_STEP_S = 10.0
-"""Steps in which the cistern is computed in a longer tick (s)."""
+"""steps in which the cistern is computed in a longer tick (s)"""
 
 ABOVE_SUCTION = 1e-9
-"""A cistern that is pumped down to the suction level ends this share above it, not a bit below."""
+"""share of the suction level at which a cistern that is pumped down ends above it, never below"""
 
 RUNNING_SHARE = 0.01
-"""The pumps run above this share of their maximum flow."""
+"""share of their maximum flow above which the pumps count as running"""
 
 MIN_RUN_S = 1.0
-"""In a tick that is not short the pumps run for at least this time (s), the paper's tick."""
+"""minimum time for which the pumps run in a tick that is not short (s), the paper's tick"""
 
 
 def overflow(site: Site, x1: float) -> float:
@@ -49,12 +49,12 @@ def overflow(site: Site, x1: float) -> float:
 
 
 def outlet_flow(site: Site, x1: float) -> float:
-    """What leaves a cistern holding x1 (m3) for the sewer through both outlets, open (m3/s)."""
+    """Flow from a cistern holding x1 (m3) to the sewer through both outlets, open (m3/s)."""
     return overflow(site, x1) + low_outlet_flow(site, x1)
 
 
 def low_outlet_flow(site: Site, x1: float) -> float:
-    """What the open low outlet takes (m3/s) from a cistern of x1 (m3): Eq. (2) at its level."""
+    """Flow (m3/s) through the open low outlet of a cistern with x1 (m3): Eq. (2) at its level."""
     if site.low_outlet_level is None:
         return 0.0
     head = x1 / site.a1 - site.low_outlet_level
@@ -62,26 +62,26 @@ def low_outlet_flow(site: Site, x1: float) -> float:
 
 
 def find_outlet_radius(site: Site, base: float, head: float, seconds: float) -> float:
-    """Return the radius of an outlet (m) that takes some time to drain a cistern to its level.
+    """Return the radius of an outlet (m) that takes a certain time to drain a cistern to its level.
 
-    The root of the head falls linearly in time, by Eq. (2): it takes 2 a1 sqrt(head) / c.
+    The root of the head falls linearly in time, from Eq. (2): this takes 2 a1 sqrt(head) / c.
 
     Args:
-        site: with the discharge coefficient and the acceleration due to gravity.
-        base: area of the cistern (m2).
-        head: of the full cistern above the outlet (m).
-        seconds: until it is drained.
+        site: site with the discharge coefficient and the acceleration due to gravity.
+        base: base area of the cistern (m2).
+        head: head of the full cistern above the outlet (m).
+        seconds: time until it is drained (s).
     """
     coefficient = 2 * base * math.sqrt(head) / seconds
     return math.sqrt(coefficient / (site.c_d * math.pi * math.sqrt(2 * site.g)))
 
 
 def has_short_ticks(site: Site) -> bool:
-    """Whether Euler's method is precise enough within a tick, as in Table I.
+    """Return whether Euler's method is precise enough within a tick, as in Table I.
 
-    In a short tick, pumps at full flow move at most 1 % of the roof's target. An outlet takes at
-    most what stands 0.1 mm above it: by Euler's method it takes more than stands above it if the
-    head is below (tau c / a1)^2, with the c of Eq. (2).
+    In a short tick, pumps at full flow move no more than 1 % of the roof's target, and an outlet
+    takes no more than the water up to 0.1 mm above it: with Euler's method, it takes more than is
+    above it if the head is below (tau c / a1)^2, with the c of Eq. (2).
     """
     pumped = site.tau * maximum_pump_flow(site, site.a1 * site.z_o)
     overdrawn = (site.tau * max(site.c_out, site.c_low) / site.a1) ** 2
@@ -89,20 +89,21 @@ def has_short_ticks(site: Site) -> bool:
 
 
 def mains_flow(site: Site, x1: float, drawn: float, seconds: float) -> float:
-    """Return the mean flow of the mains in a step (m3/s), through a float valve; 0 without one.
+    """Return the mean flow of the mains in a step (m3/s) through a float valve; 0 without a valve.
 
-    Below its level the valve is open; at its level it replaces what is drawn, up to ``mains_flow``.
+    Below its level, the valve is open; at its level, it replaces what is drawn, up to
+    ``mains_flow``.
 
     Args:
-        site: its parameters.
-        x1: in the cistern at the beginning (m3).
-        drawn: what is pumped and drains, less the rain that flows in (m3/s), constant in the step.
+        site: parameters of the site.
+        x1: volume in the cistern at the beginning (m3).
+        drawn: what is pumped and drains, minus the rain that flows in (m3/s), constant in the step.
         seconds: duration of the step (s).
     """
     if site.mains_flow is None or site.mains_level is None:
         return 0.0
     missing, maximum = site.a1 * site.mains_level - x1, site.mains_flow
-    before = 0.0 if missing <= 0 else maximum  # its flow until the level is the valve's
+    before = 0.0 if missing <= 0 else maximum  # its flow until the level reaches the valve's
     towards = before - drawn
     reaches = missing / towards if missing * towards > 0 else seconds if missing else 0.0  # s
     share = min(1.0, reaches / seconds)
@@ -119,10 +120,10 @@ def maximum_pump_flow(site: Site, x1: float) -> float:
 
 
 def pumps_run(site: Site, flow: Any) -> Any:
-    """Whether the pumps run at a flow (m3/s, of any shape): above 1 % of their maximum flow.
+    """Return whether the pumps run at a flow (m3/s, any shape): above 1 % of their maximum flow.
 
-    The maximum is that from a cistern full up to its outlet. A smaller flow is the end of a lag,
-    which never quite reaches 0, or the noise of a meter.
+    The maximum is the flow from a cistern filled up to its outlet. A smaller flow is the end of a
+    lag, which never quite reaches 0, or the noise of a meter.
     """
     return flow > RUNNING_SHARE * maximum_pump_flow(site, site.a1 * site.z_o)
 
@@ -140,13 +141,13 @@ def command_to(
     """Return the command that brings a roof from x2 to a volume in a tick; 0 if none does.
 
     Args:
-        site: its parameters.
-        soil: of the site.
-        x1: in the cistern (m3).
-        x2: on the roof (m3).
-        target: volume on it at the end of the tick (m3).
-        rain: in the tick (m/s).
-        potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
+        site: parameters of the site.
+        soil: soil of the site.
+        x1: volume in the cistern (m3).
+        x2: volume on the roof (m3).
+        target: volume on the roof at the end of the tick (m3).
+        rain: rain in the tick (m/s).
+        potential: evapotranspiration from the whole bed (m3/s) of plants that lack no water.
     """
     stays = target - x2 + site.tau * potential * soil.water_stress(x2)
     full = maximum_pump_flow(site, x1)
@@ -158,21 +159,21 @@ def command_to(
 
 def head_loss(site: Site, x1: Values, flow: Values) -> Values:
     """L (m): the head needed by flows (m3/s) from a cistern holding x1 (m3), Eq. (3c)."""
-    # float_power gives the bits of a number's square; numpy's square does not.
+    # float_power yields the bits of a number's square; numpy's square does not.
     return site.pipe_resistance * np.float_power(flow, 2) + site.d - x1 / site.a1
 
 
 class Flows(NamedTuple):
-    """What moves during one tick (m3/s), limited to what each tank holds."""
+    """The flows during one tick (m3/s), limited to what each tank holds."""
 
     outflow: float
     """from the cistern to the sewer"""
     pump: float
     """from the cistern to the roof"""
     drainage: float
-    """off the roof"""
+    """drainage from the roof"""
     evapotranspiration: float
-    """off the roof"""
+    """evapotranspiration from the roof"""
     limited: bool
     """whether a tank held less than was demanded"""
     mains: float
@@ -182,18 +183,18 @@ class Flows(NamedTuple):
 
 
 class Plant:
-    """Cistern and roof, stepped tick by tick.
+    """Cistern and roof, computed tick by tick.
 
     Attributes:
         x1: water volume in the cistern (m3).
-        x2: water volume in the green roof (m3), on a measured soil in its substrate.
-        layer: water volume in the drainage layer of a measured soil (m3), at first the site's
-            ``initial_layer``; always 0 on other roofs.
+        x2: water volume on the green roof (m3); with field-capacity soil, in its substrate.
+        layer: water volume in the drainage layer of field-capacity soil (m3), at first the site's
+            ``initial_layer``; always 0 for the paper's soil.
     """
 
     def __init__(self, site: Site, x1: float, x2: float) -> None:
         self._site = site
-        # Looked up once: the time of a tick counts.
+        # Looked up once, since the processor time per tick matters.
         self._a1, self._a2, self._tau = site.a1, site.a2, site.tau
         self._min_outlet_level, self._catchment = site.min_outlet_level, site.effective_catchment
         self._soil = soil_of(site)
@@ -209,7 +210,7 @@ class Plant:
     def levels(self) -> tuple[float, float]:
         """Water depth in the cistern and on the roof (m), as sensors would measure them.
 
-        The roof's sensor stands in the substrate; it does not see the drainage layer.
+        The roof's sensor is in the substrate; it does not see the drainage layer.
         """
         return self.x1 / self._a1, self.x2 / self._a2
 
@@ -217,15 +218,16 @@ class Plant:
         self, precipitation: float, evapotranspiration: float, command: float,
         pumped: float | None = None, outlet: float = 1.0,
     ) -> Flows:
-        """Return what moves during the present tick.
+        """Return the flows during the present tick.
 
-        If the paper's model would empty a tank below zero, all that leaves it is scaled down to
-        what it holds plus what enters it.
+        If the paper's model would empty a tank below zero, everything that leaves it is scaled down
+        to what it holds plus what enters it.
 
         Args:
-            precipitation: rain (m/s).
-            evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
-            command: to the pumps (share of the maximum flow), Eq. (3a).
+            precipitation: rain rate (m/s).
+            evapotranspiration: evapotranspiration from the whole bed (m3/s), of plants that lack no
+                water.
+            command: command to the pumps (share of the maximum flow), Eq. (3a).
             pumped: flow from the cistern to the roof (m3/s), if another program drives the pumps.
             outlet: share to which the valve of the low outlet is open (1).
         """
@@ -257,8 +259,8 @@ class Plant:
                 limited = True
         drainage = 0.0
         available = x2 / tau + rain + pump
-        # Otherwise the soil loses what is demanded: in most ticks of the paper's site, which saves
-        # a call that would make them a tenth longer.
+        # Otherwise the soil loses what is demanded, as in most ticks of the paper's site; this
+        # saves a call that would make them a tenth longer.
         if x2 >= self._retains_all_below or evapotranspiration > available:
             drainage, evapotranspiration, dry = self._soil.tick(
                 x2, self.layer, available, rain + pump, evapotranspiration
@@ -278,17 +280,18 @@ class Plant:
         """Return what must be pumped until the roof is at its target in a long tick.
 
         Args:
-            rain: on the roof (m3/s).
-            evapotranspiration: off it (m3/s), of plants that do not lack water.
+            rain: rain on the roof (m3/s).
+            evapotranspiration: evapotranspiration from the roof (m3/s), of plants that lack no
+                water.
 
         Returns:
-            A volume (m3), and by how much it falls because of rain (m3/s).
+            A volume (m3), and the rate at which it falls because of rain (m3/s).
         """
         target = self._a2 * self._site.z_veg
         evaporated = evapotranspiration * self._soil.water_stress(self.x2)
         if rain > evaporated:
             return self._soil.water_to_raise(self.x2, target), rain - evaporated
-        # They also replace what is lost in the rest of the tick.
+        # They also replace what is lost during the rest of the tick.
         arrive = self._soil.water_to_raise(self.x2, target + self._tau * evaporated)
         return arrive - self._tau * rain, 0.0
 
@@ -298,20 +301,21 @@ class Plant:
     ) -> tuple[float, float, float, float, list[float], bool]:
         """Return what leaves the cistern and flows into it in a long tick.
 
-        If something changes quickly, in steps of up to 10 s. In each, pumps and mains stop at their
-        levels; then the outlets take their part.
+        If something changes quickly, this is done in steps of up to 10 s. In each of them, pumps
+        and mains stop at their levels; then the outlets take their part.
 
         Args:
             collected: rain that flows in (m3/s).
-            command: to the pumps (share of the maximum flow).
+            command: command to the pumps (share of the maximum flow).
             pumped: flow to the roof (m3/s), if another program drives the pumps.
             outlet: share to which the valve of the low outlet is open (1).
             missing: what must be pumped until the roof is at its target (m3).
-            rise: by how much that falls because of rain (m3/s).
+            rise: rate at which that falls because of rain (m3/s).
 
         Returns:
-            Outflow, its part through the low outlet, pumped and mains water (m3/s), what is pumped
-            in each step (m3), and whether the cistern held less than another program pumped.
+            Outflow, its part through the low outlet, pumped water and mains water (m3/s), what is
+            pumped in every step (m3), and whether the cistern held less than another program
+            pumped.
         """
         site, x1, tau = self._site, self.x1, self._tau
         lowest, min_run = self._a1 * site.suction_level * (1 + ABOVE_SUCTION), MIN_RUN_S
@@ -354,14 +358,14 @@ class Plant:
     def _step_outlets(
         self, arriving: float, volumes: Sequence[float], outlet: float
     ) -> tuple[float, float, float]:
-        """Return outflow, its part through the low outlet and mains water in a long tick (m3/s).
+        """Return outflow, its part through the low outlet, and mains water in a long tick (m3/s).
 
-        The roof's drainage depends on what is pumped, and so is known after the pumps have run;
-        what flows into the cistern can leave it in the same tick.
+        The roof's drainage depends on what is pumped, and so is known only after the pumps have
+        run; what flows into the cistern can leave it in the same tick.
 
         Args:
             arriving: rain and drainage that flow in (m3/s).
-            volumes: what :meth:`_step_cistern` pumps in each step, or in the tick (m3).
+            volumes: what :meth:`_step_cistern` pumps in every step, or in the tick (m3).
             outlet: share to which the valve of the low outlet is open (1).
         """
         x1, tau = self.x1, self._tau
@@ -383,15 +387,15 @@ class Plant:
     def _let_out(self, x1: float, outlet: float, seconds: float) -> tuple[float, float]:
         """Return what the upper and the low outlet take in a step (m3).
 
-        By the backward Euler method, so that they take at most what stands above them. Their head
-        after a step, s^2, solves a quadratic equation,
+        The backward Euler method is used, so that they take no more than what is above them. The
+        head after a step, s^2, solves a quadratic equation,
 
             a1 s^2 + c t s = volume above the outlet without its flow.
 
-        The upper outlet first: while it flows, the lower one's head hardly changes.
+        The upper outlet comes first: while it flows, the lower one's head hardly changes.
 
         Args:
-            x1: in the cistern, without their flow (m3).
+            x1: volume in the cistern without their flow (m3).
             outlet: share to which the valve of the low outlet is open (1).
             seconds: duration of the step (s).
         """
@@ -412,7 +416,7 @@ class Plant:
         """Move on by one tick, Eq. (1).
 
         Args:
-            precipitation: rain (m/s), the same as given to :meth:`flows`.
+            precipitation: rain rate (m/s), the same as passed to :meth:`flows`.
             flows: what :meth:`flows` returned for the present tick.
         """
         outflow, pump, drained, evapotranspiration, _, mains, _ = flows

@@ -1,4 +1,4 @@
-"""Quiet hours: times of day when the pump must stand still, by the local clock."""
+"""Quiet hours: times of day, on the local clock, when the pump must stay off."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MINUTE_NS = 60 * _SECOND_NS
 _DAY_S, _DAY_MINUTES = 86_400, 1440
 # Number of days kept: more than a look-ahead with the days after its forecast.
 _MAX_DAYS = 60
-# 24:00 is only an end.
+# 24:00 can only be an end.
 _INTERVAL = re.compile(
     r"([01][0-9]|2[0-3]):([0-5][0-9])-([01][0-9]|2[0-3]|24(?=:00)):([0-5][0-9])"
 )
@@ -33,11 +33,11 @@ class QuietHours:
         """Read the intervals.
 
         Args:
-            intervals: such as ``22:00-06:00``; 22:00 is quiet, 06:00 is not.
-            zone: of the clock.
+            intervals: intervals such as ``22:00-06:00``; 22:00 is quiet, 06:00 is not.
+            zone: time zone of the clock.
 
         Raises:
-            ValueError: an interval is invalid, or together they leave no time to pump.
+            ValueError: if an interval is invalid, or together they leave no time to pump.
         """
         self._zone = zone
         self._by_clock = np.zeros(_DAY_MINUTES, dtype=bool)
@@ -50,7 +50,7 @@ class QuietHours:
             raise ValueError("they leave no time to pump")
 
     def quiet_at(self, time_ns: int) -> bool:
-        """Whether a time (ns since 1970) is in quiet hours."""
+        """Return whether a time (ns since 1970) is in quiet hours."""
         day, minute = divmod(time_ns // _MINUTE_NS, _DAY_MINUTES)
         return bool(self._by_clock[_clock(day, self._zone)[minute]])
 
@@ -63,11 +63,11 @@ class QuietHours:
         return datetime.fromtimestamp(day * _DAY_S + minute * 60, self._zone)
 
     def pumping_shares(self, time_ns: int, edges: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the share of each step in which the pump may run (1).
+        """Return the share of every step in which the pump may run (1).
 
         Args:
-            time_ns: when the first step begins (ns since 1970).
-            edges: ends of the steps (s from then), the first 0, shape (n + 1,).
+            time_ns: start of the first step (ns since 1970).
+            edges: ends of the steps (s from that time), the first 0, shape (n + 1,).
         """
         first, since_midnight = divmod(time_ns, _DAY_S * _SECOND_NS)
         ends = since_midnight / _SECOND_NS + edges
@@ -78,13 +78,13 @@ class QuietHours:
         return np.minimum(np.diff(pumped) / np.diff(edges), 1.0)
 
     def _day(self, day: int) -> NDArray[np.bool_]:
-        """Return whether each minute of a day in UTC (since 1970) is quiet."""
+        """Return whether each minute of a day in UTC (counted since 1970) is quiet."""
         return self._by_clock[_clock(day, self._zone)]
 
 
 @functools.lru_cache(_MAX_DAYS)
 def _clock(day: int, zone: tzinfo) -> NDArray[np.intp]:
-    """Return what the local clock shows in each minute of a day in UTC, in minutes of the day."""
+    """Return what the local clock shows in every minute of a day in UTC, in minutes of the day."""
     times = (
         datetime.fromtimestamp(day * _DAY_S + 60 * minute, zone) for minute in range(_DAY_MINUTES)
     )
@@ -92,10 +92,10 @@ def _clock(day: int, zone: tzinfo) -> NDArray[np.intp]:
 
 
 def _minutes(interval: str) -> tuple[int, int]:
-    """Return begin and end of an interval, in minutes of the day.
+    """Return beginning and end of an interval, in minutes of the day.
 
     Raises:
-        ValueError: it is invalid.
+        ValueError: if it is invalid.
     """
     match = _INTERVAL.fullmatch(interval)
     if match is None:

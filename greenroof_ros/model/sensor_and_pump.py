@@ -1,7 +1,7 @@
-"""The roof's level sensor and the pumps: exact and instant in the paper, not so on a real site.
+"""The roof's level sensor and the pumps: exact and instant in the paper, but not on a real site.
 
-The plant stays exact, and so do all sums of a run. Only the roof level that the controller gets
-and the times at which the pumps follow it are imperfect.
+The plant stays exact, and so do all sums of a run. Only the roof level that the controller
+receives, and the times at which the pumps follow it, are imperfect.
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ from greenroof_ros.common.parameter import entry, parameters_of
 
 # Ticks whose noise is drawn together: one draw at a time takes ten times as long.
 _BLOCK = 4096
-# A time that is a whole number of ticks, apart from rounding, has no further tick.
+# A time that is a whole number of ticks, apart from rounding, must not take another tick.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class SensorAndPump:
-    """How level sensor and pumps differ from the paper's; by default not at all."""
+    """How level sensor and pumps differ from the paper's; by default they do not."""
 
     roof_noise: float = entry(
-        "standard deviation of the roof's level sensor, independent each tick", 0.0, 1.0, unit="m",
+        "standard deviation of the roof's level sensor, independent per tick", 0.0, 1.0, unit="m",
         default=0.0,
     )
     roof_offset: float = entry(
-        "how much the roof sensor reads above the true level", -1.0, 1.0, unit="m", default=0.0
+        "amount by which the roof sensor reads above the true level", -1.0, 1.0, unit="m",
+        default=0.0,
     )
     noise_seed: int = entry("seed of the noise", 0, 2**31 - 1, default=0)
     pump_min_on: float = entry(
-        "once on, the pumps stay on for this time, but not in frost, with a full roof or an "
+        "once on, the pumps stay on for this time, except in frost, with a full roof or with an "
         "empty cistern", 0.0, 86_400.0, unit="s", default=0.0,
     )
     pump_min_off: float = entry(
@@ -47,18 +48,18 @@ class SensorAndPump:
 
     @property
     def instant_pump(self) -> bool:
-        """Whether the pumps follow each command at once."""
+        """Whether the pumps follow every command immediately."""
         return self.pump_min_on == 0 and self.pump_min_off == 0
 
     def values(self) -> dict[str, float]:
-        """Return each of :data:`PARAMETERS` with its value."""
+        """Return all of :data:`PARAMETERS` with their values."""
         return asdict(self)
 
     def refuse_external_pump(self) -> None:
-        """Refuse minimum times if a driver controls the pump: it has its own.
+        """Reject minimum times if a driver controls the pump, since the driver has its own.
 
         Raises:
-            ConfigurationError: there are minimum times.
+            ConfigurationError: if there are minimum times.
         """
         if not self.instant_pump:
             raise ConfigurationError(
@@ -68,13 +69,13 @@ class SensorAndPump:
 
 
 PARAMETERS = {parameter.name: parameter for parameter in parameters_of(SensorAndPump)}
-"""of :class:`SensorAndPump`, by name"""
+"""parameters of :class:`SensorAndPump`, by name"""
 
 
 class RoofSensor:
     """Reads the level of the roof.
 
-    The noise of a tick depends only on the seed and the tick.
+    The noise in a tick depends only on the seed and the tick.
     """
 
     def __init__(self, sensor: SensorAndPump) -> None:
@@ -97,14 +98,14 @@ class Pump:
     """The pumps behind the switch that protects them.
 
     Once on, they stay on for ``pump_min_on``; while the command is 0, they run at the last positive
-    command. Once off, they stay off for ``pump_min_off``, regardless of the command. A run begins
+    command. Once off, they stay off for ``pump_min_off``, whatever the command is. A run begins
     with pumps that have been off for long enough.
 
-    The switch sees what is delivered, not what is commanded. If Eq. (3a) stops the flow, by the
-    true levels, the time on ends, however short it was, and a time off begins, as with a float
+    The switch sees what is delivered, not what is commanded. If Eq. (3a) stops the flow because of
+    the true levels, the on-time ends, however short it was, and an off-time begins, as with a float
     switch. Otherwise pumps with a full roof would start again each time a drop evaporates. Frost
-    switches off at once: it bursts a running pump's pipe, which is worse than a short time on. So
-    do quiet hours, as on a real pump.
+    switches them off immediately: it bursts a running pump's pipe, which is worse than a short
+    on-time. So do quiet hours, as on a real pump.
     """
 
     def __init__(self, pump: SensorAndPump, tau: float) -> None:
@@ -112,15 +113,15 @@ class Pump:
         self._min_on = math.ceil(pump.pump_min_on / tau - _ROUNDING)
         self._min_off = math.ceil(pump.pump_min_off / tau - _ROUNDING)
         self._on = False
-        self._ticks = self._min_off  # since they were switched
+        self._ticks = self._min_off  # ticks since they were switched
         self._passed = 0.0
 
     def switch(self, command: float, may_run: bool) -> float:
         """Return the command that reaches the pumps in the present tick.
 
         Args:
-            command: the controller's (share of the maximum flow).
-            may_run: whether neither frost nor quiet hours forbid pumping.
+            command: command of the controller (share of the maximum flow).
+            may_run: whether pumping is allowed: neither frost nor quiet hours forbid it.
         """
         if not may_run or (not self._on and self._ticks < self._min_off):
             return 0.0

@@ -21,14 +21,15 @@ from greenroof_ros.common.times import LAST_YEAR
 from greenroof_ros.model.plain_keys import NO_VALUE, PLAIN, Entry, override, translate
 from greenroof_ros.model.quiet_hours import QuietHours
 
-# Bounds of all sites' parameters: nothing that is computed within them overflows.
+# Bounds of all sites' parameters: within them, nothing that is computed overflows.
 _POSITIVE, _NOT_NEGATIVE = (1e-12, 1e9), (0.0, 1e9)
-# Of a pump curve; a constant flow of 1 l/h is -1.3e19 (model/plain_keys.py).
+# Bounds of a pump curve; a constant flow of 1 l/h is -1.3e19 (model/plain_keys.py).
 _NEGATIVE = (-1e21, -1e-12)
-# Relative error up to which a product rounded by a person, such as x2_star, is consistent.
+# Relative error up to which a product rounded by a person, such as x2_star, counts as consistent.
 _ROUNDING = 1e-6
-# By Eq. (4), water that the soil cannot hold stands on it until it drains. At most this much stands
-# there, the most rain that ever fell in a day: Foc-Foc, La Reunion, 1966 [WMO] (m).
+# According to Eq. (4), water that the soil cannot hold stays on its surface until it drains. No
+# more than this stays there: the most rain that ever fell in a day, Foc-Foc, La Reunion, 1966 [WMO]
+# (m).
 _MAX_PONDED = 1.825
 # A cistern reaches up to the roof, or to this multiple of its outlet (Table II) if that is higher.
 _ABOVE_OUTLET = 1.3
@@ -41,7 +42,7 @@ _FOLLOW = {
     "initial_roof": ("a2",),
     "initial_layer": ("a2",),
 }
-# Parameters of the clock, and what makes its part: fails if a value is wrong.
+# Parameters of the clock, and what makes that part of it, which fails if a value is wrong.
 _OF_CLOCK: dict[str, tuple[Callable[[Any], object], str]] = {
     "quiet_hours": (
         lambda intervals: QuietHours(intervals, timezone.utc),
@@ -54,15 +55,15 @@ _OF_CLOCK: dict[str, tuple[Callable[[Any], object], str]] = {
         "America/Toronto",
     ),
 }
-# Key of the file that has what a site file omits.
+# Key for the file that contains what a site file omits.
 _EXTENDS = "extends"
 # What the reader of weather may use, including for computed evapotranspiration.
 _OF_WEATHER = {
     "a2", "latitude", "longitude", "elevation", "utc_offset", "time_zone", "albedo", "k_Rs",
     "wind_height", "crop_coefficient", "monthly_evapotranspiration",
 }
-# Optional parameters that belong together: each needs the others of its line. A measured soil can
-# lack a drainage layer.
+# Optional parameters that belong together: each needs the others in its line. Field-capacity soil
+# can lack a drainage layer.
 _TOGETHER = (
     (("field_capacity", "wilting_point", "depletion_fraction"), ()),
     (("drainage_storage", "drainage_time"), ("field_capacity",)),
@@ -79,7 +80,7 @@ _TOGETHER = (
 class Site:
     """The parameters of Table I under the paper's symbols, and optional ones.
 
-    Unit, range and meaning of each stand next to it; :func:`site_parameters` lists them.
+    Unit, range and meaning of each are next to it; :func:`site_parameters` lists them.
     """
 
     a1: float = entry("bottom surface area of the cistern", *_POSITIVE, unit="m2")
@@ -98,7 +99,7 @@ class Site:
     )
     z_soil: float = entry("soil depth of the roof", *_POSITIVE, unit="m")
     z_cap: float = entry(
-        "water that the soil holds before it drains: a2 z_soil, on a measured soil a2 z_soil "
+        "water that the soil holds before it drains: a2 z_soil; for field-capacity soil a2 z_soil "
         "field_capacity; computed if left out", *_POSITIVE, unit="m3",
     )
     K: float = entry("saturated hydraulic conductivity", *_POSITIVE, unit="m/s")
@@ -128,8 +129,9 @@ class Site:
         default=1.0, usual=(0.75, 0.95),
     )
     field_capacity: float | None = entry(
-        "water that the substrate holds against gravity, per volume of it; makes the roof a "
-        "measured one; without it the roof drains by Eq. (4)", 0.01, 0.9, unit="1", default=None,
+        "water that the substrate holds against gravity, per volume of it; it makes the soil a "
+        "field-capacity soil; without it the roof drains by Eq. (4)", 0.01, 0.9, unit="1",
+        default=None,
     )
     wilting_point: float | None = entry(
         "water that plants cannot take, per volume of the substrate", 0.0, 0.5, unit="1",
@@ -148,25 +150,26 @@ class Site:
         unit="s", default=None,
     )
     mains_level: float | None = entry(
-        "cistern level below which a valve lets mains water in; without it there is none",
+        "cistern level below which a valve lets mains water in; without it there is no valve",
         0.01, 100.0, unit="m", default=None,
     )
     mains_flow: float | None = entry("inflow from the mains", 1e-6, 1.0, unit="m3/s", default=None)
     low_outlet_level: float | None = entry(
         "elevation of a second, throttled outlet of the cistern, below the first: it empties the "
-        "detention volume above it between storms; without it there is none", 0.001, 100.0,
+        "detention volume above it between storms; without it there is no such outlet", 0.001,
+        100.0,
         unit="m", default=None,
     )
     low_outlet_radius: float | None = entry(
         "radius of the low outlet", 0.001, 1.0, unit="m", default=None,
     )
     low_outlet_valve: bool = entry(
-        "whether a valve opens and closes the low outlet, as /outlet/command asks; without one it "
+        "whether a valve opens and closes the low outlet, as /outlet/command says; without one it "
         "is always open", default=False,
     )
     valve_closed_in_frost: bool = entry(
-        "whether the valve is closed in frost, for one that could freeze while it is open; a valve "
-        "below the frost line also works then", default=False,
+        "whether the valve is closed in frost, because it could freeze while it is open; a valve "
+        "below the frost line works in frost, too", default=False,
     )
     drainage_to_cistern: float = entry(
         "share of the roof's drainage that flows into the cistern; the rest reaches the sewer",
@@ -177,26 +180,27 @@ class Site:
         "as discharge in wet weather [assumed]", 0.0, 48.0, unit="h", default=2.0,
     )
     event_separation: float = entry(
-        "minimum time without rain between two events of rain", 0.1, 48.0, unit="h", default=6.0,
+        "minimum time without rain between two rain events", 0.1, 48.0, unit="h", default=6.0,
     )
     initial_cistern: float | None = entry(
-        "volume in the cistern at the start of a run; without it, low-low of Table II",
+        "volume in the cistern at the start of a run; without it, low-low from Table II",
         *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_roof: float | None = entry(
-        "volume on the roof at the start of a run; without it, low-low of Table II",
+        "volume on the roof at the start of a run; without it, low-low from Table II",
         *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_layer: float = entry(
-        "volume in the drainage layer at the start of a run, regardless of the initial state",
+        "volume in the drainage layer at the start of a run, whatever the initial state",
         *_NOT_NEGATIVE, unit="m3", default=0.0,
     )
     pump_efficiency: float = entry(
-        "hydraulic over electric power of pumps and motors", 0.001, 1.0, unit="1", default=0.5,
+        "ratio of hydraulic to electric power of pumps and motors", 0.001, 1.0, unit="1",
+        default=0.5,
     )
     starts_per_hour: float = entry(
-        "how often the pumps may start; beyond this there is a warning, and lookahead does not "
-        "start them more often", 1.0, 3600.0, unit="1/h", default=20.0,
+        "how many times an hour the pumps may start; beyond this there is a warning, and lookahead "
+        "does not start them more often", 1.0, 3600.0, unit="1/h", default=20.0,
     )
     latitude: float | None = entry(
         "latitude, positive to the north", -90.0, 90.0, unit="degrees", default=None,
@@ -206,7 +210,7 @@ class Site:
     )
     elevation: float | None = entry("above mean sea level", -430.0, 6000.0, unit="m", default=None)
     utc_offset: float | None = entry(
-        "offset of the local standard time from UTC, without daylight saving", -12.0, 14.0,
+        "offset of local standard time from UTC, without daylight saving", -12.0, 14.0,
         unit="h", default=None,
     )
     albedo: float = entry(
@@ -214,7 +218,7 @@ class Site:
         default=0.23,
     )
     k_Rs: float = entry(
-        "adjustment coefficient of FAO-56 Eq. 50, for radiation that was not measured; 0.16 "
+        "adjustment coefficient of FAO-56 Eq. 50, for radiation that was not measured: 0.16 "
         "inland, 0.19 near a large body of water", 0.1, 0.25, unit="degC^-0.5", default=0.16,
     )
     wind_height: float = entry(
@@ -223,7 +227,7 @@ class Site:
         default=10.0,
     )
     crop_coefficient: float = entry(
-        "ratio of the vegetation's evapotranspiration to the reference grass's", 0.01, 3.0,
+        "ratio of the vegetation's evapotranspiration to that of the reference grass", 0.01, 3.0,
         unit="1", default=1.0,
     )
     monthly_evapotranspiration: tuple[float, ...] | None = entry(
@@ -232,7 +236,7 @@ class Site:
         unit="mm/day", default=None,
     )
     quiet_hours: tuple[str, ...] | None = entry(
-        "times of day in which the pump stays off, by the clock in time_zone, such as "
+        "times of day in which the pump stays off, on the clock of time_zone, such as "
         '["22:00-06:00", "12:00-13:30"]; without them it may run at any time', default=None,
     )
     time_zone: str | None = entry(
@@ -240,7 +244,7 @@ class Site:
         "includes daylight saving; its standard time is utc_offset", default=None,
     )
     max_dose: float | None = entry(
-        "maximum volume of a dose, which a person asks for; without it no dose is given", 0.001,
+        "maximum volume of a dose, which a person requests; without it there are no doses", 0.001,
         1e6, unit="m3", default=None,
     )
 
@@ -281,7 +285,7 @@ class Site:
 
     @cached_property
     def always_drains(self) -> bool:
-        """Whether water always leaves through a low outlet: there is one, without a valve."""
+        """Whether water always leaves through a low outlet: there is one, and it has no valve."""
         return self.low_outlet_level is not None and not self.low_outlet_valve
 
     @cached_property
@@ -301,12 +305,12 @@ class Site:
 
     @cached_property
     def wilting_volume(self) -> float:
-        """Water on a measured soil that plants cannot take (m3)."""
+        """Water in field-capacity soil that plants cannot take (m3)."""
         return self.a2 * self.z_soil * (self.wilting_point or 0.0)
 
     @cached_property
     def available_volume(self) -> float:
-        """TAW: what plants can take from a measured soil at field capacity (m3), FAO-56 Eq. 82."""
+        """TAW: what plants can take from the soil at field capacity (m3), FAO-56 Eq. 82."""
         return self.z_cap - self.wilting_volume
 
     @cached_property
@@ -338,13 +342,13 @@ class Site:
     def of_weather(self) -> Site:
         """Return a site with only what weather depends on; its other parameters are 0.
 
-        Weather is read for this site, so it is the same for all sites with the same one.
+        Weather is read for this site, so it is the same for all sites that share these parameters.
         """
         others: dict[str, Any] = dict.fromkeys(asdict(self).keys() - _OF_WEATHER, 0)
         return replace(self, **others)
 
     def climatic_evapotranspiration(self, month: int) -> float | None:
-        """Mean evapotranspiration off the bed in a month, 1 to 12 (m3/s); None if unknown."""
+        """Mean evapotranspiration from the bed in a month, 1 to 12 (m3/s); None if unknown."""
         if self.monthly_evapotranspiration is None:
             return None
         reference = self.monthly_evapotranspiration[month - 1]
@@ -357,16 +361,16 @@ class Site:
     def roof_level(self, x2: float) -> float:
         """Depth of a water volume x2 (m3) on the roof (m).
 
-        On a measured soil this is the water in the substrate, without the drainage layer.
+        On field-capacity soil this is the water in the substrate, without the drainage layer.
         """
         return x2 / self.a2
 
     def cistern_volume(self, level: float) -> float:
-        """Water volume (m3) of a depth in the cistern (m)."""
+        """Water volume (m3) at a depth in the cistern (m)."""
         return level * self.a1
 
     def roof_volume(self, level: float) -> float:
-        """Water volume (m3) of a depth on the roof (m)."""
+        """Water volume (m3) at a depth on the roof (m)."""
         return level * self.a2
 
 
@@ -379,7 +383,7 @@ def _product(name: str, site: Site) -> float:
 def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, str]]:
     """Yield ``cistern`` and ``roof`` if the site cannot hold its volume, and what would be right.
 
-    No rain can lead to such a state; a unit is wrong.
+    No rain can lead to such a state, so a unit is wrong.
 
     Args:
         site: the site.
@@ -389,7 +393,7 @@ def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, 
     full = site.roof_level(site.z_cap)
     cistern = f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base"
     roof = (
-        f"the soil holds {site.z_cap:g} m3, {full:g} m, and at most {_MAX_PONDED:g} m stand on it"
+        f"the soil holds {site.z_cap:g} m3, {full:g} m, and up to {_MAX_PONDED:g} m stay on it"
     )
     for name, volume, area, level, why in (
         ("cistern", x1, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o), cistern),
@@ -397,14 +401,14 @@ def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, 
     ):
         if volume > level * area:
             yield name, volume, (
-                f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a unit "
-                f"wrong? It is a volume in m3; a level of {volume:g} mm is "
+                f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a "
+                f"unit wrong? It is a volume in m3; a level of {volume:g} mm is "
                 f"{volume / 1000 * area:g} m3"
             )
 
 
 def site_parameters() -> list[Parameter]:
-    """Return every parameter of a site, in the order of Table I, the place last.
+    """Return all parameters of a site, in the order of Table I, with the place last.
 
     The default is None if there is none.
     """
@@ -412,7 +416,7 @@ def site_parameters() -> list[Parameter]:
 
 
 SITE_KEYS = (*(parameter.name for parameter in site_parameters()), *PLAIN)
-"""what a site file may have, besides the file that it extends"""
+"""what a site file may contain, besides the file that it extends"""
 
 
 def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
@@ -420,7 +424,7 @@ def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
 
     Args:
         site: the site.
-        notes: words after the value of some parameters, by name; by default its meaning.
+        notes: words after the value of some parameters, by name; by default, the meaning.
     """
     lines = []
     for parameter, value in zip(site_parameters(), asdict(site).values(), strict=True):
@@ -455,7 +459,7 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Entry]
 
 
 def _base(path: Path, name: str) -> Path:
-    """Return the file that a site file extends: in its own directory, or of this package."""
+    """Return the file that a site file extends: in its own directory, or from this package."""
     own, shipped = Path(path).parent / name, shared_directory() / "config" / name
     return shipped if is_there(shipped) and not is_there(own) else own
 
@@ -463,18 +467,18 @@ def _base(path: Path, name: str) -> Path:
 def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
     """Read and check a site file such as ``config/site.yaml``.
 
-    It can extend another file (``extends: site.yaml``), in its own directory or of this package.
+    It can extend another file (``extends: site.yaml``) in its own directory or from this package.
     It then contains only the differences.
 
     Args:
-        path: of the file.
-        changes: parameters, or plain keys, with other values than in the file. Volumes that depend
-            on them follow: the products x2_star and z_cap, and the initial volumes (the share of
-            the cistern and the level on the roof stay the same).
+        path: path of the file.
+        changes: parameters, or plain keys, whose values differ from the file's. Volumes that depend
+            on them change with them: the products x2_star and z_cap, and the initial volumes (the
+            share of the cistern and the level on the roof stay the same).
 
     Raises:
-        ConfigurationError: a parameter is missing, unknown, not a number, beyond its range, or
-            inconsistent with another; the message names the file, line, key and value.
+        ConfigurationError: if a parameter is missing, unknown, not a number, out of its range, or
+            inconsistent with another; the message names file, line, key and value.
     """
     file = SiteFile(path)
     return file.change(changes) if changes else file.site
@@ -512,15 +516,15 @@ class SiteFile:
 def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
     """Return the text of a site file and of those that it extends, as one file.
 
-    Plain keys stay, so that what they stand for still follows from further changes, as a pump's
-    flow from an irrigation rate and the roof's area.
+    Plain keys stay, so that what they stand for still follows from further changes; for example, a
+    pump's flow follows from an irrigation rate and the roof's area.
 
     Args:
-        path: of the file.
-        changes: as of :func:`read_site`.
+        path: path of the file.
+        changes: as for :func:`read_site`.
 
     Raises:
-        ConfigurationError: a file cannot be read.
+        ConfigurationError: if a file cannot be read.
     """
     own = {name: Entry(value) for name, value in changes.items()}
     entries = override(_entries(path), own)
@@ -528,7 +532,7 @@ def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
 
 
 def check_site(site: Site) -> Site:
-    """Return a site that a program gives, with its numbers as numbers of Python.
+    """Return a site that a program passes, with its numbers as Python numbers.
 
     Raises:
         ConfigurationError: as for :func:`read_site`; the message names key and value.
@@ -538,12 +542,12 @@ def check_site(site: Site) -> Site:
 
 
 def _site_of(entries: Mapping[str, Entry], path: Path | None = None) -> Site:
-    """Return the site of checked entries, from a file unless a program gives them."""
+    """Return the site with checked entries, from a file unless a program passes them."""
     return _check(*_record_of(entries, path), path)
 
 
 def _check(site: Site, named: Mapping[str, Entry], path: Path | None) -> Site:
-    """Return a site if its parameters, each in its range, do not contradict each other."""
+    """Return a site after checking that its parameters, each in its range, do not conflict."""
     with _add_place_to_errors(named, path):
         for name, expected in _contradictions(site, named):
             value = named[name].value
@@ -596,7 +600,7 @@ def _add_place_to_errors(entries: Mapping[str, Entry], path: Path | None) -> Ite
 def _standard_offsets(zone: str) -> list[float]:
     """Return a time zone's offsets from UTC (h) without daylight saving, since 2010.
 
-    Where winter time is the exception by law, as in Ireland, its offset is one, too.
+    Where winter time is the exception by law, as in Ireland, its offset counts as one, too.
     """
     days = (
         datetime(year, month, day, tzinfo=ZoneInfo(zone))
@@ -607,7 +611,7 @@ def _standard_offsets(zone: str) -> list[float]:
 
 
 def _other_zone(zone: str, utc_offset: float, offsets: list[float]) -> str:
-    """Return why a time zone is refused whose standard offset is another."""
+    """Return why a time zone is rejected whose standard offset is a different one."""
     found = " or ".join(f"{offset:+g} h" for offset in offsets)
     expected = f"must be the zone of utc_offset, {utc_offset:+g} h; its standard time is {found}"
     if zone.startswith("Etc/GMT"):
@@ -616,11 +620,11 @@ def _other_zone(zone: str, utc_offset: float, offsets: list[float]) -> str:
 
 
 def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Yield each parameter that contradicts others, and what would be right.
+    """Yield every parameter that contradicts others, and what would be right.
 
     Args:
-        site: with each parameter in its range.
-        entries: names of the parameters that its file has.
+        site: site with all parameters in their ranges.
+        entries: names of the parameters in its file.
     """
     for name in entries:
         if getattr(site, name) is None:
@@ -637,8 +641,8 @@ def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str,
         high = read_topics()[topic].high
         if _ABOVE_OUTLET * getattr(site, name) > high:
             yield name, (
-                f"must be at most {high / _ABOVE_OUTLET:.4g} m, since levels above {high:g} m are "
-                "refused; is a unit wrong?"
+                f"must be at most {high / _ABOVE_OUTLET:.4g} m, since levels above {high:g} m "
+                "are rejected; is a unit wrong?"
             )
     for names, further in _TOGETHER:
         there = {name for name in entries if getattr(site, name) is not False}
@@ -678,8 +682,8 @@ def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str,
             yield "wilting_point", f"must be below field_capacity = {site.field_capacity:g}"
         if site.wilting_volume >= site.x2_star:
             yield "wilting_point", (
-                f"must be below x2_star / (a2 z_soil) = {site.x2_star / soil_volume:g}, or plants "
-                "take no water at the target"
+                f"must be below x2_star / (a2 z_soil) = {site.x2_star / soil_volume:g}, or else "
+                "plants take no water at the target"
             )
     for name, factors in _FOLLOW_FROM.items():
         product = _product(name, site)

@@ -1,11 +1,11 @@
-"""The smooth plant, Eqs. (5)-(9), and its linear model, Eq. (10). It serves only to linearise.
+"""The smooth plant, Eqs. (5)-(9), and its linear model, Eq. (10); used only for linearisation.
 
 Each equation is a function: :func:`f` is Eq. (5), :func:`psi` (6), :func:`q_out` (7),
-:func:`q_pump` (8) and :func:`q_drain` (9). The last four also give the derivatives that Eq. (10)
+:func:`q_pump` (8) and :func:`q_drain` (9). The last four also return the derivatives that Eq. (10)
 needs.
 
-A measured soil replaces Eq. (9) unchanged: it is continuous, and smooth except at the
-wilting point, the onset of stress and field capacity.
+Field-capacity soil replaces Eq. (9) as it is: it is continuous, and smooth except at the wilting
+point, the onset of stress and field capacity.
 """
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from greenroof_ros.model.soil import SoilSlopes, soil_of
 def f(
     site: Site, x1: float, w_r: float, w_e: float, out: float, pumped: float, soil: SoilSlopes
 ) -> tuple[float, float]:
-    """f^epsilon: how fast the volumes in cistern and roof change (m3/s), Eq. (5).
+    """f^epsilon: how fast the volumes in the cistern and on the roof change (m3/s), Eq. (5).
 
     Args:
-        site: the parameters of Table I.
+        site: parameters of the site (Table I).
         x1: water volume in the cistern (m3).
         w_r: precipitation (m/s).
         w_e: evapotranspiration (m3/s).
         out: q_out, Eq. (7) (m3/s).
         pumped: q_pump, Eq. (8) (m3/s).
-        soil: including q_drain, Eq. (9).
+        soil: slopes of the soil, including q_drain, Eq. (9).
     """
     f1 = w_r * site.effective_catchment + mains_flow(site, x1, 0.0, site.tau) - out - pumped
     return f1, (w_r * site.a2 + pumped) * soil.retained - w_e * soil.stress - soil.drained
@@ -47,9 +47,9 @@ def psi(y: float, epsilon: float) -> tuple[float, float]:
 
 
 def q_out(site: Site, x1: float) -> tuple[float, float]:
-    """q_out^epsilon: what leaves for the sewer (m3/s), and its slope by x1 (1/s), Eq. (7).
+    """q_out^epsilon: the flow to the sewer (m3/s), and its slope with x1 (1/s), Eq. (7).
 
-    A valve is closed.
+    A valve counts as closed.
     """
     root, slope = psi(x1 / site.a1 - site.z_o, site.epsilon)
     flow, flow_1 = site.c_out * root, site.c_out * slope / site.a1
@@ -61,9 +61,9 @@ def q_out(site: Site, x1: float) -> tuple[float, float]:
 
 
 def q_pump(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, float, float]:
-    """q_pump^epsilon: what the pumps lift at a command u (m3/s), Eq. (8).
+    """q_pump^epsilon: the flow that the pumps lift at a command u (m3/s), Eq. (8).
 
-    Its slopes by x1 and x2 (1/s) and by u (m3/s) follow.
+    Its slopes with x1 and x2 (1/s) and with u (m3/s) follow.
     """
     epsilon = site.epsilon
     root, slope = psi(x1 / site.a1 + site.c_hat - site.d, epsilon)
@@ -78,7 +78,7 @@ def q_pump(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, fl
 
 
 def q_drain(site: Site, x2: float) -> tuple[float, float]:
-    """q_drain^epsilon: what drains off (m3/s), and its slope by x2 (1/s), Eq. (9)."""
+    """q_drain^epsilon: the drainage (m3/s), and its slope with x2 (1/s), Eq. (9)."""
     sigma_3 = sigma(x2 - site.z_cap, site.epsilon)
     flow = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil * sigma_3
     return flow, site.K / site.z_soil * sigma_3 + flow * (1 - sigma_3) / site.epsilon
@@ -114,9 +114,9 @@ def linearise(
     """Linearise the smooth plant about p = (x, u, w), Eq. (10).
 
     Args:
-        site: the parameters of Table I.
+        site: parameters of the site (Table I).
         x1: water volume in the cistern (m3).
-        x2: water volume in the roof (m3).
+        x2: water volume on the roof (m3).
         u: command, share of the maximum flow (1).
         w_r: precipitation (m/s).
         w_e: evapotranspiration (m3/s).

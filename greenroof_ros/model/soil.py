@@ -1,4 +1,4 @@
-"""The soil of a roof: the paper's, Eq. (4), or a measured one. Both have the same methods.
+"""The soil of a roof: the paper's, Eq. (4), or field-capacity soil, with the same methods.
 
 :func:`soil_of` returns the soil of a site; :class:`PaperSoil` documents what each method returns.
 """
@@ -19,12 +19,12 @@ Values = NDArray[np.float64]
 Losses = tuple[float, float, bool]  # drainage, evapotranspiration; whether they are limited
 Drainage = Callable[[Site, float], tuple[float, float]]  # at a volume, and its slope
 
-# Rain raises the paper's roof by at most this much above its target (m).
+# Rain raises the water on the paper's roof by no more than this above its target (m).
 _ABOVE_M = 0.15
 ALMOST_FULL = 1 - 1e-9
-"""Only an infinite volume would fill the soil to field capacity: this share of TAW is treated as
-full."""
-# Eq. (4) by Euler's method takes at most this much (m) in a tick from a soil at its capacity.
+"""share of TAW that is treated as full, since only an infinite volume would fill the soil to field
+capacity"""
+# Eq. (4) with Euler's method takes no more than this (m) in a tick from a soil at its capacity.
 _MAX_OVERDRAWN_M = 1e-4
 # predict_lasting_share adds at least this share of the water that plants can take (1): smaller
 # differences would be rounding errors.
@@ -34,7 +34,7 @@ _MIN_LASTING = 1e-3
 
 
 class SoilSlopes(NamedTuple):
-    """What the soil does with water at a volume x2, and the derivatives by x2 (1/m3 of each)."""
+    """What the soil does with water at a volume x2, and the derivatives with x2 (1/m3 of each)."""
 
     retained: float
     """share of the arriving water that stays (1)"""
@@ -51,17 +51,17 @@ class PaperSoil:
     """Table I's soil: it keeps all water below its capacity, and drains above it by Eq. (4).
 
     Attributes:
-        measured: whether it is a measured soil.
+        measured: whether it is field-capacity soil.
         above_target: how far rain can raise it above its target (m3).
-        retains_all_below: volume below which all arriving water stays, and evaporation is only
-            limited by the water that is there (m3); 0 if there is no such volume.
-        overdraws: whether a tick of Eq. (4) would take much more than stands above the capacity.
+        retains_all_below: volume below which all arriving water stays, and evaporation is limited
+            only by the water that is there (m3); 0 if there is no such volume.
+        overdraws: whether a tick of Eq. (4) would take much more than is above the capacity.
         excess: what water above its capacity does, in words.
         stress_volume: volume below which :meth:`water_stress` is less than 1 (m3).
     """
 
     measured = False
-    excess = "stand on it"
+    excess = "stay on its surface"
     stress_volume = 0.0
 
     def __init__(self, site: Site) -> None:
@@ -70,13 +70,13 @@ class PaperSoil:
         self.overdraws = 2 * site.K * site.tau > _MAX_OVERDRAWN_M
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
-        """Return the drainage off the soil in a tick, if it holds that much (m3/s), Eq. (4).
+        """Return the drainage from the soil in a tick, if it holds that much (m3/s), Eq. (4).
 
-        At most what stands above the capacity and arrives, if a tick of Eq. (4) would take much
-        more from a soil that is just full.
+        It is no more than what is above the capacity and what arrives, if a tick of Eq. (4) would
+        take much more from a soil that is just full.
 
         Args:
-            x2: what the soil holds (m3).
+            x2: volume that the soil holds (m3).
             arriving: rain and pumped water (m3/s).
             seconds: duration of the tick (s).
         """
@@ -97,16 +97,16 @@ class PaperSoil:
     def tick(
         self, x2: float, layer: float, available: float, arriving: float, potential: float
     ) -> Losses:
-        """Return what leaves the roof in a tick: at most what it holds and gets.
+        """Return what leaves the roof in a tick: no more than what it holds and receives.
 
         If that is less than Eqs. (1) and (4) demand, both losses are scaled down to it.
 
         Args:
-            x2: what the soil holds (m3).
-            layer: what the drainage layer holds (m3).
-            available: what can leave the soil, since it holds or gets it (m3/s).
+            x2: volume that the soil holds (m3).
+            layer: volume that the drainage layer holds (m3).
+            available: what can leave the soil, since it holds or receives it (m3/s).
             arriving: rain and pumped water (m3/s).
-            potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
+            potential: evapotranspiration from the whole bed (m3/s) of plants that lack no water.
 
         Returns:
             Drainage and evapotranspiration (m3/s), and whether there was less than was demanded.
@@ -121,7 +121,7 @@ class PaperSoil:
     def max_fall_rate(self, level: float) -> float:
         """Return the fastest rate at which drainage lowers a level (m), in m/s.
 
-        It is Eq. (4), also below the capacity.
+        It is Eq. (4), even below the capacity.
         """
         return self._site.K * (level + self._site.z_soil) / self._site.z_soil
 
@@ -129,7 +129,7 @@ class PaperSoil:
         """Return what a linear model around x2 (m3) needs.
 
         Args:
-            x2: what the soil holds (m3).
+            x2: volume that the soil holds (m3).
             q_drain: Eq. (9) and its slope, instead of Eq. (4), where drainage starts with a jump.
         """
         return SoilSlopes(1.0, 0.0, 1.0, 0.0, *q_drain(self._site, x2))
@@ -143,11 +143,11 @@ class PaperSoil:
         Water above the capacity drains at the end of the step.
 
         Args:
-            x2: what it holds before (m3).
+            x2: volume that it holds before (m3).
             arriving: rain and pumped water in the step (m3); its shape must broadcast with x2,
                 potential and seconds.
             potential: what would evaporate from plants that lack no water (m3).
-            seconds: the step's length.
+            seconds: length of the step (s).
         """
         site = self._site
         remaining = x2 + (arriving - potential)
@@ -174,26 +174,26 @@ class PaperSoil:
 
         Args:
             x2: volume on the roof at the beginning (m3).
-            rain: mean in each step (m/s), shape (n,).
-            potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water,
+            rain: mean rain in every step (m/s), shape (n,).
+            potential: evapotranspiration from the whole bed (m3/s) of plants that lack no water,
                 shape (n,).
-            lengths: of the steps (s), shape (n,).
+            lengths: lengths of the steps (s), shape (n,).
 
         Returns:
-            Shape (n,).
+            Changes of shape (n,).
         """
         return np.asarray((rain * self._site.a2 - potential) * lengths)
 
     def predict_lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
-        """Predict the share of water added now that is still on the roof in later steps (1): all.
+        """Predict the share of water added now that stays on the roof in later steps (1): all.
 
         Args:
             x2: volume on the roof at the beginning (m3).
-            changes: without pumping, as :meth:`predict_changes` returns them (m3).
+            changes: changes without pumping, as :meth:`predict_changes` returns them (m3).
             weather: the arguments rain, potential and lengths of that call.
 
         Returns:
-            The mean of each step, shape (n,).
+            The mean in every step, shape (n,).
         """
         return np.ones_like(changes)
 
@@ -204,20 +204,20 @@ class PaperSoil:
         """Compute the unmeasured quantities of a roof with known volumes.
 
         Args:
-            layer: what its drainage layer holds at first (m3).
-            x2: at the beginning of each sample (m3), NaN if unknown, shape (n,).
+            layer: volume that its drainage layer holds at first (m3).
+            x2: volume at the beginning of every sample (m3), NaN if unknown, shape (n,).
             rain: precipitation (m/s), shape (n,).
-            pump: from the cistern (m3/s), shape (n,).
-            potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water,
+            pump: flow from the cistern (m3/s), shape (n,).
+            potential: evapotranspiration from the whole bed (m3/s) of plants that lack no water,
                 shape (n,).
-            drainage: off the roof (m3/s), shape (n,).
-            durations: of the samples (s), shape (n,).
+            drainage: drainage from the roof (m3/s), shape (n,).
+            durations: durations of the samples (s), shape (n,).
 
         Returns:
-            Evapotranspiration (m3/s), and what the drainage layer holds at the beginning of each
+            Evapotranspiration (m3/s), and what the drainage layer holds at the beginning of every
             sample (m3), both of shape (n,).
         """
-        # As in Plant.flows: at most the available water evaporates.
+        # As in Plant.flows: no more than the available water evaporates.
         available = x2 / durations + rain * self._site.a2 + pump - drainage
         return np.fmin(potential, np.maximum(available, 0.0)), np.full_like(x2, layer)
 
@@ -228,7 +228,7 @@ class PaperSoil:
 
 
 class MeasuredSoil:
-    """A substrate over a drainage layer, with the methods of :class:`PaperSoil`.
+    """Field-capacity soil over a drainage layer, with the methods of :class:`PaperSoil`.
 
     The substrate is the soil routine of HBV (Bergstrom 1976, SMHI Reports RHO No. 7; Seibert and
     Vis 2012, doi:10.5194/hess-16-3315-2012, soil moisture routine) with its exponent beta = 2. The
@@ -237,7 +237,7 @@ class MeasuredSoil:
     """
 
     measured = True
-    excess = "drain at once"
+    excess = "drain immediately"
     retains_all_below = 0.0
     overdraws = False
 
@@ -251,7 +251,7 @@ class MeasuredSoil:
     def filled_share(self, x2: float) -> float:
         """Return S (1): the filled share of the water that plants can take, at x2 (m3).
 
-        0 at the wilting point and below, 1 at field capacity and above.
+        It is 0 at the wilting point and below, 1 at field capacity and above.
         """
         if x2 >= self._capacity:
             return 1.0
@@ -260,12 +260,12 @@ class MeasuredSoil:
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
         """Return the mean percolation out of the substrate in a tick of any length (m3/s).
 
-        The share that passes grows as the substrate fills. dS/dt = (1 - S^2) i / TAW, solved for a
-        constant i, is
+        The share that passes through grows as the substrate fills. The solution of dS/dt = (1 -
+        S^2) i / TAW for a constant i is
 
             S(t) = (S + g) / (1 + S g),  g = tanh(i t / TAW).
 
-        Up to the wilting point all water stays. The excess above field capacity leaves within the
+        Up to the wilting point, all water stays. The excess above field capacity leaves within the
         tick.
 
         Args:
@@ -287,25 +287,27 @@ class MeasuredSoil:
         return 1 - filled * filled
 
     def water_stress(self, x2: float) -> float:
-        """Return K_s = (TAW - D_r) / ((1 - p) TAW), at most 1: FAO-56, Eq. 84.
+        """Return K_s = (TAW - D_r) / ((1 - p) TAW), no more than 1: FAO-56, Eq. 84.
 
-        TAW is the water that plants can take at field capacity, D_r the part of it that is missing.
+        TAW is the water that plants can take at field capacity, and D_r is the part of it that is
+        missing.
         """
         return min(1.0, self.filled_share(x2) / self._onset)
 
     def layer_outflow(self, layer: float, inflow: float, seconds: float) -> float:
-        """Return the mean flow out of the drainage layer, off the roof, during a tick (m3/s).
+        """Return the mean flow from the drainage layer off the roof during a tick (m3/s).
 
         The layer's volume V follows dV/dt = i - k V^2 with k = 1 / (a2 drainage_storage
-        drainage_time), solved exactly for a constant inflow i, so that any tick is stable:
+        drainage_time), solved exactly for a constant inflow i, so that a tick of any length is
+        stable:
 
             V(t) = (V + i g) / (1 + k V g),  g = tanh(t sqrt(i k)) / sqrt(i k), or t where i = 0.
 
-        The volume then above the layer's storage also leaves in the tick. Without a layer the
-        inflow leaves at once.
+        The volume above the layer's storage then also leaves within the tick. Without a layer, the
+        inflow leaves immediately.
 
         Args:
-            layer: what it holds (m3).
+            layer: volume that it holds (m3).
             inflow: percolation during the tick (m3/s).
             seconds: duration of the tick (s).
         """
@@ -385,12 +387,12 @@ class MeasuredSoil:
     def predict_changes(
         self, x2: float, rain: Values, potential: Values, lengths: Values
     ) -> Values:
-        """Predict the changes in steps that can be long, as in :meth:`predict_volume`."""
+        """Predict the changes in steps that may be long, as in :meth:`predict_volume`."""
         dry, available, drying = self._wilting, self._available, self._drying
-        stressed = dry + drying  # below it evapotranspiration decays
+        stressed = dry + drying  # below this, evapotranspiration decays
         fallen, demand = rain * self._a2 * lengths, potential * lengths
-        # Computed at once, and right for most steps, which begin above the wilting point and are in
-        # stress after the rain.
+        # Computed for all steps together, and right for most, which begin above the wilting point
+        # and are in stress after the rain.
         steps = fallen, np.tanh(fallen / available), demand, np.expm1(-demand / drying)
         volumes = [x2]
         for fell, gained, dried, decay in zip(*(part.tolist() for part in steps), strict=True):
@@ -416,9 +418,9 @@ class MeasuredSoil:
         """Predict the share of water added now that is still on the roof in later steps (1).
 
         :meth:`predict_changes` follows two roofs: one without pumping, and one filled to its target
-        now. The share is their difference over their first difference, at least 0.001. It falls:
-        the fuller substrate lets more of each rain pass and, if plants lack water, gives more to
-        them. A storm that fills both leaves no difference.
+        now. The share is their difference divided by their first difference, and at least 0.001. It
+        falls: the fuller substrate lets more of the rain pass and, if plants lack water, supplies
+        more to them. A storm that fills both leaves no difference.
         """
         added = max(self._site.x2_star - x2, _MIN_ADDED * self._available)
         fades = self.predict_changes(x2 + added, *weather) - changes
@@ -429,7 +431,7 @@ class MeasuredSoil:
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values, durations: Values,
     ) -> tuple[Values, Values]:
-        """Compute what the substrate lost and percolated; ``drainage`` does not matter."""
+        """Compute what the substrate lost and what percolated; ``drainage`` does not matter."""
         samples = np.nan_to_num(x2), rain * self._a2 + pump, potential, durations
         evaporated, layers = array("d"), array("d")
         for volume, arriving, demand, seconds in zip(
@@ -448,7 +450,7 @@ Soil: TypeAlias = PaperSoil | MeasuredSoil
 
 
 def soil_of(site: Site) -> Soil:
-    """Return the soil of a site: a measured one if its file has a ``field_capacity``."""
+    """Return the soil of a site: field-capacity soil if its file has a ``field_capacity``."""
     return PaperSoil(site) if site.field_capacity is None else MeasuredSoil(site)
 
 
@@ -456,11 +458,11 @@ def roof_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potentia
     """Return what a roof of x2 (m3) holds at the end of a tick, below 0 if it would dry out.
 
     Args:
-        soil: of the roof.
+        soil: soil of the roof.
         tau: duration of the tick (s).
-        x2: what it holds (m3).
+        x2: volume that the roof holds (m3).
         arriving: rain and pumped water (m3/s).
-        potential: evapotranspiration off the whole bed (m3/s) of plants that lack no water.
+        potential: evapotranspiration from the whole bed (m3/s) of plants that lack no water.
     """
     evaporated = potential * soil.water_stress(x2)
     return x2 + tau * (arriving - evaporated - soil.drained(x2, arriving, tau))

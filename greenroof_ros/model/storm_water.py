@@ -1,27 +1,27 @@
-"""Storm water: what reaches the sewer, when it rains and after, event by event.
+"""Storm water: what reaches the sewer, during and after rain, event by event.
 
 All figures come from sums over intervals of a minute, or of whole ticks that last longer. Within an
-interval rain and discharge are constant. What flows before and after a run is not known, and counts
-as none.
+interval, rain and discharge are constant. What flows before and after a run is not known, and
+counts as 0.
 
 **Peaks** are the maximum of the moving mean. Its window may begin at any time: fixed intervals of
 five minutes would miss an eighth of a storm's peak on average (Weiss 1964, Ratio of true to
 fixed-interval maximum rainfall, Journal of the Hydraulics Division 90(1), 77-82: 1.14).
 
-**Wet weather** is a time with rain, if 0.1 mm fall within 60 minutes around it, and ``wet_after``
-of the site after it: the sewer still carries storm water then. What is let out later meets a sewer
-with room.
+**Wet weather** is any time with rain, if 0.1 mm falls within 60 minutes around it, and the site's
+``wet_after`` following it: the sewer still carries storm water then. What is released later meets a
+sewer with room.
 
-**The reference** is the same area without roof and cistern, from which all rain runs off at once:
-the roof's whole area, and the catchment's times its runoff coefficient, as A_u of DWA-A 117 and
-DWA-A 138. So its runoff in mm/h is the rain, as for Johannessen, Muthanna and Braskerud (2018,
-Water 10, 671), who compare the five-minute peaks of rain and runoff.
+**The reference** is the same area without roof and cistern, from which all rain runs off
+immediately: the roof's whole area, and the catchment's times its runoff coefficient, like A_u in
+DWA-A 117 and DWA-A 138. So its runoff in mm/h is the rain, as in Johannessen, Muthanna and
+Braskerud (2018, Water 10, 671), who compare the five-minute peaks of rain and runoff.
 
-**Events** are separated by ``event_separation`` of the site without rain, six hours if it is left
-out, as usual for green roofs and in SWMM's statistics, where it is the separation time (Rossman
+**Events** are separated by the site's ``event_separation`` without rain, which is six hours by
+default, as usual for green roofs and in SWMM's statistics, where it is the separation time (Rossman
 2015, SWMM User's Manual Version 5.1, EPA-600/R-14/413b, Statistics Report). What reaches the sewer
-until these hours are over belongs to the event. Volume and peak that are compared with the
-reference are those in wet weather: a valve that lets water out some hours after the rain has done
+before these hours are over belongs to the event. Volume and peak that are compared with the
+reference are those in wet weather: a valve that releases water some hours after the rain has done
 what it is for.
 """
 
@@ -38,48 +38,48 @@ from greenroof_ros.model.site import Site
 Values = NDArray[np.float64]
 
 MIN_DEPTH = 1e-4
-"""Less than this depth (m), 0.1 mm, a rain gauge does not show: it is no event and no overflow."""
+"""depth (m) below which a rain gauge shows nothing, 0.1 mm: it is no event and no overflow"""
 WET_RAIN = MIN_DEPTH / 3600
-"""Rain of at least this rate (m/s), 0.1 mm in an hour, is wet weather."""
+"""minimum rate of rain in wet weather (m/s): 0.1 mm in an hour"""
 
 _HOUR_S = 3600.0
 _INTERVAL_S = 60.0
-# Peaks are means over these minutes.
+# Peaks are means over these numbers of minutes.
 _PEAK_MIN = 5.0
-# More than the rounding errors of an interval's sums (m3), and no water that matters.
+# More than the rounding errors of an interval's sums (m3), but no water that matters.
 _NOTHING = 1e-9
-# Sums that are equal but for rounding: the first of them is the peak.
+# Relative difference of sums that are equal but for rounding: the first of them is the peak.
 _ROUNDING = 1 - 1e-9
 
 
 class Intervals(NamedTuple):
-    """Sums of the intervals of a run; each array has shape (n,)."""
+    """Sums over the intervals of a run; every array has shape (n,)."""
 
     seconds: float
     """duration of an interval (s)"""
     rain: Values
-    """depth (m)"""
+    """rain, as a depth (m)"""
     discharge: Values
-    """to the sewer (m3)"""
+    """discharge to the sewer (m3)"""
 
 
 class Event(NamedTuple):
-    """An event of rain, and what of it reached the sewer.
+    """A rain event, and how much of it reached the sewer.
 
     Attributes:
-        start_h: first rain, since the run's start (h).
-        hours: from the first rain to the last (h).
-        rain_mm: depth.
-        max_rain_5min_mm_h: mean of the wettest five minutes, which is the reference's peak.
-        max_rain_60min_mm_h: mean of the wettest 60 minutes.
-        discharge_m3: what reached the sewer until the dry hours after it were over.
-        wet_discharge_m3: the part of that in wet weather.
+        start_h: time of the first rain, since the run's start (h).
+        hours: time from the first rain to the last (h).
+        rain_mm: depth of the rain (mm).
+        max_rain_5min_mm_h: mean over the wettest five minutes, which is the reference's peak.
+        max_rain_60min_mm_h: mean over the wettest 60 minutes.
+        discharge_m3: what reached the sewer before the dry hours after it were over.
+        wet_discharge_m3: the part of it in wet weather.
         peak_l_s: maximum mean of that part over five minutes.
         peak_mm_h: the same over the connected area.
         volume_reduction: share of the reference's volume that did not come in wet weather (1).
-        peak_reduction: the same of the reference's peak (1).
-        peak_delay_min: how much later than the reference's the peak begins; None without discharge.
-        complete: whether the run begins before its first rain, and ends after its dry hours.
+        peak_reduction: the same for the reference's peak (1).
+        peak_delay_min: how much later the peak begins than the reference's; None without discharge.
+        complete: whether the run begins before the first rain, and ends after the dry hours.
     """
 
     start_h: float
@@ -103,7 +103,7 @@ def interval_seconds(site: Site) -> float:
 
 
 def connected_area(site: Site) -> float:
-    """Return the area whose rain reaches the sewer without roof and cistern (m2)."""
+    """Return the area whose rain would reach the sewer without roof and cistern (m2)."""
     return site.effective_catchment + site.a2
 
 
@@ -111,12 +111,12 @@ def find_wet_weather(wet_after: float, intervals: Intervals) -> NDArray[np.bool_
     """Return which intervals are in wet weather, shape (n,).
 
     Args:
-        wet_after: of the site (h).
-        intervals: of the run.
+        wet_after: wet_after of the site (h).
+        intervals: intervals of the run.
     """
     seconds, rain = intervals.seconds, intervals.rain
     size, places = max(1, round(_HOUR_S / seconds)), np.arange(len(rain))
-    # Which hours have enough, whenever they begin; and how many of these have an interval.
+    # Which hours have enough rain, whenever they begin; and how many of these contain an interval.
     fallen = np.append(0.0, np.cumsum(np.pad(rain, size - 1)))
     enough = fallen[size:] - fallen[:-size] >= size * seconds * WET_RAIN * _ROUNDING
     hours = np.append(0, np.cumsum(enough))
@@ -135,9 +135,9 @@ def _find_maximum(values: Values, seconds: float, minutes: float) -> tuple[float
     """Return the maximum of the moving mean, per second, and when its first window begins (s).
 
     Args:
-        values: sums of intervals.
+        values: sums over intervals.
         seconds: duration of an interval (s).
-        minutes: width of the window.
+        minutes: width of the window (min).
     """
     window, edges = 60 * minutes, seconds * np.arange(len(values) + 1.0)
     total = np.append(0.0, np.cumsum(values))
@@ -149,7 +149,7 @@ def _find_maximum(values: Values, seconds: float, minutes: float) -> tuple[float
 
 
 def find_events(site: Site, intervals: Intervals) -> list[Event]:
-    """Return the events of a run in the order of time; traces below 0.1 mm are none."""
+    """Return the events of a run in order of time; traces below 0.1 mm do not count as events."""
     seconds, rain, area = intervals.seconds, intervals.rain, connected_area(site)
     dry = max(1, round(site.event_separation * _HOUR_S / seconds))
     rains = np.flatnonzero(rain > 0)

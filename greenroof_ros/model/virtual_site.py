@@ -1,8 +1,8 @@
-"""A site that is simulated tick by tick: the only place where a tick happens.
+"""A site that is simulated tick by tick: the only place where a tick is computed.
 
-The run in one process, the plans of the bound and the plant node of the graph all advance a
-:class:`VirtualSite`. In each tick a controller reads its levels and decides, the site acts on the
-command, and it steps to the next tick.
+The run in one process, the plans of the bound and the plant node of the graph all use a
+:class:`VirtualSite`. In every tick, a controller reads its levels and decides, the site acts on the
+command, and moves on to the next tick.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ class VirtualSite:
 
     Attributes:
         plant: the true state of cistern and roof.
-        metrics: of the ticks so far, if the run ends in the present one.
+        metrics: metrics of the ticks so far, as if the run ended in the present one.
         tick: number of the present tick.
-        frost: 0 if there is none in it; anything else, also NaN, is frost. It is set from outside.
+        frost: 0 if there is no frost in it; anything else, including NaN, is frost. It is set from
+            outside.
         quiet: whether it is in the site's quiet hours.
     """
 
@@ -30,7 +31,7 @@ class VirtualSite:
         """Begin with tick 0.
 
         Args:
-            site: its parameters.
+            site: parameters of the site.
             x1: initial volume in the cistern (m3).
             x2: initial volume on the roof (m3).
             start_ns: time of tick 0 (ns since 1970).
@@ -63,14 +64,15 @@ class VirtualSite:
         self, precipitation: float, evapotranspiration: float, command: float,
         pumped: float | None = None, outlet: float = 1.0,
     ) -> Flows:
-        """Return what moves in the present tick; call it once in each.
+        """Return the flows in the present tick; call it once in every tick.
 
         Args:
-            precipitation: rain (m/s).
-            evapotranspiration: off the whole bed (m3/s), of plants that do not lack water.
-            command: to the pumps (share of the maximum flow).
-            pumped: flow (m3/s) of pumps that another program drives; None for the site's own.
-            outlet: to the valve of the low outlet (share to which it is open).
+            precipitation: rain rate (m/s).
+            evapotranspiration: evapotranspiration from the whole bed (m3/s), of plants that lack no
+                water.
+            command: command to the pumps (share of the maximum flow).
+            pumped: flow (m3/s) of pumps that another program drives; None for the site's own pumps.
+            outlet: command to the valve of the low outlet (share to which it is open).
         """
         may_run = self.frost == 0 and not self.quiet
         if self._pump is None:

@@ -1,7 +1,7 @@
 """The controller node, for any controller: levels and forecasts in, one command out.
 
-``python -m greenroof_ros.nodes.controller --controller NAME`` runs a controller of this package,
-or any class as ``package.module:Class``; the node is named after it.
+``python -m greenroof_ros.nodes.controller --controller NAME`` runs a controller of this package, or
+any class as ``package.module:Class``; the node is named after it.
 """
 
 from __future__ import annotations
@@ -35,17 +35,18 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
 class ControllerNode(SimulationNode):
     """Runs one controller; commands 0 in frost, in quiet hours and on bad inputs.
 
-    At a site with a valve on the low outlet it also commands that, in frost and quiet hours, too.
+    At a site with a valve on the low outlet it also commands the valve, even in frost and quiet
+    hours.
     """
 
     def __init__(self, controller: str) -> None:
         """Declare the controller's parameters and open the topics.
 
         Args:
-            controller: a name, or ``package.module:Class``.
+            controller: name of a controller, or ``package.module:Class``.
 
         Raises:
-            ConfigurationError: there is no such controller.
+            ConfigurationError: if there is no such controller.
         """
         self._choice = choice = find_controller(controller)
         _ = choice.kind  # fail before a node is made
@@ -68,7 +69,7 @@ class ControllerNode(SimulationNode):
         if site.quiet is None:
             self.listen(CLOCK, self.set_time)
         else:
-            self._time = self.subscribe(CLOCK)  # a tick must wait for its time
+            self._time = self.subscribe(CLOCK)  # a tick has to wait for its time
 
     def on_inputs(self) -> None:
         """Publish the command and the controller's optional outputs."""
@@ -93,7 +94,7 @@ class ControllerNode(SimulationNode):
         ))
         if self._outlet is not None:
             closed = self._site.valve_closed_in_frost and self._frost.value != 0
-            # Of a refused input its policy must not learn: it would be a 0.
+            # Its policy must not learn from a rejected input: it would be a 0.
             self.publish("/outlet/command", decide_outlet(
                 self._outlet, closed, *levels, rain, evapotranspiration
             ) if self.good else 0.0)

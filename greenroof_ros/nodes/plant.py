@@ -1,8 +1,8 @@
 """The plant node: simulates cistern and roof, and sets the pace of the graph.
 
 In tick k it publishes ``/clock`` and the levels; waits for the weather, the command and, with an
-external pump, the flow; steps the exact model; and publishes the clock and levels of tick k + 1,
-then the flows of tick k.
+external pump, the flow; integrates the exact model over one tick; and publishes the clock and
+levels of tick k + 1, followed by the flows of tick k.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from greenroof_ros.model.virtual_site import VirtualSite
 _AHEAD = 32
 # If a tick is late by more than this (s), the delay is not made up.
 _LATE_S = 1.0
-# A clock that a step of the system's does not move.
+# A clock that is not affected when the system's clock is set.
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 # A run's identity has this many bits: a double holds it exactly.
 _IDENTITY_BITS = 53
@@ -94,7 +94,7 @@ class PlantNode(SimulationNode):
         self._published = 0, *self._site.observe()
         self._written = 0
         self._running = False
-        self._paused = False  # the tick waits for the pace or the recorder
+        self._paused = False  # whether the tick waits for the pace or the recorder
         self._pace = self.create_timer(_LATE_S, self._publish_if_due, clock=_STEADY)
         self._pace.cancel()
         self._wall_s = 0.0
@@ -105,7 +105,7 @@ class PlantNode(SimulationNode):
         )
         self._rain = self.subscribe("/weather/precipitation")
         self._evapotranspiration = self.subscribe("/weather/evapotranspiration")
-        # Frost cuts a minimum on-time short, and can close the outlet's valve. Otherwise the pump
+        # Frost cuts a minimum on-time short, and can close the outlet valve. Otherwise the pump
         # only follows the command.
         needs_frost = sensor_and_pump.pump_min_on or site.valve_closed_in_frost
         self._frost = self.subscribe("/weather/frost") if needs_frost else None
@@ -140,7 +140,7 @@ class PlantNode(SimulationNode):
             return 0.0
         wait = self._began + self._site.tick * self._tau / self._speed - time.monotonic()
         if wait < -_LATE_S:
-            self._began -= wait  # a real pump's minimum times must not pass faster than real time
+            self._began -= wait  # a real pump's minimum times must not pass faster than in reality
         return max(0.0, wait)
 
     def _publish_tick(self) -> None:
@@ -156,7 +156,7 @@ class PlantNode(SimulationNode):
         self.set_time(now)
 
     def on_inputs(self) -> None:
-        """Step the plant: all inputs of this tick have arrived."""
+        """Compute the next tick of the plant: all inputs of this tick have arrived."""
         if not self._running or self._paused:
             raise OccupiedError(
                 f"answers to tick {self._site.tick} arrived before it was published: nodes of an "
@@ -164,7 +164,7 @@ class PlantNode(SimulationNode):
             )
         site = self._site
         if site.tick == 0:
-            self._began = time.monotonic()  # before, the other nodes were still joining
+            self._began = time.monotonic()  # before this, the other nodes were still joining
         if self._frost is not None:
             site.frost = self._frost.value if self._frost.good else math.nan
         flows = site.act(
@@ -184,7 +184,7 @@ class PlantNode(SimulationNode):
             return
         site.step()
         # Publish the next tick first, if allowed: the other nodes begin it while this node still
-        # publishes the flows of the last tick. The order within each topic does not change.
+        # publishes the flows of the last tick. The order within a topic does not change.
         if not self._behind() and not self._pause():
             self._publish_tick()
         else:
@@ -202,7 +202,7 @@ class PlantNode(SimulationNode):
             self.publish("/pump/flow", flows.pump)
 
     def _publish_if_due(self) -> None:
-        """Publish a tick that waited, if its time has come and the recorder is not far behind."""
+        """Publish a tick that waited, if it is due and the recorder is not too far behind."""
         self._pace.cancel()
         if not self._paused or self._behind():
             return
@@ -217,7 +217,7 @@ class PlantNode(SimulationNode):
         """Start the run once all nodes are there, and check timeouts.
 
         Raises:
-            LockstepError: a node is missing, or does not answer.
+            LockstepError: if a node is missing, or does not answer.
         """
         if self.finished:
             return
@@ -244,15 +244,16 @@ class PlantNode(SimulationNode):
 
     def limit(self) -> float:
         """Return the maximum wait for another node at present (s of wall time)."""
-        # Nodes that have not answered yet may still be joining: seconds on a busy machine.
+        # Nodes that have not answered yet may still be joining, which takes seconds on a busy
+        # machine.
         answered = self._site.tick and (self._written or not self._paused)
         return self._limit if answered else max(self._limit, self._start_limit)
 
     def progress(self) -> dict[str, Any]:
         """Return the tick, the levels (m) and the command.
 
-        These are of the tick that was published last, whose time is the report's stamp: the next
-        one may be computed already, and wait for its time.
+        These are from the tick that was published last, whose time is the report's stamp: the next
+        one may already be computed, and be waiting for its time.
         """
         tick, cistern, roof = self._published
         return {

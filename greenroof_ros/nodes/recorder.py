@@ -1,4 +1,4 @@
-"""The recorder node of a simulation: writes every message of every tick into a bag, once."""
+"""The recorder node of a simulation: writes every message of every tick to a bag, once."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     """Return the node's parameters, which are the same at every site."""
     return [
         site_file(),
-        Parameter("directory", "bag", meaning="the bag; must not exist"),
+        Parameter("directory", "bag", meaning="directory of the bag, which must not exist"),
         Parameter(
             "controller", DEFAULT, meaning="the active controller: a name, or package.module:Class",
         ),
@@ -35,20 +35,20 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     ]
 
 
-# How many messages a topic may be ahead of the slowest: the plant is at most 32 ticks ahead of the
-# bag, and a publisher of another package may send its first messages early.
+# How many messages a topic may be ahead of the slowest: the plant is no more than 32 ticks ahead of
+# the bag, and a publisher of another package may send its first messages early.
 _MAX_AHEAD = 1000
 
 
 class RecorderNode(SimulationNode):
     """Writes complete ticks, in the order of the interface, with their simulated time.
 
-    The k-th message of a topic belongs to tick k. The bag has the topics' full names, including the
-    namespace of the graph.
+    The k-th message of a topic belongs to tick k. The bag uses the full names of topics, including
+    the namespace of the graph.
     """
 
     def __init__(self) -> None:
-        """Declare the parameters, make the bag and open the topics."""
+        """Declare the parameters, create the bag and open the topics."""
         super().__init__(RECORDER, RECORDER)
         site = self.declare_site()
         values = declare(self, parameters())
@@ -78,17 +78,17 @@ class RecorderNode(SimulationNode):
             self.record(name, partial(self._receive, name))
 
     def _receive(self, name: str, message: bytes) -> None:
-        """Queue a message of a topic, and write each tick that is now complete.
+        """Queue a message of a topic, and write every tick that is now complete.
 
         Raises:
-            LockstepError: the topic is further ahead of the others than lockstep allows.
+            LockstepError: if the topic is further ahead of the others than lockstep allows.
         """
         queue = self._queues[name]
         queue.append(message)
         if len(queue) > _MAX_AHEAD:
             late = min(self._queues, key=lambda other: len(self._queues[other]))
             raise LockstepError(
-                f"{name} has {len(queue)} messages more than {late}; a topic must have one message "
+                f"{name} is {len(queue)} messages ahead of {late}; a topic must have one message "
                 "for each tick"
             )
         while all(self._every_queue):
@@ -96,7 +96,7 @@ class RecorderNode(SimulationNode):
             try:
                 self._bag.write_tick(now, [queue.popleft() for queue in self._every_queue])
             except OSError as error:
-                self._closed = True  # to close it would only fail again
+                self._closed = True  # closing it would only fail again
                 raise self._damaged(error) from error
             if self._bag.safe == self._bag.written:
                 self._report_written()
@@ -129,12 +129,12 @@ class RecorderNode(SimulationNode):
         """Fail if the last tick stays incomplete beyond the limit.
 
         Raises:
-            LockstepError: a topic lacks messages, or has too many.
+            LockstepError: if a topic lacks messages, or has too many.
         """
         run = self.lockstep.run
         if self.finished or run is None:
             return
-        self._end_if_complete()  # /run may have come after the last tick
+        self._end_if_complete()  # /run may have arrived after the last tick
         ticks = round(run.last_tick) + 1
         counts = {name: self._bag.written + len(queue) for name, queue in self._queues.items()}
         if self.finished or max(counts.values()) < ticks:
@@ -151,7 +151,7 @@ class RecorderNode(SimulationNode):
             )
 
     def summary(self) -> dict[str, Any]:
-        """Return the number of messages of each topic in the bag."""
+        """Return the number of messages in the bag, by topic."""
         return {"messages": {topic.name: self._bag.written for topic in self._in_bag}}
 
     def _close(self) -> None:
@@ -170,7 +170,7 @@ class RecorderNode(SimulationNode):
         )
 
     def on_stop(self) -> None:
-        """Close the bag, with the complete ticks."""
+        """Close the bag, which then holds the complete ticks."""
         if not self._closed:
             self._close()
 

@@ -1,4 +1,4 @@
-"""The weather node: answers each ``/clock`` with the weather and the forecast, from records."""
+"""The weather node: answers every ``/clock`` with weather and forecast, from records."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def parameters(site: Site) -> list[Parameter]:
         *look_ahead_parameters(),
         Parameter(
             "outlet_horizon", 0.0, "", 0.0, MAX_HORIZON, "how far the forecasts reach for a plan "
-            "of the outlet's valve (h), in further steps; 0: no further",
+            "of the outlet valve (h), in further steps; 0: no further",
         ),
         Parameter(
             "forecast", PERFECT,
@@ -65,7 +65,7 @@ def _choose_forecast(values: dict[str, Any]) -> ForecastChoice:
     """Return the choice of forecasts that the parameters make.
 
     Raises:
-        ConfigurationError: a parameter is wrong.
+        ConfigurationError: if a parameter is wrong.
     """
     with rename_keys({name: f"parameter {name} of weather" for name in ("forecast", *INPUTS)}):
         options = choose(values["forecast"]).option_names
@@ -76,13 +76,13 @@ def _choose_forecast(values: dict[str, Any]) -> ForecastChoice:
 
 
 class WeatherNode(SimulationNode):
-    """Publishes weather and forecasts of a run."""
+    """Publishes the weather and the forecasts of a run."""
 
     def __init__(self) -> None:
         """Declare the parameters, read the records and open the topics.
 
         Raises:
-            ConfigurationError: a parameter or a file is wrong.
+            ConfigurationError: if a parameter or a file is wrong.
         """
         super().__init__("weather", "weather")
         site = self.declare_site()
@@ -121,7 +121,7 @@ class WeatherNode(SimulationNode):
         """Return the tick that begins at a time.
 
         Raises:
-            LockstepError: no tick of the run begins then.
+            LockstepError: if no tick of the run begins then.
         """
         tick, remainder = divmod(time_ns - self._start_ns, self._tick_ns)
         if remainder or not 0 <= tick <= self._last_tick:

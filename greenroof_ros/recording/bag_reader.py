@@ -1,4 +1,4 @@
-"""Reads a trajectory from a bag: this package's, or a real site's with gaps and outliers."""
+"""Reads a trajectory from a bag: this package's own, or a real site's with gaps and outliers."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from greenroof_ros.recording.trajectory import COLUMNS, Trajectory, recorded_col
 Stamps = NDArray[np.int64]
 Values = NDArray[np.float64]
 
-# Attribute of a trajectory, by topic. A sample needs the topics that follow; the others are treated
-# as 0 if missing.
+# Attribute of a trajectory, by topic. A sample needs the topics below; the others count as 0 if
+# they are missing.
 _ATTRIBUTES = {column.topic: column.attribute for column in COLUMNS if column.attribute}
 _NEEDED = ("/roof/level", "/cistern/level", "/pump/command", "/pump/flow")
 _TYPE = "std_msgs/msg/Float64"
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
-# A live graph publishes NaN if it does not know the value, as defined in the interface.
+# A live graph publishes NaN for an unknown value, as defined in the interface.
 _MAY_BE_UNKNOWN = ("/weather/frost",)
 
-# A smaller share of wrong values in a topic counts as a sensor's outliers; a larger is a
+# A smaller share of wrong values in a topic counts as outliers of a sensor; a larger one is a
 # mistake.
 _MAX_OUTLIERS = 0.01
 
@@ -45,7 +45,7 @@ _ROUNDING = 1 + 1e-9
 # A time without messages is a gap if it exceeds both: in seconds, and in median spacings.
 _GAP_S, _GAP_SPACINGS = 600, 10
 
-# A longer time without messages (ns) is a mistake of a clock.
+# If there are no messages for longer than this (ns), a clock is wrong.
 _MAX_GAP_NS = 366 * 86400e9
 
 _MAX_NAMED = 10
@@ -54,7 +54,7 @@ _MAX_NAMED = 10
 def count_ticks(bag: Path) -> int | None:
     """Return the number of complete ticks in a bag of this package.
 
-    None if the bag was not closed: its recorder was killed, or its disk was full.
+    Return None if the bag was not closed: its recorder was killed, or its disk was full.
     """
     if not (bag / METADATA).is_file():
         return None
@@ -68,7 +68,7 @@ class RecordedTrajectory(NamedTuple):
     trajectory: Trajectory
     notes: tuple[str, ...] = ()
     unknown: frozenset[str] = frozenset()
-    """attributes of the trajectory that are 0 because the bag has nothing of them"""
+    """attributes of the trajectory that are 0 because the bag contains nothing about them"""
 
 
 class _Series(NamedTuple):
@@ -84,21 +84,21 @@ def load_bag(
 ) -> RecordedTrajectory:
     """Read a trajectory from a bag.
 
-    A sample is any time at which a message of a used topic was logged; each topic has its last
-    value at or before that time. Bags of this package log all topics of a tick at one time, so
+    A sample is any time at which a message of a used topic was logged; every topic has its last
+    value at or before that time. Bags of this package log all topics of a tick at the same time, so
     their samples are the ticks.
 
     Args:
-        bag: its directory, or a single MCAP file.
-        site: where it was recorded.
+        bag: directory of the bag, or a single MCAP file.
+        site: site at which it was recorded.
         zone: time zone of the result.
-        own: whether the run is known to be this package's: its plant then refused implausible
-            values, which acted as 0. In other bags they are left out, or are an error.
-        external_pump: whether a pump driver gave the plant the flow.
-        repair: how a damaged bag can be repaired, for the message; empty if it cannot.
+        own: whether the run is known to be this package's: its plant then rejected implausible
+            values and used 0 instead. In other bags they are left out, or are an error.
+        external_pump: whether a pump driver sent the flow to the plant.
+        repair: how a damaged bag can be repaired, for the message; empty if it cannot be.
 
     Raises:
-        ConfigurationError: the bag is damaged, foreign, or has implausible values.
+        ConfigurationError: if the bag is damaged, foreign, or has implausible values.
     """
     recorded, notes = _keep_one_time(_read_series(bag, repair), zone)
     of_site = {column.topic: column.attribute for column in recorded_columns(site)}
@@ -113,7 +113,7 @@ def load_bag(
         else:
             of_topic, note = _drop_outliers(bag, interface[topic], highest.get(topic), of_topic)
         notes += note
-        if len(of_topic.times):  # otherwise never known
+        if len(of_topic.times):  # otherwise it was never known
             series[topic] = of_topic
     stamps = np.unique(np.concatenate([of_topic.times for of_topic in series.values()]))
     samples = stamps[stamps >= max(series[topic].times[0] for topic in _NEEDED)]
@@ -129,7 +129,7 @@ def load_bag(
     for topic, name in of_site.items():
         columns[name] = np.zeros(len(samples))
         if topic in series:
-            # If messages have the same time, the last counts.
+            # If several messages have the same time, the last one counts.
             index = np.searchsorted(series[topic].times, samples, side="right") - 1
             columns[name] = np.where(index >= 0, series[topic].values[np.maximum(index, 0)], 0.0)
         if name not in ("roof", "cistern"):
@@ -149,10 +149,10 @@ def load_bag(
 def _keep_one_time(
     recorded: Mapping[str, _Series], zone: tzinfo
 ) -> tuple[dict[str, _Series], list[str]]:
-    """Return the messages of the time in which most are, without those more than a year away.
+    """Return the messages in the year with most of them, without those more than a year away.
 
-    A clock that is not set yet stamps messages 0, or with the year in which it was made; no site
-    has a gap of a year in one bag.
+    A clock that is not set yet stamps messages with 0, or with the year in which it was made; no
+    site has a gap of a year in one bag.
     """
     stamps = np.sort(np.concatenate([series.times for series in recorded.values()]))
     far = np.flatnonzero(np.diff(stamps.astype(np.float64)) > _MAX_GAP_NS) + 1
@@ -177,7 +177,7 @@ def _keep_one_time(
 
 
 def _check_files(bag: Path) -> None:
-    """Refuse a bag that lacks a file which its metadata names; a reader refuses other metadata."""
+    """Reject a bag that lacks a file named in its metadata; a reader rejects other metadata."""
     about: Any = None
     with suppress(ConfigurationError):
         about = read_yaml(bag / METADATA).get("rosbag2_bagfile_information")
@@ -194,13 +194,13 @@ def _check_files(bag: Path) -> None:
 
 
 def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
-    """Read each used topic of a bag, ordered by time.
+    """Read all used topics of a bag, ordered by time.
 
-    The topics may be in a namespace, such as /site1/roof/level; the result has their plain names.
+    The topics may be in a namespace, such as /site1/roof/level; the result uses their plain names.
 
     Raises:
-        ConfigurationError: the bag is damaged, lacks a needed topic, or has the times at which the
-            messages of a simulation arrived.
+        ConfigurationError: if the bag is damaged, lacks a needed topic, or has the times at which
+            the messages of a simulation arrived.
     """
     with require_extra("study"):
         from rosbags import typesys
@@ -208,7 +208,7 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     _check_files(bag)
     typestore = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     times: dict[str, list[int]] = {}
-    values: dict[str, list[float]] = {}  # of the clock in ns
+    values: dict[str, list[float]] = {}  # for the clock in ns
     try:
         with AnyReader([bag], default_typestore=typestore) as reader:
             types = {each.topic: each.msgtype for each in reader.connections}
@@ -229,7 +229,7 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
                 )
     except ConfigurationError:
         raise
-    except Exception as error:  # the readers let any error of storages and codecs pass
+    except Exception as error:  # the readers pass on any error of storages and codecs
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ConfigurationError(
             f"cannot be read as a bag: {reason}" + (repair and f". If it is damaged, {repair}"),
@@ -237,8 +237,8 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
         ) from error
     silent = [topic for topic in _NEEDED if topic not in times]
     if silent:
-        raise ConfigurationError(f"holds no message of {', '.join(silent)}", file=bag)
-    # A recorder with simulated time stamps each message with a value of the clock.
+        raise ConfigurationError(f"contains no message of {', '.join(silent)}", file=bag)
+    # A recorder with simulated time stamps every message with a value of the clock.
     if _CLOCK in times and not set(times.pop(_CLOCK)) & set(values.pop(_CLOCK)):
         raise ConfigurationError(
             "has the times at which the messages of a simulation arrived, not simulated times: "
@@ -249,12 +249,12 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
 
 
 def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str]) -> None:
-    """Refuse a bag that lacks a needed topic, or has a used topic of the wrong type.
+    """Reject a bag that lacks a needed topic, or in which a used topic has the wrong type.
 
     Args:
-        bag: its directory.
+        bag: directory of the bag.
         types: the type of each of its topics.
-        names: the interface's name of each used topic, by its name in the bag.
+        names: the interface's name of every used topic, by its name in the bag.
     """
     missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in types]
     if missing:
@@ -281,7 +281,7 @@ def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
         "/cistern/level": (
             site.max_cistern_level, f"three times the outlet's level of {site.z_o:g} m"
         ),
-        "/pump/flow": (3 * full, "three times what the pumps can give"),
+        "/pump/flow": (3 * full, "three times what the pumps can deliver"),
         "/weather/precipitation": (rain / 3.6e6, f"{rain:g} mm/h"),
         "/weather/evapotranspiration": (
             evaporation / 8.64e7 * site.a2, f"{evaporation:g} mm/day over a2"
@@ -292,7 +292,7 @@ def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
 def _replace_refused(
     topic: Topic, series: _Series, external_pump: bool
 ) -> tuple[_Series, list[str]]:
-    """Return the values of a topic as the plant of the run used them: refused values acted as 0.
+    """Return the values of a topic as the plant of the run used them, with 0 for rejected values.
 
     Values that the plant itself published are unchanged, since the run's results come from them.
     """
@@ -301,8 +301,8 @@ def _replace_refused(
     if plants or fine.all():
         return series, []
     return series._replace(values=np.where(fine, series.values, 0.0)), [
-        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were refused in the run, "
-        f"and acted as 0: a value {topic.range.expected()}"
+        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were rejected in the run "
+        f"and replaced by 0: a value {topic.range.expected()}"
     ]
 
 
@@ -312,8 +312,8 @@ def _drop_outliers(
     """Return the values of a topic without implausible ones.
 
     Raises:
-        ConfigurationError: there are too many for outliers, or at least half of the values other
-            than 0 are too large: a pump or rain in a wrong unit may be active for less than a
+        ConfigurationError: if there are too many to be outliers, or at least half of the non-zero
+            values are too large: a pump, or rain in a wrong unit, may be active for less than a
             hundredth of the time.
     """
     high, why = topic.high, ""
@@ -353,6 +353,6 @@ def _describe_gaps(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str
     if len(gaps) > _MAX_NAMED:
         named.append(f"and {len(gaps) - _MAX_NAMED} more, {hours.sum():.3g} h in all")
     return (
-        f"no message came from {', '.join(named)}: command, weather and flows are unknown there "
+        f"no message came from {', '.join(named)}: command, weather and flows are unknown then "
         "and are treated as 0, and the levels keep their last values"
     )

@@ -1,7 +1,7 @@
 """Writes bags in rosbag2's format: numbered mcap files, and a ``metadata.yaml`` that lists them.
 
 rosbag2, rosbags, Foxglove and PlotJuggler open them. The bag of a simulation does not depend on the
-wall clock or on its location: two equal runs give equal bytes.
+wall clock or on its location: two equal runs produce equal bytes.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ DAMAGED = (
     zstandard.ZstdError,
 )
 
-# Ticks handed to the operating system together. A kill -9 loses at most the ticks by which the
+# Ticks passed to the operating system together. A kill -9 loses no more than the ticks by which the
 # plant is ahead of them: 32.
 _TICKS_PER_CHUNK = 16
 
-# How often a live bag is flushed to disk (s): the most that a kill -9 or a power failure loses.
+# How often a live bag is flushed to disk (s): the most that a kill -9 or a power failure can lose.
 FLUSH_S = 10.0
-# Wait before a live recording that failed, as on a full disk, tries again (s).
+# Wait until a live recording that failed, as on a full disk, is tried again (s).
 RETRY_S = 60.0
 _DAY_NS = 86_400 * 10**9
 
@@ -60,14 +60,14 @@ class LiveBag:
     A recorder that is restarted in the same directory continues with the next file number.
     ``metadata.yaml`` lists the closed files. It is replaced atomically whenever one is closed, so
     rosbag2 and rosbags can open the bag during recording and after the recorder was killed. The
-    file that was open at a kill is not listed; ``greenroof recover`` restores it.
+    file that was open when it was killed is not listed; ``greenroof recover`` restores it.
 
     No method raises an OSError: if recording fails, for instance on a full disk, the node goes on.
     The file being written then ends with its last flush, and a new file is begun when a retry
     succeeds.
 
     Attributes:
-        directory: the bag.
+        directory: directory of the bag.
         problem: why recording failed; empty again once later messages are flushed.
         recorded: number of messages flushed to the bag since this start.
         lost: number of messages lost because recording failed.
@@ -79,9 +79,9 @@ class LiveBag:
         """Read the indices of an existing bag; nothing is written before the first message.
 
         Args:
-            directory: the bag, which may exist.
+            directory: directory of the bag, which may exist.
             topics: the topics that can be recorded.
-            file_bytes: size at which a file is closed and the next one begun; each day (UTC) also
+            file_bytes: size at which a file is closed and the next one begun; every day (UTC) also
                 begins a new file.
             total_bytes: size of the bag above which its oldest files are removed; at least twice
                 ``file_bytes``.
@@ -96,8 +96,8 @@ class LiveBag:
         self._total_bytes = total_bytes
         # All files, the oldest first, with their indices; None if a file was not closed.
         self._files = {path: read_index(path) for path in find_files(directory)}
-        self._file: BagFile | None = None  # being written: the last of these files
-        self._day = 0  # on which it was begun (days since 1970)
+        self._file: BagFile | None = None  # the file being written, the last of these
+        self._day = 0  # day on which it was begun (days since 1970)
         self._before = 0  # messages recorded before it
         self._flushed = -math.inf
         self._again = -math.inf  # time of the next try (steady clock, s)
@@ -106,7 +106,7 @@ class LiveBag:
         """Record a message.
 
         Args:
-            topic: its topic's name.
+            topic: name of its topic.
             time_ns: time of arrival (ns since 1970).
             message: serialised (CDR).
             now: steady clock (s).
@@ -129,7 +129,7 @@ class LiveBag:
             self._fail(error, now)
 
     def flush_if_due(self, now: float) -> None:
-        """Flush if it is due; must be called often.
+        """Flush if it is due; this must be called often.
 
         Args:
             now: steady clock (s).
@@ -145,7 +145,7 @@ class LiveBag:
             self._fail(error, now)
 
     def close(self) -> None:
-        """Close the file being written; :attr:`problem` reports if that fails."""
+        """Close the file being written; if that fails, :attr:`problem` reports it."""
         try:
             if self._file is not None:
                 self._close(self._file)
@@ -198,25 +198,25 @@ class LiveBag:
 class BagFile:
     """An mcap file being written; after an error it must be cut.
 
-    Otherwise it would keep a part of the failed write, and the number of recoverable writes would
+    Otherwise it would keep part of the failed write, and the number of recoverable writes would
     differ from ``safe``.
 
     Attributes:
-        path: the file.
+        path: path of the file.
         written: number of writes.
         safe: number of writes that were flushed; they survive a kill of the process.
     """
 
     def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
-        """Make the file and write its head.
+        """Create the file and write its beginning.
 
         Args:
-            path: must not exist.
+            path: path of the file, which must not exist.
             topics: the topics whose messages it can hold.
 
         Raises:
-            FileExistsError: the file exists.
-            OSError: the file cannot be written.
+            FileExistsError: if the file exists.
+            OSError: if the file cannot be written.
         """
         self.path = path
         self.written = self.safe = 0
@@ -247,11 +247,11 @@ class BagFile:
         """Write messages that share one time.
 
         Args:
-            time_ns: nanoseconds since 1970.
+            time_ns: time of the messages (ns since 1970).
             messages: pairs of a topic's index and a serialised (CDR) message.
 
         Raises:
-            OSError: for instance on a full disk.
+            OSError: if writing fails, for instance on a full disk.
         """
         for index, message in messages:
             self._add(index + 1, time_ns, message, time_ns, self._counts[index])
@@ -259,13 +259,13 @@ class BagFile:
         self.written += 1
 
     def flush(self, *, to_disk: bool = False) -> None:
-        """Hand everything written so far to the operating system.
+        """Pass everything written so far to the operating system.
 
         Args:
-            to_disk: also sync it to the disk, so that it survives a power failure.
+            to_disk: whether to sync it to the disk as well, so that it survives a power failure.
 
         Raises:
-            OSError: for instance on a full disk.
+            OSError: if writing fails, for instance on a full disk.
         """
         self._writer.flush()
         if to_disk:
@@ -276,7 +276,7 @@ class BagFile:
         """Write the index and the end of the file.
 
         Raises:
-            OSError: for instance on a full disk.
+            OSError: if writing fails, for instance on a full disk.
         """
         self._writer.finish()
         self._stream.close()
@@ -296,19 +296,19 @@ class BagWriter(BagFile):
     """Writes the bag of a simulation, tick by tick, into one file; `written` counts ticks.
 
     Attributes:
-        directory: the bag.
+        directory: directory of the bag.
     """
 
     def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
-        """Make the bag's directory and write the head of its file.
+        """Create the bag's directory and write the beginning of its file.
 
         Args:
-            directory: must not exist.
-            topics: the topics of each tick, in the order of writing.
+            directory: directory of the bag, which must not exist.
+            topics: the topics of every tick, in the order of writing.
 
         Raises:
-            FileExistsError: the directory exists.
-            OSError: the directory or the file cannot be written.
+            FileExistsError: if the directory exists.
+            OSError: if the directory or the file cannot be written.
         """
         self.directory = directory
         directory.mkdir(parents=True)
@@ -319,10 +319,10 @@ class BagWriter(BagFile):
 
         Args:
             time_ns: simulated time of the tick (ns since 1970).
-            messages: the serialised (CDR) message of each topic, in the order of the topics.
+            messages: the serialised (CDR) message of every topic, in the order of the topics.
 
         Raises:
-            OSError: for instance on a full disk.
+            OSError: if writing fails, for instance on a full disk.
         """
         self.write(time_ns, enumerate(messages))
         if self.written % _TICKS_PER_CHUNK == 0:
@@ -332,8 +332,8 @@ class BagWriter(BagFile):
         """Finish the file and write ``metadata.yaml``.
 
         Raises:
-            OSError: for instance on a full disk; when it is cut, ``greenroof recover`` restores the
-                safe ticks.
+            OSError: if writing fails, for instance on a full disk; after a cut, ``greenroof
+                recover`` restores the safe ticks.
         """
         super().close()
         write_metadata(self.directory, [read_index(self.path)])
@@ -365,10 +365,10 @@ class FileIndex(NamedTuple):
     """The index of a closed file of a bag.
 
     Attributes:
-        name: of the file.
+        name: name of the file.
         types: message types, by the numbers of their schemas.
-        channels: one for each topic.
-        statistics: number of messages, and the times of the first and last (ns since 1970).
+        channels: channels, one for each topic.
+        statistics: number of messages, and the times of the first and last one (ns since 1970).
     """
 
     name: str
@@ -378,7 +378,7 @@ class FileIndex(NamedTuple):
 
 
 def seek_summary(stream: BinaryIO) -> Footer | None:
-    """Move to the summary of a file, and return its footer; None if the file was not closed."""
+    """Move to the summary of a file and return its footer; None if the file was not closed."""
     stream.seek(-(FOOTER_SIZE + MAGIC_SIZE), os.SEEK_END)
     footer = next(StreamReader(stream, skip_magic=True).records)
     if not isinstance(footer, Footer) or not footer.summary_start:
@@ -388,7 +388,7 @@ def seek_summary(stream: BinaryIO) -> Footer | None:
 
 
 def read_index(path: Path) -> FileIndex | None:
-    """Return the index of a file; None if it was not closed, or cannot be read."""
+    """Return the index of a file; None if it was not closed or cannot be read."""
     types: dict[int, str] = {}
     channels: list[Channel] = []
     with suppress(OSError, *DAMAGED), path.open("rb") as stream:
@@ -409,12 +409,12 @@ def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
     """Replace ``metadata.yaml`` atomically: a reader finds either the old text or the new text.
 
     Args:
-        bag: its directory.
-        indices: of its files, the oldest first; None for a file that was not closed, which is not
-            listed. If no file was closed, ``metadata.yaml`` is removed.
+        bag: directory of the bag.
+        indices: indices of its files, the oldest first; None for a file that was not closed, which
+            is not listed. If no file was closed, ``metadata.yaml`` is removed.
 
     Raises:
-        OSError: it cannot be written; the old one is unchanged.
+        OSError: if it cannot be written; the old file is then unchanged.
     """
     files = [index for index in indices if index is not None]
     if not files:
@@ -451,7 +451,7 @@ def _make_metadata(files: Sequence[FileIndex]) -> str:
             "starting_time": {"nanoseconds_since_epoch": start},
             "message_count": sum(of_file.message_count for of_file in statistics),
             "topics_with_message_count": list(topics.values()),
-            # Refers to whole files; the chunks are compressed, as the mcap files state themselves.
+            # Refers to whole files; the chunks are compressed, as the mcap files themselves state.
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [file.name for file in files],

@@ -1,4 +1,4 @@
-"""The table of a run's events of rain: rows for ``summary.json``, and the file ``events.csv``."""
+"""The table of a run's rain events: rows for ``summary.json``, and the file ``events.csv``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from greenroof_ros.common.files import read_text
 from greenroof_ros.model.storm_water import Event
 
 EVENTS = "events.csv"
-"""The file's name in the directory of a run."""
+"""name of the file in a run's directory"""
 
 EventRow = dict[str, Any]
 """an event: ``start``, with its offset from UTC, and the fields of an :class:`.Event`"""
@@ -55,7 +55,7 @@ def read_events(file: Path) -> list[EventRow]:
     """Read ``events.csv``.
 
     Raises:
-        ConfigurationError: it is damaged, or another file.
+        ConfigurationError: if it is damaged, or is a different file.
     """
     rows = list[EventRow]()
     table = csv.DictReader(io.StringIO(read_text(file)), restkey="", restval="?")
@@ -71,17 +71,17 @@ def read_events(file: Path) -> list[EventRow]:
             }))
         except (TypeError, ValueError) as error:
             raise ConfigurationError(
-                "is not an event of rain; repeat the run", file=file, line=table.line_num
+                "is not a rain event; repeat the run", file=file, line=table.line_num
             ) from error
     return rows
 
 
 def check_event(row: EventRow) -> EventRow:
-    """Return a row from a file, which can have any content.
+    """Return a row from a file, which can have any content, after checking it.
 
     Raises:
-        TypeError, ValueError: it is not an event: a time, finite numbers, true or false. Only what
-            can be unknown may be missing.
+        TypeError, ValueError: if it is not an event: a time, finite numbers, true or false. Only
+            what can be unknown may be missing.
     """
     if row.keys() != set(_COLUMNS):
         raise ValueError

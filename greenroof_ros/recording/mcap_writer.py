@@ -1,7 +1,7 @@
-"""Writes mcap files, byte for byte as the writer of the ``mcap`` library, but faster.
+"""Writes mcap files byte for byte like the writer of the ``mcap`` library, but faster.
 
-What comes with every message is packed here, as https://mcap.dev/spec defines it. The library's
-records do the rest. Messages are in zstd chunks, each followed by an index.
+Everything that comes with every message is packed here, as https://mcap.dev/spec defines it. The
+library's records do the rest. Messages are in zstd chunks, each followed by an index.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ class McapWriter:
     """
 
     def __init__(self, stream: BinaryIO) -> None:
-        """Write the head of the file."""
+        """Write the beginning of the file."""
         self._stream = stream
         self._compress = ZstdCompressor().compress
-        self._crc = 0  # of all that was written: chunks, and what lies between
+        self._crc = 0  # CRC of all that was written: chunks, and what lies between
         self._schemas: list[records.Schema] = []  # message types
         self._channels: list[records.Channel] = []  # topics
         self._chunk_indexes = RecordBuilder()
         self._chunks = 0
         self._counts: Counter[int] = Counter()  # messages, by channel
-        self._times: list[int] = []  # of the first and last message (ns)
+        self._times: list[int] = []  # times of the first and last message (ns)
         self._chunk = bytearray()  # the records of the present chunk
-        # By channel: time (ns) and position in the chunk of each message, one after the other.
+        # By channel: time (ns) and position in the chunk of every message, one after another.
         self._index: defaultdict[int, list[int]] = defaultdict(list)
         self._write(MCAP0_MAGIC + _pack(records.Header("ros2", "greenroof_ros")))
 
@@ -70,7 +70,7 @@ class McapWriter:
             self._end_chunk()
 
     def flush(self) -> None:
-        """End the chunk, and hand everything to the operating system."""
+        """End the chunk, and pass everything to the operating system."""
         self._end_chunk()
         self._stream.flush()
 
@@ -101,7 +101,7 @@ class McapWriter:
         self._write(end + struct.pack("<I", crc32(end)) + MCAP0_MAGIC)
 
     def _end_chunk(self) -> None:
-        """Write the chunk and its index; one without messages waits for the first."""
+        """Write the chunk and its index; a chunk without messages waits for the first one."""
         if not self._index:
             return
         times = [time for entries in self._index.values() for time in entries[::2]]

@@ -1,7 +1,7 @@
 """The table of a study, ``results.csv``: its columns, and what distinguishes the runs.
 
-A parameter ``weight`` is in the column ``parameter:weight``, so that no name of a parameter
-conflicts with another column.
+A parameter ``weight`` is in the column ``parameter:weight``, so that no parameter's name conflicts
+with another column.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
 def find_differing_keys(rows: Sequence[Mapping[str, object]]) -> list[str]:
     """Return the keys that distinguish rows, those with more than one value, in their order.
 
-    These alone name the runs in tables and titles. A key that a row lacks is treated as None.
+    Only these keys name the runs in tables and titles. A key that a row lacks counts as None.
     """
     keys = dict.fromkeys(key for row in rows for key in row)
     return [key for key in keys if len({row.get(key) for row in rows}) > 1]

@@ -23,27 +23,27 @@ if TYPE_CHECKING:
 Samples = NDArray[np.float64]
 
 TRAJECTORY, CSV = "trajectory.parquet", "trajectory.csv"
-"""The file's name in the directory of a run: of a study or of Python, and of the command."""
+"""name of the file in a run's directory: for a study or Python, and for the command"""
 
 
 class TrajectoryColumn(NamedTuple):
     """One quantity of a trajectory."""
 
     name: str
-    """in files and tables; it ends with the unit"""
+    """name in files and tables; it ends with the unit"""
     tick: str
     """attribute of a tick of a run in one process"""
     attribute: str = ""
-    """of a :class:`Trajectory`; empty if it is computed from the others and the site"""
+    """attribute of a :class:`Trajectory`; empty if it is computed from the others and the site"""
     topic: str = ""
-    """in a bag; the volumes are computed from levels"""
+    """topic in a bag; the volumes are computed from levels"""
     needs: str = ""
     """key of the sites that have it; empty if all have it"""
 
 
 LAYER = TrajectoryColumn("drainage_layer_m3", "layer", needs="drainage_storage")
 
-# Besides the times, in the order of files and tables.
+# The columns besides the times, in the order of files and tables.
 COLUMNS = (
     TrajectoryColumn("cistern_m3", "x1", "cistern", "/cistern/level"),
     TrajectoryColumn("roof_m3", "x2", "roof", "/roof/level"),
@@ -80,7 +80,7 @@ def recorded_columns(site: Site) -> list[TrajectoryColumn]:
     return [column for column in columns_of(site) if column.attribute]
 
 
-# Name of each column of a trajectory's file, by its attribute.
+# Name of every column of a trajectory's file, by its attribute.
 _NAMES = {
     "time": "time_s", **{column.attribute: column.name for column in COLUMNS if column.attribute},
 }
@@ -89,22 +89,23 @@ _OPTIONAL = {column.name for column in COLUMNS if column.needs}
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """The trajectory of a run, sample by sample; each array has shape (n,).
+    """The trajectory of a run, sample by sample; every array has shape (n,).
 
     Attributes:
         start: time of the first sample, with its offset from UTC.
-        time: since the start (s).
+        time: time since the start (s).
         cistern: water volume x1 (m3).
         roof: water volume x2 (m3).
-        precipitation: rain (m/s).
-        evapotranspiration: from the whole bed (m3/s), not yet limited to the water on the roof.
+        precipitation: rain rate (m/s).
+        evapotranspiration: evapotranspiration from the whole bed (m3/s), not yet limited to the
+            water on the roof.
         command: share of the pumps' maximum flow (1).
-        pump_flow: from the cistern to the roof (m3/s).
-        outflow: from the cistern to the sewer (m3/s).
-        drainage: from the roof (m3/s).
-        frost: 1 in frost, else 0.
+        pump_flow: flow from the cistern to the roof (m3/s).
+        outflow: flow from the cistern to the sewer (m3/s).
+        drainage: drainage from the roof (m3/s).
+        frost: 1 in frost, otherwise 0.
         outlet: share to which the valve of the low outlet is open (1); None without a valve.
-        low_outlet: the part of the outflow through it (m3/s); None without a valve.
+        low_outlet: the part of the outflow through the low outlet (m3/s); None without a valve.
     """
 
     start: datetime
@@ -122,12 +123,13 @@ class Trajectory:
     low_outlet: Samples | None = None
 
     def to_frame(self) -> polars.DataFrame:
-        """Return it as a table: the time with its zone, to the microsecond, and each array.
+        """Return it as a table: the time with its zone, to the microsecond, and all arrays.
 
-        The zone is from ``start``, or UTC if its offset is not of whole hours: others have no name.
+        The zone is taken from ``start``, or is UTC if the offset is not in whole hours, which has
+        no zone name.
 
         Raises:
-            ConfigurationError: polars is not installed.
+            ConfigurationError: if polars is not installed.
         """
         refuse_forked_polars()
         with require_extra("study"):
@@ -146,7 +148,7 @@ class Trajectory:
         """Return the content of a file for :func:`read_trajectory`.
 
         Raises:
-            ConfigurationError: polars is not installed.
+            ConfigurationError: if polars is not installed.
         """
         stream = io.BytesIO()
         self.to_frame().write_parquet(
@@ -167,8 +169,8 @@ def read_trajectory(path: Path) -> Trajectory:
     """Read a trajectory, a parquet file or the command's CSV.
 
     Raises:
-        ConfigurationError: the file cannot be read, is damaged or is not a trajectory, or polars is
-            not installed.
+        ConfigurationError: if the file cannot be read, is damaged or is not a trajectory, or polars
+            is not installed.
     """
     refuse_forked_polars()
     with require_extra("study"):

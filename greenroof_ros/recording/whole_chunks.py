@@ -1,7 +1,7 @@
 """Reads the whole chunks of an mcap file that was cut, is damaged, or is on a failing disk.
 
-A closed file's index states where its chunks are. Without an index, each record's length gives
-where the next one begins.
+A closed file's index states where its chunks are. Without an index, the length of every record
+gives the position of the next one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _OPCODES = frozenset(map(int, Opcode))
 
 
 def read_whole_chunks(stream: BinaryIO) -> Iterator[list[McapRecord] | int]:
-    """Yield the records of each whole chunk, in the file's order, and what is lost between them.
+    """Yield the records of every whole chunk, in the file's order, and what is lost between them.
 
     A closed file's topics and types come first, in case the chunk that defines them is lost.
 
@@ -47,12 +47,12 @@ def read_whole_chunks(stream: BinaryIO) -> Iterator[list[McapRecord] | int]:
 
 def _read_in_order(stream: BinaryIO, size: int) -> Iterator[list[McapRecord] | int]:
     """Yield the same from record to record, up to a length that cannot be right."""
-    at = accounted = MAGIC_SIZE  # what lies before the second is whole, or known as lost
+    at = accounted = MAGIC_SIZE  # what lies before the second is whole, or known to be lost
     while at < size:
         opcode, end = _read_head(stream, at)
         records = _read_chunk(stream, at) if opcode == Opcode.CHUNK else None
         if records is not None:
-            at = accounted = stream.tell()  # by the length of its own data, which is right
+            at = accounted = stream.tell()  # from the length of its own data, which is right
             yield records
             continue
         if (opcode, end - at) == (Opcode.DATA_END, _DATA_END_SIZE):
@@ -90,6 +90,6 @@ def _read_chunk(stream: BinaryIO, at: int) -> list[McapRecord] | None:
     try:
         stream.seek(at + _HEAD.size)
         records = breakup_chunk(Chunk.read(ReadDataStream(stream)), validate_crc=True)
-        return records or None  # a head of zeros is one of an empty chunk without a checksum
+        return records or None  # a head of zeros stands for an empty chunk without a checksum
     except (OSError, *DAMAGED):
         return None

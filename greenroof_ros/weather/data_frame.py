@@ -1,4 +1,4 @@
-"""Weather in a data frame of polars or pandas, with the columns of a file in our own format."""
+"""Weather in a polars or pandas data frame, with the columns of a file in our own format."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ _NAME = "the data frame"
 
 
 def is_frame(value: Any) -> bool:
-    """Whether a value is a data frame of polars or pandas."""
+    """Return whether a value is a polars or pandas data frame."""
     return hasattr(value, "columns") and (
         hasattr(value, "write_csv") or hasattr(value, "to_csv")
     )
 
 
 def read_frame(frame: Any, site: Site) -> Records:
-    """Return the records of a data frame, as of a file with the same columns.
+    """Return the records in a data frame, as from a file with the same columns.
 
     Args:
-        frame: with a column ``time``, or in pandas an index of times.
-        site: its clock is the one of times without an offset.
+        frame: data frame with a column ``time``, or in pandas an index of times.
+        site: site whose clock applies to times without an offset.
 
     Raises:
-        ConfigurationError: a column or a value is wrong; the message gives its row, from 0.
+        ConfigurationError: if a column or a value is wrong; the message gives its row, from 0.
     """
     file = TextInMemory(_NAME)
     file.text = _write_csv(frame)
@@ -48,16 +48,16 @@ def read_frame(frame: Any, site: Site) -> Records:
 
 
 def find_zone(frame: Any) -> tzinfo | None:
-    """Return the zone of a data frame's times; None if they are without one, or are text."""
+    """Return the zone of a data frame's times; None if they have no zone, or are text."""
     times = frame["time"] if "time" in frame.columns else getattr(frame, "index", ())
     zone: Any = getattr(next(iter(times), None), "tzinfo", None)
-    return ZoneInfo(zone.zone) if hasattr(zone, "zone") else zone  # of pytz, as in older pandas
+    return ZoneInfo(zone.zone) if hasattr(zone, "zone") else zone  # from pytz, as in older pandas
 
 
 def _write_csv(frame: Any) -> str:
     text: str
     if hasattr(frame, "to_csv") and "time" not in frame.columns and (
-        "int" not in str(frame.index.dtype)  # numbers of rows
+        "int" not in str(frame.index.dtype)  # row numbers
     ):
         frame = frame.rename_axis("time").reset_index()
     frame = frame[sorted(frame.columns, key=lambda name: name != "time")]

@@ -1,4 +1,4 @@
-"""Evapotranspiration by FAO-56: hourly by Penman-Monteith (``fao56``), or daily by Hargreaves.
+"""Evapotranspiration (FAO-56): hourly by Penman-Monteith (``fao56``), or daily by Hargreaves.
 
 Allen, Pereira, Raes and Smith, *Crop evapotranspiration*, FAO Irrigation and Drainage Paper 56,
 Rome 1998. Equation numbers are from this paper; the package ``eto`` implements the equations.
@@ -34,7 +34,7 @@ from greenroof_ros.model.site import Site
 
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
 COMPUTED = (FAO56, HARGREAVES, MONTHLY)
-"""Methods for records without a column of evapotranspiration, the most accurate first."""
+"""methods for records without a column of evapotranspiration, the most accurate first"""
 _PLACE = ("latitude", "longitude")
 _MJ_PER_M2_AND_HOUR = 3600e-6  # per W/m2
 _LATITUDES = Range(-66.0, 66.0, "degrees")  # between the polar circles
@@ -42,7 +42,7 @@ _METRES_PER_SECOND = 1 / 3.6  # per km/h
 
 
 def saturation_vapour_pressure(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
-    """e0 (kPa) at a temperature (degC), Eq. 11; at the dew point it is the actual one, Eq. 14."""
+    """e0 (kPa) at a temperature (degC), Eq. 11; at the dew point, the actual pressure, Eq. 14."""
     return 0.6108 * np.exp(17.27 * temperature / (temperature + 237.3))
 
 
@@ -51,17 +51,18 @@ def compute_hourly(
 ) -> NDArray[np.float64]:
     """Reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
 
-    Net radiation is computed by Eqs. 37-40 from shortwave radiation: measured, or by Eq. 50,
-    ``k_Rs sqrt(Tmax - Tmin) Ra`` with the day's extremes, spread over the hours in proportion to
-    the extraterrestrial radiation Ra. At night the ratio Rs/Rso, a measure of cloudiness, is the
-    value two to three hours before sunset. Negative results (dew) are set to 0.
+    Net radiation is computed with Eqs. 37-40 from shortwave radiation. This is measured, or
+    computed with Eq. 50, ``k_Rs sqrt(Tmax - Tmin) Ra``, from the day's extremes and spread over the
+    hours in proportion to the extraterrestrial radiation Ra. At night the ratio Rs/Rso, a measure
+    of cloudiness, is the value two to three hours before sunset. Negative results (dew) are set to
+    0.
 
-    If FAO-56 leaves a choice, the package's is used: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), hours
-    at sunrise and sunset count with their sunlit part, and the soil heat flux has the day's value,
-    0.1 Rn, if Rn > 0, otherwise the night's, 0.5 Rn.
+    Where FAO-56 leaves a choice, the package's is used: Rs/Rso is at least 0.3 (ASCE-EWRI 2005),
+    hours at sunrise and sunset count with their sunlit part, and the soil heat flux has the day's
+    value, 0.1 Rn, if Rn > 0, otherwise the night's, 0.5 Rn.
 
     Args:
-        site: latitude, longitude, elevation, offset from UTC, albedo, k_Rs, height of the wind.
+        site: latitude, longitude, elevation, offset from UTC, albedo, k_Rs and height of the wind.
         first: start of the first hour, in any time zone.
         values: temperature and dew point (degC), wind speed (km/h), station pressure (kPa) and
             either solar radiation (W/m2) or ``Tmin`` and ``Tmax`` of the day (degC).
@@ -99,22 +100,22 @@ def compute_hourly(
     day = model(min(hours, 24), 1.0).ts_param
     clear = float(day["R_so"].sum())
     night_ratio = float(day["R_s"].sum()) / clear if clear > 0 else 1.0
-    # The package's default would round to 0.01 mm and drop values that it considers too large.
+    # The package's default would round to 0.01 mm, and drop values that it considers too large.
     result: NDArray[np.float64] = model(hours, night_ratio).eto_fao(max_ETo=None, decimals=None)
     return result
 
 
 def compute_fao56(records: Records, site: Site) -> NDArray[np.float64]:
-    """Evapotranspiration of the vegetation (mm/day) in each hour, shape (hours,).
+    """Evapotranspiration of the vegetation (mm/day) in every hour, shape (hours,).
 
     It is the site's crop coefficient times the reference evapotranspiration; NaN if records are
-    missing. In hours without measured solar radiation, the records must cover the whole day, 0 to
-    24 h of local standard time. Wind is at the height of the records, or at the site's if they have
-    none.
+    missing. If solar radiation was not measured in an hour, the records must cover its whole day, 0
+    to 24 h of local standard time. The wind is at the height given by the records, or at the site's
+    if they give none.
 
     Raises:
-        ConfigurationError: the file lacks a quantity, or the site file its place on earth, or the
-            site is beyond a polar circle.
+        ConfigurationError: if the file lacks a quantity, or the site file its place on earth, or
+            the site is beyond a polar circle.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     if lacking:
@@ -142,9 +143,9 @@ def compute_fao56(records: Records, site: Site) -> NDArray[np.float64]:
 def _compute_stretches(
     site: Site, records: Records, values: dict[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return :func:`compute_hourly` of each gap-free stretch; NaN in gaps.
+    """Return :func:`compute_hourly` for every gap-free stretch; NaN in gaps.
 
-    Each separately, because a night has the cloudiness of the evening before.
+    Stretches are separate because a night has the cloudiness of the evening before.
     """
     unknown = np.isnan(sum(values.values()))  # a sum that includes a NaN is NaN
     result = np.full(records.hours, np.nan)
@@ -155,10 +156,10 @@ def _compute_stretches(
 
 
 def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
-    """Refuse a site that lacks a part of its place on earth, or is beyond a polar circle.
+    """Reject a site that lacks a part of its place on earth, or is beyond a polar circle.
 
     Raises:
-        ConfigurationError: it does.
+        ConfigurationError: if it does or is.
     """
     lacking = [name for name in needed if getattr(site, name) is None]
     if lacking:
@@ -168,7 +169,7 @@ def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
     if is_polar(site):
         raise ConfigurationError(
             f"{_LATITUDES.expected()} to compute evapotranspiration by FAO-56, which divides the "
-            "day by sunrise and sunset; give evapotranspiration in a column, or "
+            "day by sunrise and sunset; provide a column of evapotranspiration, or "
             "monthly_evapotranspiration in the site file",
             key="latitude", value=site.latitude,
         )
@@ -177,8 +178,8 @@ def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
 def _complete_place(site: Site, records: Records) -> Site:
     """Return a site with what follows from its longitude and the weather, if its file omits it.
 
-    The offset from UTC, which only sets when its days begin, is the whole hour that is closest to
-    solar time. The elevation is that of the mean pressure by FAO-56 Eq. 7.
+    The offset from UTC, which only determines when its days begin, is the whole hour closest to
+    solar time. The elevation follows from the mean pressure with FAO-56 Eq. 7.
     """
     site = replace(site, utc_offset=site.clock_offset)
     pressure = records.values.get(PRESSURE)
@@ -189,12 +190,12 @@ def _complete_place(site: Site, records: Records) -> Site:
 
 
 def is_polar(site: Site) -> bool:
-    """Return whether a site is beyond a polar circle: the sun does not rise and set each day."""
+    """Return whether a site is beyond a polar circle, where the sun does not rise and set daily."""
     return (site.latitude or 0.0) not in _LATITUDES
 
 
 def repeat_monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
-    """Return the site's means of evapotranspiration (mm/day) in each hour; None if unknown."""
+    """Return the site's mean evapotranspiration (mm/day) in every hour; None if unknown."""
     if site.monthly_evapotranspiration is None:
         return None
     first = np.datetime64(records.first.replace(tzinfo=None), "h")
@@ -203,7 +204,7 @@ def repeat_monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
 
 
 def _find_local_seconds(records: Records, site: Site) -> NDArray[np.int64]:
-    """Return the start of each hour in local standard time, in seconds since 1970 there."""
+    """Return the start of every hour in local standard time, in seconds since 1970 there."""
     assert site.utc_offset is not None
     first = round(records.first.timestamp() + 3600 * site.utc_offset)
     return first + 3600 * np.arange(records.hours)
@@ -213,7 +214,7 @@ def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
     """Return why there is no computed value in some hours.
 
     Args:
-        records: those given to :func:`compute_fao56` or :func:`compute_hargreaves`.
+        records: the records passed to :func:`compute_fao56` or :func:`compute_hargreaves`.
         hours: indices of hours of the run in which the result is NaN.
     """
     reasons = []
@@ -233,22 +234,23 @@ Days = NDArray[np.datetime64]
 
 _DAY_S = 86400
 _PART_S = 300
-# Minimum share of a day with temperatures to know its extremes, and how far away they may be (d).
+# Minimum share of a day with temperatures for its extremes to be known, and how far away they may
+# be (d).
 _ENOUGH, _MAX_GAP_DAYS, _FOR_EVER = 0.75, 3, 10**6
 
 
 def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:
     """Reference evapotranspiration of whole days (mm/day), FAO-56 Eq. 52, shape (days,).
 
-    ET0 = 0.0023 (Tmean + 17.8) sqrt(Tmax - Tmin) Ra with Ra in mm/day and Tmean the mean of the
-    extremes; negative results are set to 0. It needs no humidity, wind or radiation, and is less
-    accurate: FAO recommends checking it against Eq. 6 if that can be computed.
+    ET0 = 0.0023 (Tmean + 17.8) sqrt(Tmax - Tmin) Ra, with Ra in mm/day and Tmean the mean of the
+    extremes; negative results are set to 0. It needs no humidity, wind or radiation, but is less
+    accurate: FAO recommends checking it against Eq. 6 where that can be computed.
 
     Args:
-        latitude: degrees, north positive.
+        latitude: latitude (degrees, north positive).
         days: dates, shape (days,).
-        minimum: lowest temperature of each day (degC).
-        maximum: highest temperature of each day (degC).
+        minimum: lowest temperature of every day (degC).
+        maximum: highest temperature of every day (degC).
     """
     radiation = MM_PER_MJ * extraterrestrial_radiation(latitude, days)
     warmth = (minimum + maximum) / 2 + 17.8
@@ -259,8 +261,8 @@ def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: fl
     """Sine of the sun's elevation, 0 at night, FAO-56 Eqs. 24, 31 and 32-33.
 
     Args:
-        latitude: degrees, north positive.
-        seconds: since 1970-01-01 on a clock of local standard time.
+        latitude: latitude (degrees, north positive).
+        seconds: seconds since 1970-01-01 on a clock of local standard time.
         east_of_meridian: how far east of the clock's meridian the place is (degrees).
     """
     days = seconds.astype("datetime64[s]").astype("datetime64[D]")
@@ -279,27 +281,27 @@ def spread_over_day(
     daily: Values, latitude: float, seconds: NDArray[np.int64], day: NDArray[np.int64],
     step_s: float, east_of_meridian: float,
 ) -> Values:
-    """Spread days' evapotranspiration over steps by the sun's elevation; a whole day keeps its sum.
+    """Spread days' evapotranspiration over steps by solar elevation, keeping the sum of a day.
 
     A step across midnight belongs to the day in which it begins.
 
     Args:
-        daily: of each day (mm), shape (days,).
-        latitude: degrees, north positive.
-        seconds: start of each step, on a clock of local standard time, shape (steps,).
-        day: index of each step's day in ``daily``.
+        daily: evapotranspiration of every day (mm), shape (days,).
+        latitude: latitude (degrees, north positive).
+        seconds: start of every step, on a clock of local standard time, shape (steps,).
+        day: index of the day of every step in ``daily``.
         step_s: duration of a step (s).
         east_of_meridian: how far east of the clock's meridian the place is (degrees).
 
     Returns:
-        Evapotranspiration of each step (mm), shape (steps,).
+        Evapotranspiration in every step (mm), shape (steps,).
     """
-    # The sun's mean height in a step is the mean over its parts, of at most five minutes.
+    # The sun's mean height in a step is the mean over parts of no more than five minutes.
     parts = math.ceil(step_s / _PART_S)
     middles = np.round((np.arange(parts) + 0.5) * step_s / parts).astype(np.int64)
     inside = (seconds[:, None] + middles[None, :]).ravel()
     shares = sun_height(latitude, inside, east_of_meridian).reshape(-1, parts).mean(axis=1)
-    # Totals of whole days: at the ends of a record there may be only a part of one.
+    # Totals of whole days: at the ends of a record, a day may be incomplete.
     of_a_day = (np.arange(0, _DAY_S, _PART_S) + _PART_S // 2)[None, :]
     first = (seconds // _DAY_S * _DAY_S)[np.searchsorted(day, np.arange(len(daily)))]
     whole = sun_height(latitude, (first[:, None] + of_a_day).ravel(), east_of_meridian)
@@ -311,16 +313,16 @@ def find_extremes(
     day: NDArray[np.intp], minimum: Values, maximum: Values, complete: float,
     min_share: float = _ENOUGH,
 ) -> Values:
-    """Return each day's minimum and maximum temperature (degC), shape (2, days).
+    """Return every day's minimum and maximum temperature (degC), shape (2, days).
 
-    A day that has less than a share of the values of a complete one has none (NaN).
+    They are NaN on a day that has less than a given share of a complete day's values.
 
     Args:
-        day: index of the day of each value.
-        minimum: temperatures with each day's minimum among them; NaN if missing.
-        maximum: temperatures with each day's maximum among them, likewise.
-        complete: number of values that a complete day has.
-        min_share: the share.
+        day: index of the day of every value.
+        minimum: temperatures that include every day's minimum; NaN if missing.
+        maximum: temperatures that include every day's maximum; NaN if missing.
+        complete: number of values of a complete day.
+        min_share: minimum share of these values.
     """
     extremes = np.full((2, day.max() + 1), np.nan)
     for of_days, extreme, values in zip(
@@ -332,15 +334,15 @@ def find_extremes(
 
 
 class DailyTemperatures(NamedTuple):
-    """The extremes of temperature of days, from which the evapotranspiration of steps follows."""
+    """The temperature extremes of days, from which the evapotranspiration of steps follows."""
 
     dates: Days
-    """of the days, in order"""
+    """dates of the days, in order"""
     extremes: Values
     """minimum and maximum temperature (degC), shape (2, days); NaN if unknown"""
 
     def far(self, days: Days) -> NDArray[np.bool_]:
-        """Return whether days are more than three days from each day with both extremes."""
+        """Return whether days are more than three days from any day with both extremes."""
         known = self.dates[~np.isnan(self.extremes).any(axis=0)].astype(np.int64)
         apart = np.abs(days.astype(np.int64)[:, None] - known)
         return np.asarray(np.min(apart, axis=1, initial=_FOR_EVER) > _MAX_GAP_DAYS)
@@ -350,12 +352,12 @@ class DailyTemperatures(NamedTuple):
     ) -> Values:
         """Return the reference evapotranspiration of steps by Hargreaves (mm), shape (steps,).
 
-        A step has its share of the evapotranspiration of the day in which it begins. The extremes
-        of a day that has none are interpolated.
+        A step is assigned its share of the evapotranspiration of the day in which it begins. The
+        extremes of a day without any are interpolated.
 
         Args:
-            site: its place.
-            seconds: start of each step, on a clock of local standard time.
+            site: site with its place on earth.
+            seconds: start of every step, on a clock of local standard time.
             step_s: duration of a step (s).
             offset_s: offset of this clock from UTC (s).
         """
@@ -373,15 +375,15 @@ class DailyTemperatures(NamedTuple):
 
 
 def compute_hargreaves(records: Records, site: Site) -> Values:
-    """Evapotranspiration of the vegetation (mm/day) in each hour by Hargreaves, shape (hours,).
+    """Evapotranspiration of the vegetation (mm/day) in every hour by Hargreaves, shape (hours,).
 
-    It is the site's crop coefficient times the reference evapotranspiration, from each day's
-    minimum and maximum temperature by local standard time. NaN in a day that is more than three
-    days from a day with at least 18 hours of temperature.
+    It is the site's crop coefficient times the reference evapotranspiration, computed from every
+    day's minimum and maximum temperature in local standard time. It is NaN on a day that is more
+    than three days from a day with at least 18 hours of temperature.
 
     Raises:
-        ConfigurationError: the file has no temperature, the site file lacks its place on earth, or
-            the site is beyond a polar circle.
+        ConfigurationError: if the file has no temperature, the site file lacks its place on earth,
+            or the site is beyond a polar circle.
     """
     if TEMPERATURE not in records.values:
         raise ConfigurationError(

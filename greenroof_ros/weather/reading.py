@@ -1,4 +1,4 @@
-"""Weather files: finding them, and joining them into one weather."""
+"""Weather files: finding them, and joining them into one record."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ from greenroof_ros.weather.series import FILL, REFUSE, Weather
 
 Array = NDArray[np.float64]
 
-# The longest gap that is filled, by a straight line between the hours before and after it (h).
-# Temperature, wind and evapotranspiration follow the sun, so half a day must remain to show its
+# The longest gap (h) that is filled, by linear interpolation between the hours before and after.
+# Temperature, wind and evapotranspiration follow the sun, so half a day must remain to show their
 # course; dew point and pressure follow the air mass, which changes within days. Rain is not filled
 # here.
 MAX_GAP_H = {
@@ -48,15 +48,15 @@ MAX_GAP_H = {
 }
 
 _NO_TEMPERATURE = (
-    "there is no temperature, so frost is unknown and none is assumed: in frost nothing is pumped"
+    "there is no temperature, so no frost is assumed; nothing would be pumped in frost"
 )
 
-# Offsets from a missing hour to the hours of the same time of day whose mean replaces it.
+# Offsets from a missing hour to the hours at the same time of day whose mean replaces it.
 _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
 
 
 def default_weather() -> Path:
-    """Return the paper's weather, the default."""
+    """Return the path of the paper's weather, the default."""
     return shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
 
 
@@ -66,13 +66,13 @@ def read_measured(
     """Read weather files, which may have different formats, and join them; gaps stay.
 
     Args:
-        files: one or more.
-        site: its place and clock.
-        stamped: what the time of a row in this project's format is, one of
-            :data:`.comments.STAMPS`; by default what the file states.
+        files: one or more files.
+        site: site with its place and clock.
+        stamped: what the time of a row in this project's format means, one of
+            :data:`.comments.STAMPS`; by default, what the file states.
 
     Raises:
-        ConfigurationError: a file is broken, or two contradict each other.
+        ConfigurationError: if a file is broken, or two contradict each other.
     """
     joined = join_records([read_records(file, site, stamped) for file in files])
     if PRECIPITATION not in joined.values:
@@ -87,24 +87,25 @@ def read_weather(
     files: Sequence[Path], site: Site, method: str | None = None, gaps: str = REFUSE, *,
     rain_only: bool = False,
 ) -> Weather:
-    """Read weather files as :func:`read_measured` does, and give them evapotranspiration.
+    """Read weather files as :func:`read_measured` does, and add evapotranspiration.
 
-    Gaps of at most :data:`MAX_GAP_H` hours, within a file or between two, are filled and noted in
-    the records. :class:`greenroof_ros.weather.series.WeatherSeries` refuses a run that needs an
-    hour of a longer gap, unless long gaps are filled too.
+    Gaps of up to :data:`MAX_GAP_H` hours, within a file or between two, are filled and noted in the
+    records. :class:`greenroof_ros.weather.series.WeatherSeries` rejects a run that needs an hour of
+    a longer gap, unless long gaps are filled, too.
 
     Args:
-        files: one or more.
-        site: its place on earth, for computing evapotranspiration or for a format that needs it.
-        method: of the evapotranspiration: one of :data:`.evapotranspiration.COMPUTED`, or the
-            method of the files' own column. By default the files' column if there is one, otherwise
-            the most accurate one that the files allow.
+        files: one or more files.
+        site: place on earth, for computing evapotranspiration or for a format that needs it.
+        method: method of the evapotranspiration: one of :data:`.evapotranspiration.COMPUTED`, or
+            the method of the files' own column. By default it is the files' column if there is one,
+            otherwise the most accurate method that the files allow.
         gaps: what to do about longer gaps, one of :data:`greenroof_ros.weather.series.GAPS`.
-        rain_only: leave evapotranspiration unknown (NaN), because a rain gauge does not measure it.
+        rain_only: whether to leave evapotranspiration unknown (NaN), because a rain gauge does not
+            measure it.
 
     Raises:
-        ConfigurationError: a file is broken, two contradict each other, or they cannot give the
-            method.
+        ConfigurationError: if a file is broken, two contradict each other, or the method cannot be
+            applied to them.
     """
     return complete_records(read_measured(files, site), site, method, gaps, rain_only=rain_only)
 
@@ -113,7 +114,7 @@ def complete_records(
     measured: Records, site: Site, method: str | None = None, gaps: str = REFUSE, *,
     rain_only: bool = False,
 ) -> Weather:
-    """Fill gaps of records and give them evapotranspiration, as :func:`read_weather` does."""
+    """Fill gaps in records and add evapotranspiration, as :func:`read_weather` does."""
     values = {
         quantity: bridge_gaps(series, MAX_GAP_H.get(quantity, 0))
         for quantity, series in measured.values.items()
@@ -121,7 +122,7 @@ def complete_records(
     minutes = measured.minutes
     if gaps == FILL:
         values = fill_long_gaps(values)
-        if minutes is not None:  # what is known of an hour counts
+        if minutes is not None:  # the known part of an hour counts
             lost = np.isnan(measured.values[PRECIPITATION])
             minutes = np.where(lost[:, None], np.nan_to_num(minutes), minutes)
             values[PRECIPITATION][lost] = minutes[lost].mean(axis=1)
@@ -150,10 +151,10 @@ def complete_records(
 
 
 def drop_empty(records: Records) -> Records:
-    """Return records without the quantities that have no value, and a note of each.
+    """Return records without the quantities that have no values, and a note about each of them.
 
     Raises:
-        ConfigurationError: precipitation is one.
+        ConfigurationError: if precipitation is one of them.
     """
     empty = [name for name, series in records.values.items() if np.isnan(series).all()]
     if PRECIPITATION in empty:
@@ -173,17 +174,17 @@ def drop_empty(records: Records) -> Records:
 def compute_evapotranspiration(
     records: Records, site: Site, method: str | None = None
 ) -> tuple[Array, str, list[str]]:
-    """Return evapotranspiration in each hour (mm/day), NaN if missing; its method; and notes.
+    """Return evapotranspiration in every hour (mm/day), NaN if missing; its method; and notes.
 
     Args:
-        records: without quantities that have no value.
-        site: gives its place and its monthly means.
+        records: records without quantities that have no values.
+        site: site with its place and its monthly means.
         method: one of :data:`.evapotranspiration.COMPUTED`. By default ``fao56``; ``hargreaves``
-            where the records have temperature but not all that ``fao56`` needs; and ``monthly``
-            without temperature, without a day of it, or beyond a polar circle.
+            where the records have temperature but not everything that ``fao56`` needs; and
+            ``monthly`` without temperature, without a complete day of it, or beyond a polar circle.
 
     Raises:
-        ConfigurationError: the records or the site lack what the method needs.
+        ConfigurationError: if the records or the site lack what the method needs.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     means = repeat_monthly(records, site)
@@ -198,7 +199,7 @@ def compute_evapotranspiration(
         series = compute_hargreaves(records, site)
         if method is None and means is not None and np.isnan(series).all():
             chosen, lacking = MONTHLY, ["a day with 18 hours of temperature"]
-    for_want = f", for want of {', '.join(lacking)}" if lacking else ""
+    for_want = f", for lack of {', '.join(lacking)}" if lacking else ""
     if chosen == HARGREAVES:
         return series, chosen, [
             "evapotranspiration is computed from each day's minimum and maximum temperature "
@@ -208,8 +209,8 @@ def compute_evapotranspiration(
         if means is None:
             raise ConfigurationError(
                 f"has no {TEMPERATURE}, from which evapotranspiration is computed, and no column "
-                f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]'; give the site "
-                "file monthly_evapotranspiration, and its means are used", file=records.source,
+                f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]'; set "
+                "monthly_evapotranspiration in the site file to use its means", file=records.source,
             )
         return means, chosen, [f"evapotranspiration is the site's monthly means{for_want}"]
     series = compute_fao56(records, site)
@@ -223,9 +224,9 @@ def compute_evapotranspiration(
 
 
 def _drop_partial_hours(records: Records) -> Records:
-    """Leave out the first and last hour if they lack minutes of rain, or quantities by a shift.
+    """Leave out the first and last hour if they lack minutes of rain, or quantities after a shift.
 
-    Done after joining, because the next file completes the last hour of the one before.
+    This is done after joining, because the next file completes the last hour of the previous one.
     """
     moved = np.array([name in records.shifted for name in records.values])
     known = ~np.isnan([series[[0, -1]] for series in records.values.values()])
@@ -245,16 +246,16 @@ def _drop_partial_hours(records: Records) -> Records:
 
 
 def find_files(names: Iterable[str], key: str) -> list[Path]:
-    """Return the files that names and patterns (``data/2021_*.csv``) stand for, each once.
+    """Find the files that names and patterns (``data/2021_*.csv``) stand for, each once.
 
     A name with ``*``, ``?`` or ``[`` is a pattern unless a file has that name.
 
     Args:
-        names: of files.
+        names: names of files, or patterns.
         key: option or parameter with the names, for messages.
 
     Raises:
-        ConfigurationError: a pattern matches no file, or there are no names.
+        ConfigurationError: if a pattern matches no file, or there are no names.
     """
     files: list[Path] = []
     for name in names:
@@ -273,9 +274,9 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
 def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
     """Fill what is still missing: rain with 0, other quantities with the mean of the days around.
 
-    That is the mean at the same time of day over the three days before and the three days after, of
-    the hours that are known or were bridged. If none of them is, the hour stays missing. Years with
-    a few estimated hours are more useful than pieces of years, but rain that was not measured is
+    This is the mean at the same time of day over the three days before and the three days after, of
+    the hours that are known or were bridged. If there are none, the hour stays missing. Years with
+    a few estimated hours are more useful than fragments of years, but rain that was not measured is
     lost, so the user must ask for this.
     """
     filled = {}
@@ -289,7 +290,7 @@ def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _average_days_around(series: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return for each missing hour the mean of the days around it; NaN if none is known."""
+    """Return for every missing hour the mean of the days around it; NaN if none is known."""
     padded = np.pad(series, -_SAME_TIME_OF_DAY[0], constant_values=np.nan)
     hours = np.flatnonzero(missing) - _SAME_TIME_OF_DAY[0]
     near = padded[hours[:, None] + _SAME_TIME_OF_DAY]

@@ -1,8 +1,8 @@
 """The weather of a run: hourly records, and their values tick by tick.
 
 A run may last years, so no array has an entry per tick: a tick's value is looked up in its hour,
-and rain that is known by the minute in its minute. Only where ticks are not parts of minutes, each
-has the mean of its own time.
+and rain that is known by the minute is looked up in its minute. Only if a minute is not a multiple
+of a tick does each tick have the mean over its own time.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ _FREEZING = 0.0
 
 REFUSE, FILL = "refuse", "fill"
 GAPS = (REFUSE, FILL)
-"""What to do about a missing hour in a long gap that a run needs; the first is the default."""
+"""what to do about a missing hour in a long gap that a run needs; the first is the default"""
 
 
 @dataclass(frozen=True)
 class Weather(Records):
-    """Hourly records without a gap in time, evapotranspiration among them.
+    """Hourly records without a gap in time, with evapotranspiration.
 
     Attributes:
         gaps: what was done about long gaps, one of :data:`GAPS`.
@@ -49,7 +49,7 @@ class Weather(Records):
 
     @property
     def precipitation(self) -> NDArray[np.float64]:
-        """Depth of rain in each hour (mm/h), shape (hours,); NaN if missing."""
+        """Depth of rain in every hour (mm/h), shape (hours,); NaN if missing."""
         return self.values[PRECIPITATION]
 
     @property
@@ -75,7 +75,7 @@ class Weather(Records):
 
 
 class _Clock(NamedTuple):
-    """The hour of the records of each tick, or another step; beyond their end the last."""
+    """The hour (or other step) of the records for every tick; beyond their end, the last one."""
 
     offset_ns: int
     """time of tick 0 since hour 0"""
@@ -100,10 +100,10 @@ class _Clock(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PerTick(Sequence[float]):
-    """One value for each tick, from hourly values, or of another step; a slice is an array."""
+    """One value for every tick, from values per hour or other step; a slice is an array."""
 
     values: NDArray[np.float64]
-    """of all steps of the clock"""
+    """values of all steps of the clock"""
     clock: _Clock
     ticks: range
     """all ticks"""
@@ -127,20 +127,20 @@ class PerTick(Sequence[float]):
 
     @property
     def maximum(self) -> float:
-        """The maximum value of a tick."""
+        """The maximum value of all ticks."""
         first, last = self.clock.step(0), self.clock.step(len(self) - 1)
         return float(self.values[first : last + 1].max())
 
 
 class Hour(NamedTuple):
-    """The weather of the ticks of an hour."""
+    """The weather of the ticks in an hour."""
 
     precipitation: float
     """m/s"""
     evapotranspiration: float
-    """m3/s, of the whole bed"""
+    """evapotranspiration of the whole bed (m3/s)"""
     frost: float
-    """1 or 0"""
+    """1 if there is frost, otherwise 0"""
     until: int
     """the first tick of the next hour"""
 
@@ -149,30 +149,31 @@ class WeatherSeries:
     """A run's weather in SI units, tick by tick.
 
     Attributes:
-        precipitation: rain (m/s) in each tick, and in M more after the last.
-        evapotranspiration: of the whole bed (m3/s), likewise.
-        frost: 1 if there is frost, 0 if there is none or it is unknown, likewise.
+        precipitation: rain (m/s) in every tick, and in M more after the last.
+        evapotranspiration: evapotranspiration of the whole bed (m3/s), in the same ticks.
+        frost: 1 if there is frost, 0 if there is none or it is unknown, in the same ticks.
         repeats_from: time from which the last record is repeated, because the window of M ticks
-            reaches past the end of the records; None if it does not.
-        filled: named hours of the run's days and the day before that were missing and filled, by
-            quantity.
+            extends past the end of the records; None if it does not.
+        filled: by quantity, names of the hours that were missing and filled, on the run's days and
+            the day before.
         filled_hours: their number; an hour counts once, however many quantities it lacked.
         suspicious: what is implausible in the hours of the run, each in a sentence.
-        frost_hours: of the run (h); None if the file has no temperature.
-        precipitation_in_frost: depth in these hours (mm); the model treats it as rain, not snow.
+        frost_hours: hours of frost in the run (h); None if the file has no temperature.
+        precipitation_in_frost: precipitation in these hours (mm); the model treats it as rain, not
+            snow.
     """
 
     def __init__(self, weather: Weather, site: Site, start: datetime, steps: int) -> None:
-        """Give the ticks 0..steps, and the window after the last one, the values of their hours.
+        """Give ticks 0..steps, and the window after the last one, the values of their hours.
 
         Args:
             weather: hourly records that cover the run.
-            site: gives tick, look-ahead, and the bed's area, to convert depths to volumes.
+            site: site with tick, look-ahead, and the bed's area, to convert depths to volumes.
             start: time of tick 0.
-            steps: N; tick N is the last.
+            steps: N, the last tick.
 
         Raises:
-            ConfigurationError: the records do not cover the run, or an hour of it is missing.
+            ConfigurationError: if the records do not cover the run, or an hour of it is missing.
         """
         tick_ns = round(site.tau * 1e9)
         before = (weather.end - start).total_seconds()
@@ -221,7 +222,7 @@ class WeatherSeries:
 
     @property
     def notes(self) -> list[str]:
-        """What a reader of results must know of the weather's values, in sentences."""
+        """What a reader of results needs to know about the weather's values, in sentences."""
         return [
             *(
                 f"{quantity} is missing at {', '.join(hours)}, and was filled"
@@ -247,12 +248,12 @@ class WeatherSeries:
 
 
 def _rain_per_tick(weather: Weather, hours: _Clock, ticks: int) -> PerTick:
-    """Return the rain of each tick (m/s), as finely as the records have it.
+    """Return the rain in every tick (m/s), at the finest resolution of the records.
 
     Args:
         weather: the records.
-        hours: the hour of each tick.
-        ticks: their number.
+        hours: the hour of every tick.
+        ticks: number of ticks.
     """
     hourly = weather.precipitation / 1000 / 3600
     if weather.minutes is None:
@@ -266,16 +267,16 @@ def _rain_per_tick(weather: Weather, hours: _Clock, ticks: int) -> PerTick:
     beyond = max(0, math.ceil(edges[-1]) - len(minutes))
     fallen = np.cumsum(np.nan_to_num(np.append(minutes, np.full(beyond, minutes[-1]))))
     means = np.diff(np.interp(edges, np.arange(1 + len(fallen)), np.append(0.0, fallen)))
-    means = np.maximum(means, 0.0) / (clock.tick_ns / _MINUTE_NS)  # no less than 0 by rounding
+    means = np.maximum(means, 0.0) / (clock.tick_ns / _MINUTE_NS)  # never negative by rounding
     return PerTick(means, _Clock(0, clock.tick_ns, ticks - 1, clock.tick_ns), range(ticks))
 
 
 def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
-    """Refuse a run that needs a missing hour that was not filled."""
+    """Reject a run that needs a missing hour that was not filled."""
     way_out = "choose another window, or fill in values from another station"
     if weather.gaps == REFUSE:
         way_out += (
-            "; or fill the gaps (gaps: fill): missing rain is treated as none, others are the mean "
+            "; or fill the gaps (gaps: fill): missing rain is set to 0, and others to the mean "
             "at that time of day over the three days before and after"
         )
     own = () if weather.method in COMPUTED else (EVAPOTRANSPIRATION,)
@@ -294,7 +295,7 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
 def _refuse_missing(
     weather: Weather, quantity: str, hours: NDArray[np.int64], further: str
 ) -> None:
-    """Refuse records that lack a quantity in some hours; ``further`` ends the message."""
+    """Reject records that lack a quantity in some hours; ``further`` ends the message."""
     missing = hours[np.isnan(weather.values[quantity][hours])]
     if missing.size:
         named = ", ".join(name_hours(weather.first, missing))
@@ -304,10 +305,10 @@ def _refuse_missing(
 def select_records(
     weather: Weather, quantity: str, hours: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Return records; beyond their ends the first or last one is repeated.
+    """Return records; beyond their ends, the first or last one is repeated.
 
     Raises:
-        ConfigurationError: one of them is missing.
+        ConfigurationError: if one of them is missing.
     """
     index = np.clip(hours, 0, weather.hours - 1)
     _refuse_missing(
@@ -318,14 +319,14 @@ def select_records(
 
 
 def align_to_hours(issues: Sequence[IssuedForecast], weather: Weather) -> list[IssuedForecast]:
-    """Return issues whose hours begin with hours of the records.
+    """Return issues whose hours begin when hours of the records do.
 
-    The records of a place with an offset of half an hour begin between the hours of UTC. There an
-    issue begins with the next hour of the records, and each hour is the mean of the two hours of
-    the issue in which it lies, weighted by its share in each. An issue of one hour is left out.
+    The records of a place with an offset of half an hour begin between the hours of UTC. There, an
+    issue begins with the next hour of the records, and every hour is the mean of the two hours of
+    the issue that it overlaps, weighted by its share in each. An issue of one hour is left out.
 
     Raises:
-        ConfigurationError: nothing is left.
+        ConfigurationError: if nothing is left.
     """
     resampled = []
     for issue in issues:

@@ -169,7 +169,7 @@ def parameters(file: Path) -> list[Path]:
     return node_parameter_files(arguments, NODES, find_controller("onoff"), given)
 
 
-_ONLY_BRINGUP = "must not be given to the node pump"
+_ONLY_BRINGUP = "must not be set for the node pump"
 # By the file's text: what is refused, beginning with its line.
 NO_EFFECT = {
     # Only bringup sets the drive: otherwise the node could run one drive, and bringup stop another.
@@ -177,14 +177,14 @@ NO_EFFECT = {
         f"line 4: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
     # A real drive would run on levels at another speed than --speed, which is refused.
     "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
-        "line 3: site1/plant: speed = 60.0: must not be given to the node plant here: under "
+        "line 3: site1/plant: speed = 60.0: must not be set for the node plant here: under "
         "bringup --speed sets it",
     # The summary has what the options say.
     "/**:\n  ros__parameters:\n    level: 1\n    fraction: 0.5\n":
-        "line 4: /**: fraction = 0.5: must not be given to the node onoff here: under bringup "
+        "line 4: /**: fraction = 0.5: must not be set for the node onoff here: under bringup "
         "--fraction sets it",
     "/site1/plant:\n  ros__parameters:\n    run_length: 4\n":
-        "line 3: /site1/plant: run_length = 4: must not be given to the node plant here: under "
+        "line 3: /site1/plant: run_length = 4: must not be set for the node plant here: under "
         "bringup an option of greenroof run sets it",
     "/plant:\n  ros__parameters:\n    record: true\n":
         "line 1: /plant: bringup starts no such node; the closest is /**/plant; it starts /site1/",
@@ -220,7 +220,7 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
         ("--remap a", "Couldn't parse remap rule"),
         ("-p plant:speed:=4", "is not a parameter of the controller's node, onoff"),
         ("-p weight:=4", "is not a parameter of the controller's node, onoff"),
-        ("--params-file a.yaml", "by --parameters FILE, others by --node-parameters FILE"),
+        ("--params-file a.yaml", "with --parameters FILE, others with --node-parameters FILE"),
         ("--log-level loud", "Couldn't parse log level"),
         ("--nonsense", "--ros-args: ['--nonsense']"),
     ],

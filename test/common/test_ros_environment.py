@@ -58,8 +58,8 @@ def test_a_ros_of_another_python(package: str, words: str, tmp_path: Path) -> No
         ("ROS_DOMAIN_ID", "abc", "must be a whole number from 0 to 101"),
         ("ROS_DOMAIN_ID", "010", "must be a whole number"),  # rcl reads 8
         ("ROS_AUTOMATIC_DISCOVERY_RANGE", "localhost", "did you mean LOCALHOST?"),  # rcl: SUBNET
-        ("FASTRTPS_DEFAULT_PROFILES_FILE", "/no.xml", "must be a file of Fast DDS profiles"),
-        ("FASTDDS_DEFAULT_PROFILES_FILE", __file__, "must be a file of Fast DDS profiles"),
+        ("FASTRTPS_DEFAULT_PROFILES_FILE", "/no.xml", "must be an XML file of Fast DDS profiles"),
+        ("FASTDDS_DEFAULT_PROFILES_FILE", __file__, "must be an XML file of Fast DDS profiles"),
     ],
 )
 def test_values_that_ros_would_replace(

@@ -32,9 +32,9 @@ def planning(plan: str) -> tuple[str, str]:
 
 
 FINITE = "its commands are finite and not negative, at all levels and for all forecasts"
-OUTPUTS = "each of its outputs is a topic of the interface and has its value after a command"
-NO_PLAN = "no numpy array of floats, of shape (n, 4), in the attribute plan"
-VALVE = "if it commands the outlet's valve itself, its attribute outlet is from 0 to 1 in each tick"
+OUTPUTS = "each of its outputs is a topic of the interface and has a value after a command"
+NO_PLAN = "the attribute plan holds no numpy array of floats, of shape (n, 4),"
+VALVE = "if it commands the outlet valve itself, its attribute outlet is from 0 to 1 in each tick"
 
 
 def opening(share: str) -> tuple[str, str]:
@@ -44,10 +44,10 @@ def opening(share: str) -> tuple[str, str]:
 
 BROKEN = [
     # The error, the rule that it breaks, and the message.
-    (returning("return -command if command else 0.0"), FINITE, "must be a finite number, not neg"),
+    (returning("return -command if command else 0.0"), FINITE, "must be a finite number and not"),
     (
         returning("return command if self.gain else -1.0"),
-        "its commands are also valid with each parameter at either end of its range",
+        "its commands are valid with each parameter at either end of its range, too",
         "with gain = 0 command() ret",
     ),
     (
@@ -56,11 +56,11 @@ BROKEN = [
     ),
     (
         returning("evapotranspiration[0] = 1.0; return command"),
-        "it does not change the forecasts that it gets", "copy them first",
+        "it does not change the forecasts passed to it", "copy them first",
     ),
     (
         returning("precipitation[3]; return command"),
-        "a missing or wrong forecast gives a valid command or a ConfigurationError, nothing else",
+        "a missing or wrong forecast leads to a valid command or a ConfigurationError only",
         "raises IndexError",
     ),
     (
@@ -83,10 +83,10 @@ BROKEN = [
         opening("self.__dict__.setdefault('shares', [1.0, 0.5]).pop()"), VALVE,
         "Proportional.outlet: raises IndexError: pop from empty list",
     ),
-    (opening("__import__('random').random()"), VALVE, "to the valve for equal inputs"),
+    (opening("__import__('random').random()"), VALVE, "for equal inputs"),
     (
         opening("self.gain / 20"),
-        "its commands are also valid with each parameter at either end of its range",
+        "its commands are valid with each parameter at either end of its range, too",
         "with gain = 10000 ",
     ),
     (("self.gain = gain", "self.gain = gain; self.outlet = 0.0"), VALVE, "the class must have it"),

@@ -104,5 +104,5 @@ def test_a_forecast_has_the_shape_that_the_controller_takes() -> None:
     assert shape_rain(find_controller("onoff"), row, "/rain") is row
     assert np.array_equal(shape_rain(find_controller("lookahead"), row, "/rain"), [[1.0, 2.0]])
     assert shape_rain(find_controller("lookahead"), members, "/rain").shape == (3, 2)
-    with pytest.raises(ConfigurationError, match=r"^/rain: has 3 members, but onoff takes one"):
+    with pytest.raises(ConfigurationError, match=r"^/rain: has 3 members, but onoff takes only"):
         shape_rain(find_controller("onoff"), members, "/rain")

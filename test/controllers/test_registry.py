@@ -76,11 +76,11 @@ def test_all_sections_of_a_node_count(tmp_path: Path) -> None:
     [
         (
             "onoff", "mpc: {ros__parameters: {weight: 1.0}}\n",
-            r"must hold '/\*\*/onoff:' and in it 'ros__parameters:'; it has mpc, which is not",
+            r"must contain '/\*\*/onoff:' and in it 'ros__parameters:'; it contains mpc, which is",
         ),
         (
             "onoff", "onoff: {ros__parameters: {level_limit: 3.0}}\n",
-            r"level_limit: is not a parameter of onoff; give it by --node-parameters",
+            r"level_limit: is not a parameter of onoff; set it with --node-parameters",
         ),
         (
             "onoff", "/**/onoff:\n  ros__parameters:\n    weight: 1.0\n",
@@ -109,8 +109,8 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
         ("onof", r"is unknown; did you mean onoff\?$"),
         ("pid", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
         ("a b:C", "must be of the form package.module:Class"),
-        ("package:Plant", "its node would have the name of another node, plant"),
-        ("package:Mpc", "its node would have the name of another node, mpc"),
+        ("package:Plant", "its node would have the same name as another node, plant"),
+        ("package:Mpc", "its node would have the same name as another node, mpc"),
     ],
 )
 def test_wrong_references(reference: str, message: str) -> None:

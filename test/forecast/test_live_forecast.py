@@ -108,9 +108,9 @@ def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -
 SHORT = {
     "a day for five": (
         24, 0.5, 120.0, r"ends at 2026-07-02 06:00\S*, before the 120 h look-ahead does; the hours "
-        r"after it are treated as dry\. .* have 122 h .* not 24 h, or a horizon of at most 22 h$",
+        r"after it are treated as dry\. .* needs 122 h, not 24 h, or a horizon of up to 22 h$",
     ),
-    "less than the time for which it is used": (2, 1.0, 6.0, "must have 8 h .* not 2 h$"),
+    "less than the time for which it is used": (2, 1.0, 6.0, "needs 8 h, not 2 h$"),
 }
 
 

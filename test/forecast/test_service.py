@@ -231,7 +231,7 @@ def test_what_an_answer_lacks_is_noted_and_the_rest_is_used(server):
     assert issue.hours > 5 * 24 and issue.temperature is None
     assert not np.isnan(issue.rain).any() and not np.isnan(issue.evapotranspiration).any()
     assert 0.5 < issue.evapotranspiration.mean() < 8
-    for note in ("monthly means, for want of temperature", "-13159.9 at "):
+    for note in ("monthly means, for lack of temperature", "-13159.9 at "):
         assert any(note in text for text in issue.notes)
 
 

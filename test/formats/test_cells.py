@@ -137,7 +137,7 @@ def test_missing_values_and_other_units() -> None:
 @pytest.mark.parametrize(
     ("time", "reason"),
     [
-        ("2021-07-07T04:00", "must give its offset from UTC, as in 2021-07-07T02:00-05:00"),
+        ("2021-07-07T04:00", "must include its offset from UTC, as in 2021-07-07T02:00-05:00"),
         ("07/07/2021 04:00", "must be a time such as 2021-07-07T02:00-05:00, 1971 to 2037"),
         ("2021-07-07T04:30-05:00", "must be 2021-07-07T04:00-05:00, or whole hours later: each "),
         # In the offset of the wrong record.

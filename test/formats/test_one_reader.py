@@ -107,7 +107,7 @@ def test_times_without_an_offset_are_by_the_sites_standard_time(tmp_path: Path) 
     file = tmp_path / "logger.csv"
     for rain in read_both(file, usual_rows()):
         assert rain == pytest.approx(np.full(DAYS * 24, 0.1))
-    note = "logger.csv: its times are taken as UTC+0100, utc_offset of the site file; if its clock"
+    note = "logger.csv: its times are taken as UTC+0100, the utc_offset of the site file; if its"
     assert read_weather([file], TWIN, rain_only=True).notes[0].startswith(note)
     assert read_csv_record(file, TWIN).notes[0].startswith(note)
     berlin = replace(TWIN, time_zone="Europe/Berlin")
@@ -116,7 +116,7 @@ def test_times_without_an_offset_are_by_the_sites_standard_time(tmp_path: Path) 
     assert read_weather([file], berlin, rain_only=True).first == read_csv_record(file, berlin).start
     nowhere = replace(TWIN, utc_offset=None)
     for read in (lambda: read_weather([file], nowhere), lambda: read_csv_record(file, nowhere)):
-        refusal(read, match="line 2: time = .*: must give its offset from UTC, .*its time_zone")
+        refusal(read, match="line 2: time = .*: must include its offset from UTC, .*set time_zone")
 
 
 def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:

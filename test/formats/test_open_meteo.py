@@ -108,7 +108,7 @@ def test_units(tmp_path: Path, unit: str, theirs: str, quantity: str, expected: 
         (2, "43.620384", "north", "latitude = 'north': must be a number from -90 to 90"),
         (4, "precipitation (mm)", "rain (mm)", "must have a column 'precipitation (mm)', as Open"),
         # An unknown unit is never guessed.
-        (4, "(km/h)", "(Bft)", "'wind_speed_10m (Bft)': must be in km/h or m/s or mp/h or kn, a"),
+        (4, "(km/h)", "(Bft)", "'wind_speed_10m (Bft)': must be in km/h or m/s or mp/h or kn, in"),
         (4, "dew_point_2m (°C)", "temperature_2m (°F)", "'temperature_2m (°F)': must be in °C"),
     ],
 )
@@ -258,7 +258,7 @@ WRONG = {
     "deep.json": ("[" * 200_000, ": is JSON nested too deeply to be an answer"),
     "refusal.json": (
         '{"error": true, "reason": "Daily API request limit exceeded."}',
-        ": is not a forecast but the service's refusal: Daily API request limit exceeded.",
+        ": is not a forecast but an error message of the service: Daily API request limit",
     ),
     "days.json": ('{"daily": {"time": ["2021-07-07"]}}', ": has no hourly values, only daily; "),
     "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in hourly answers"),
@@ -266,13 +266,13 @@ WRONG = {
         "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS, ""]),
         ", line 1: must have precipitation, precipitation_member01 or precipitation_previous_day1",
     ),
-    "unnamed.json": (run_of(), ": its name must end in the run that it holds, such as 2024060112"),
+    "unnamed.json": (run_of(), ": its name must end with the run that it holds, such as 20240601"),
     "other_2024060118.json": (run_of(), ": must have the hour after its run, 2024-06-01T18:00"),
     "history_2024010100.csv": (
         "\n".join(["time,precipitation", *(
             f"{parse_time('2024-01-01T00:00Z') + hour * HOUR},0.0" for hour in range(37 * 24)
         )]),
-        ": has 887 hours; a run has at most 864. For a longer past use previous runs",
+        ": has 887 hours; a run has no more than 864. For a longer past, use previous runs",
     ),
     "hours.csv": (
         "\n".join([HEAD, *(f"2024-03-01 {hour:02}:00:00,0,0,0,0,0" for hour in range(2, 7))]),
@@ -298,9 +298,9 @@ def test_wrong_directories(tmp_path: Path) -> None:
         ("README.md", "# Forecasts", r"README.md: must end in .csv or .json, like "),
         (
             "b_2024060112.json", run_of(1, precipitation=[1.0] * 6),
-            r"has the issue of 2024-06-01T12:00.00:00, which a_2024060112.json has already",
+            r"has the issue of 2024-06-01T12:00.00:00, which is already in a_2024060112.json",
         ),
-        ("b.csv", GEM.read_text(), r"a_2024060112.json: must contain previous runs, as b.csv"),
+        ("b.csv", GEM.read_text(), r"a_2024060112.json: must contain previous runs, like b.csv"),
         (
             "b.csv", "issued,time,precipitation [mm/h]\n",
             r"must have the format of a_2024060112.json, like",

@@ -98,7 +98,7 @@ def test_an_outage_of_eight_hours(tmp_path: Path, code: Any) -> None:
     """Codes and words cost only their hours, however many they are."""
     read = weather(tmp_path, precipitation=[0.1] * 30 + [code] * 8 + [0.1] * 34)
     assert np.isnan(read.values["precipitation"]).sum() == 8
-    assert any("and 5 more is no plausible value" in note for note in read.notes)
+    assert any("and 5 more is not a plausible value" in note for note in read.notes)
 
 
 def test_a_loggers_columns(tmp_path: Path) -> None:
@@ -155,8 +155,8 @@ def test_a_short_control_an_hour_and_an_empty_member(tmp_path: Path) -> None:
     where = "gem_2021070705.json, issue of 2021-07-07T05:00+00:00: "
     assert archive.notes == (
         f"{where}member 3 is left out: it has 0 hours, and others 71",
-        f"{where}ends after 47 of 71 hours, from which something is missing",
-        f"{where}1 missing hours of precipitation have the mean of their neighbours",
+        f"{where}ends after 47 of 71 hours: later values are missing",
+        f"{where}1 missing hours of precipitation are the mean of their neighbours",
     )
 
 
@@ -271,9 +271,9 @@ def test_without_temperature(tmp_path: Path) -> None:
     read = nothing(tmp_path, replace(TORONTO, crop_coefficient=0.5))
     assert read.evapotranspiration.tolist() == [pytest.approx(2.01)] * 71
     assert (read.method, read.frost) == ("monthly", None)
-    assert "evapotranspiration is the site's monthly means, for want of temperature" in read.notes
+    assert "evapotranspiration is the site's monthly means, for lack of temperature" in read.notes
     without = replace(TORONTO, monthly_evapotranspiration=None)
-    refusal(nothing, tmp_path, without, match="give the site file monthly_evapotranspiration")
+    refusal(nothing, tmp_path, without, match="set monthly_evapotranspiration in the site file")
 
 
 @pytest.mark.parametrize(
@@ -287,7 +287,7 @@ def test_with_temperature_but_not_all_that_fao56_needs(
     for site in (TORONTO, replace(TORONTO, monthly_evapotranspiration=None)):
         read = weather(tmp_path, site, **{"temperature_2m": course, name: [None] * 72})
         assert read.method == "hargreaves"
-        assert any(f"Eq. 52), for want of {lacking}" in note for note in read.notes)
+        assert any(f"Eq. 52), for lack of {lacking}" in note for note in read.notes)
         assert read.frost is not None
 
 
@@ -478,7 +478,7 @@ def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path, rest: str) -> N
     file.write_text(text)
     read = read_weather([file], TORONTO, rain_only=True)
     assert read.precipitation.tolist() == [0.5, 1.0]
-    assert "logger.csv: line 4 is cut off, and left out" in read.notes
+    assert "logger.csv: line 4 is cut off and left out" in read.notes
     if rest == "2":
         file.write_text(f"{text}\n")
         assert "line 4: time = '2'" in refusal(read_weather, [file], TORONTO)
@@ -527,8 +527,8 @@ def test_a_clock_with_daylight_saving(tmp_path: Path) -> None:
     assert read.precipitation.tolist() == [0, 1, 2, 3]
     # A clock on standard time has the hour that clocks in Toronto skip.
     file = local(tmp_path, ["2021-03-14 01:00", "2021-03-14 02:00"])
-    refusal(read_weather, [file], EASTERN, match="a time that clocks in America/Toronto skip")
-    assert "give the site file its time_zone" in read_weather([file], TORONTO).notes[0]
+    refusal(read_weather, [file], EASTERN, match="a time that the clocks in America/Toronto skip")
+    assert "set time_zone in the site file" in read_weather([file], TORONTO).notes[0]
 
 
 @pytest.mark.parametrize(
@@ -573,7 +573,7 @@ def test_far_north(tmp_path: Path, latitude: float) -> None:
     assert site.latitude == latitude
     read = read_weather([JULY], site)
     assert read.evapotranspiration == pytest.approx(4.02)
-    assert "monthly means, for want of sunrise each day" in read.notes[-1]
+    assert "monthly means, for lack of sunrise each day" in read.notes[-1]
     alone = replace(site, monthly_evapotranspiration=None)
     refusal(read_weather, [JULY], alone, match=r"latitude = .*: must be a number from -66 to 66")
 

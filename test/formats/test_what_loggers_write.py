@@ -114,7 +114,7 @@ def test_hours_that_begin_a_minute_off(tmp_path: Path, late: int) -> None:
 def test_rows_more_than_an_hour_apart(tmp_path: Path, step_h: float) -> None:
     """A day's rain is not an hour's."""
     text = write_rows(30, round(step_h * HOUR))
-    assert "must be an hour apart, or less" in refusal(read, tmp_path, text)
+    assert "more than an hour is not allowed" in refusal(read, tmp_path, text)
 
 
 @pytest.mark.parametrize("head", ["sep=;\n", "sep=;\r\n", '"sep=;"\r\n', "\ufeffSEP=;\r\n"])
@@ -128,7 +128,7 @@ def test_the_separator_in_a_line_of_its_own(tmp_path: Path, head: str) -> None:
 def test_lines_that_are_no_records(tmp_path: Path, line: str) -> None:
     """Units below the header, and totals at the end."""
     for text in (write_rows(3).replace("\n", f"\n{line}\n", 1), f"{write_rows(3)}{line}\n"):
-        assert "units or a sum, leave it out" in refusal(read, tmp_path, text)
+        assert "units or a sum rather than a record, leave it out" in refusal(read, tmp_path, text)
 
 
 def test_files_that_were_appended(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_files_that_were_appended(tmp_path: Path) -> None:
         assert "line 26 repeats the header" in records.notes[0]
     for comment in ("stamped: end", "wind_height: 3", "latitude: 43"):
         text = f"{write_rows(24)}# {comment}\n{later}"
-        assert "make a file of each part" in refusal(read, tmp_path, text)
+        assert "make a separate file of each part" in refusal(read, tmp_path, text)
         read(tmp_path, f"# {comment}\n{text}")
     other = later.replace("rain [mm]", "temperature [degC]")
     assert "line 26: is a second header" in refusal(read, tmp_path, write_rows(24) + other)
@@ -211,7 +211,7 @@ def test_sums_of_the_last_rows_are_refused(
         )
     ]
     text = write_rows(540 * rows, step_s, slide(rain, rows), header=f"time,rain [{unit}]\n")
-    assert f"each rain for {rows} rows or more" in refusal(read, tmp_path, text)
+    assert f"all rain in {rows} rows or more" in refusal(read, tmp_path, text)
 
 
 def test_rain_that_lasts_is_no_sum_of_the_last_rows(tmp_path: Path) -> None:
@@ -344,7 +344,7 @@ def test_commas_between_thousands(tmp_path: Path, cells: tuple[str, str], is_ref
         header="time,rain [mm],solar radiation [W/m2]\n",
     )
     if is_refused:
-        assert "decimal mark, or between thousands" in refusal(read, tmp_path, text)
+        assert "decimal mark, or does it separate thousands" in refusal(read, tmp_path, text)
     else:
         read(tmp_path, text)
 
@@ -374,7 +374,7 @@ def test_points_between_thousands(
         f"2024-06-01T{hour:02}:00Z;{cells[hour % 2]}\n" for hour in range(24)
     )
     if is_refused:
-        assert "'1.019': is the '.' a decimal mark" in refusal(read, tmp_path, text)
+        assert "'1.019': is '.' a decimal mark" in refusal(read, tmp_path, text)
     else:
         read(tmp_path, text)
 
@@ -393,7 +393,7 @@ def test_a_point_between_thousands_of_one_column(
         header="time,rain [mm],solar radiation [W/m2]\n",
     )
     if is_refused:
-        assert "is its mark between thousands?" in refusal(read, tmp_path, text)
+        assert "does its mark separate thousands?" in refusal(read, tmp_path, text)
     else:
         read(tmp_path, text)
 
@@ -411,7 +411,7 @@ SUSPICIOUS: dict[str, tuple[str, Callable[[int], object], str]] = {
     "degC of dew": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 + 5 * shine(row)},"
                     f"{9 + row // 72 % 3}", ""),
     "hPa of vapour": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 - 9 * shine(row)},13.1",
-                      "is it vapour pressure, or of another place?"),
+                      "is it vapour pressure, or from another place?"),
     "kPa of vapour": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 + 5 * shine(row)},"
                       f"{1.2 + row // 72 % 3 / 10}", "is it vapour pressure?"),
     "kPa in frost": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{-6 + 5 * shine(row)},0.3{row % 9}",
@@ -421,7 +421,7 @@ SUSPICIOUS: dict[str, tuple[str, Callable[[int], object], str]] = {
     "MJ/m2": (SUN, lambda row: f"{RAIN[row]},{2.52 * shine(row):.2f}", "is the unit right?"),
     "all day": (SUN, lambda row: f"{RAIN[row]},700", "more than 1 is rare"),
     "degC": (HOT, lambda row: f"{RAIN[row]},{25 + shine(row):.1f}", ""),
-    "degF": (HOT, lambda row: f"{RAIN[row]},{45 + shine(row):.1f}", "degC in the median"),
+    "degF": (HOT, lambda row: f"{RAIN[row]},{45 + shine(row):.1f}", "degC as a median"),
     "a day's ET": (
         "station evapotranspiration [mm]", lambda row: f"{RAIN[row]},0.8", "more than 1 is rare",
     ),
@@ -506,10 +506,10 @@ GEOMET = (
 
 @pytest.mark.parametrize(("content", "what"), [
     ("<!DOCTYPE html><html>", "a web page"), ("\n <HTML>\n", "a web page"),
-    ('{"code": "x", "description": "Invalid query"}', "refusal: Invalid query"),
-    ('{"error": true, "reason": "limit exceeded"}', "refusal: limit exceeded"),
-    ("Too Many Requests\n", "is it a service's message?"),
-    ("Error 503: Unavailable, try again\n", "is it a service's message?"),
+    ('{"code": "x", "description": "Invalid query"}', "service: Invalid query"),
+    ('{"error": true, "reason": "limit exceeded"}', "service: limit exceeded"),
+    ("Too Many Requests\n", "did a service send it?"),
+    ("Error 503: Unavailable, try again\n", "did a service send it?"),
     (gzip.compress(b"time", mtime=0), "gzip"), (b"PK\x03\x04", "workbook"),
     (b"\xd0\xcf\x11\xe0", "Excel"),
     ("time,rain [mm]".encode("utf-16"), "UTF-16"), (b"%PDF-1.4", "PDF"),
@@ -519,9 +519,9 @@ GEOMET = (
     ("# STN,YYYYMMDD,   HH,    T,   RH\n  260,20240601,    1,  150,  -1\n", "KNMI, hourly"),
     ("STN,YYYYMMDD,TG,RH\n260,20240601,150,10\n", "KNMI, daily"),
     ("station_abbr;reference_timestamp;tre200h0;rre150h0\nBER;x;15;0\n", "MeteoSwiss, hourly"),
-    ("station_abbr;reference_timestamp;rre150d0\nBER;x;0\n", "MeteoSwiss, of other than hours"),
+    ("station_abbr;reference_timestamp;rre150d0\nBER;x;0\n", "MeteoSwiss, values that are not"),
     ("-BEGIN HEADER-\nNASA/POWER\n-END HEADER-\nYEAR,MO,DY,HR,T2M\n24,6,1,0,1\n", "POWER, hourly"),
-    ("YEAR,DOY,T2M\n2024,6,1\n", "NASA POWER, of other than hours"),
+    ("YEAR,DOY,T2M\n2024,6,1\n", "NASA POWER, values that are not hourly"),
     ('"STATION","DATE","SOURCE","AA1"\n"7","2024-06-01","7","01,0000,9,5"\n', "Integrated Surface"),
     ("STATION,DATE,REPORT_TYPE,HourlyPrecipitation\n1,2,FM-15,T\n", "Local Climatological"),
     ("STATION,STATION_NAME,DATE,HPCP\n1,X,2,0.1\n", "hourly precipitation"),
@@ -530,7 +530,7 @@ GEOMET = (
     ("abbr;time;tre200h0;rre150h0\nBAS;201701010000;-3.2;0.0\n", "MeteoSwiss, hourly"),
     ("Station_ID|Station_name|Year|Month\nUSW1|X|2024|1\n", "Climatology Network hourly"),
     ("NUM_POSTE;NOM_USUEL;AAAAMMJJHH;RR1\n1;X;2024060100;0\n", "'rain [mm]' = RR1"),
-    ("NUM_POSTE;NOM_USUEL;AAAAMMJJ;RR\n1;X;20240601;0\n", "France, of other than hours"),
+    ("NUM_POSTE;NOM_USUEL;AAAAMMJJ;RR\n1;X;20240601;0\n", "France, values that are not hourly"),
     ('[{"station_code": 260, "hour": 1}]', "no hourly answer of Open-Meteo"),
     ('{"type": "FeatureCollection", "features": []}', "no hourly answer of Open-Meteo"),
     ('[{"hourly": {}}]', "download places separately"),
@@ -628,7 +628,7 @@ def test_open_meteo_downloads_that_were_appended(tmp_path: Path) -> None:
                  f"tion (mm)\n{days[1]}")):
         assert rain_of(tmp_path, text) == [1.0] * 24 + [2.0] * 24
     for text, what in (
-        (first + second.replace("43.63", "48.1"), "line 29: begins a download of another place"),
+        (first + second.replace("43.63", "48.1"), "line 29: begins a download for another place"),
         (first + second.replace(",0,GMT", ",-14400,GMT"), "line 29: begins a download"),
         (first + second.replace("(mm)", "(inch)"), "line 32: is a second header"),
         (second + first, "line 33: time = '2024-06-01T00:00'"),

@@ -42,7 +42,7 @@ def test_a_sites_own_state_is_what_a_run_begins_in(tmp_path: Path) -> None:
     assert (custom.initial, custom.x1, custom.x2) == ("custom", 60.0, 2.0)
     assert paper_run().initial == "low-low"
     for others, wrong in (
-        (("--initial", "low-low", "--cistern", "60", "--roof", "2"), "has other volumes"),
+        (("--initial", "low-low", "--cistern", "60", "--roof", "2"), "has volumes that differ"),
         (("--cistern", "60"), "--roof: is missing: both volumes"),
     ):
         with pytest.raises(ConfigurationError, match=wrong):

@@ -172,7 +172,7 @@ WRONG: dict[str, tuple[str, Messages, Messages, int, str]] = {
         "onoff", [("/run", [7.0, 5.0, 0.0]), *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
         "the plant was started again, or there are two"),
     "a plant of another version": (
-        "onoff", [("/run", [7.0, 5.0])], [], 1, "the plant is of another version"),
+        "onoff", [("/run", [7.0, 5.0])], [], 1, "the plant has another version"),
     "one more of a topic": ("recorder", [RUN, *RECORDED, LEVEL], [], 1, f"{COUNT}level: 2\n"),
     "one less of a topic": (
         "recorder", [RUN, *(message for message in RECORDED if message != LEVEL)], [], 1,

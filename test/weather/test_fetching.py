@@ -40,7 +40,7 @@ from greenroof_ros.weather.fetching import (
 from greenroof_ros.weather.reading import read_measured
 
 SITE = read_site(CHECKOUT / "config" / "site.yaml")
-LOW_PEAKS = "rain is of a reanalysis"
+LOW_PEAKS = "rain is from a reanalysis"
 TODAY = date(2026, 6, 15)
 
 
@@ -401,7 +401,7 @@ def test_rain_that_no_gauge_measured_is_noted_also_beside_a_gauges(tmp_path):
     assert LOW_PEAKS in done.stdout
     assert read_measured([tmp_path / "again.csv"], SITE).rain_kind == "reanalysis"
     (tmp_path / "both.csv").write_text(head + rows.format("01") + "# rain_kind: reanalysis\n")
-    assert "make a file of each part" in refusal(read_measured, [tmp_path / "both.csv"], SITE)
+    assert "a separate file of each part" in refusal(read_measured, [tmp_path / "both.csv"], SITE)
 
 
 def test_parts_of_another_request_are_not_mixed_in(service, tmp_path):

@@ -76,7 +76,7 @@ def test_columns_have_any_order(tmp_path: Path) -> None:
         ("date" + HEADER[4:], "'date': the first column must be 'time'"),
         (HEADER + ",snow [cm]", "'snow [cm]': is not a known column; choose from precipitatio"),
         (HEADER.replace("mm/h]", "cm]"), "'precipitation [cm]': the unit of precipitation must be"),
-        (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': there is a"),
+        (HEADER + ",b evapotranspiration [mm/day]", "'b evapotranspiration [mm/day]': an ear"),
     ],
 )
 def test_refused_headers(tmp_path: Path, header: str, reason: str) -> None:
@@ -110,14 +110,13 @@ def test_rain_alone(tmp_path: Path) -> None:
     assert weather.evapotranspiration == pytest.approx([1.98, 1.98, 2.01])
     assert weather.method == "monthly"
     assert weather.notes == (
-        "there is no temperature, so frost is unknown and none is assumed: in frost nothing is "
-        "pumped",
-        "evapotranspiration is the site's monthly means, for want of temperature",
+        "there is no temperature, so no frost is assumed; nothing would be pumped in frost",
+        "evapotranspiration is the site's monthly means, for lack of temperature",
     )
     series = WeatherSeries(weather, TORONTO, weather.first, 3600)
     assert (series.frost_hours, series.frost[0]) == (None, 0.0)
     climateless = replace(TORONTO, monthly_evapotranspiration=None)
-    refusal(read_weather, [path], climateless, match="has no temperature, .* give the site file mo")
+    refusal(read_weather, [path], climateless, match="has no temperature, .* set monthly_evap")
     refusal(read_weather, [path], TORONTO, "fao56", match="has no column .* and no temperature, de")
 
 
@@ -137,7 +136,7 @@ def test_a_method_can_be_chosen(tmp_path: Path) -> None:
     path = write(tmp_path / "hour.csv", header, "2021-07-07T03:00Z,0.5,20")
     hour = read_weather([path], TORONTO)
     assert hour.method == "monthly"
-    assert "means, for want of a day with 18 hours of temperature" in hour.notes[-1]
+    assert "means, for lack of a day with 18 hours of temperature" in hour.notes[-1]
 
 
 def logged(path: Path, *rows: tuple[int, str]) -> Path:
@@ -294,8 +293,8 @@ def test_files_whose_hours_begin_at_different_minutes(
     assert read.values["precipitation"].tolist() == [0.5] * 4 + expected
     assert read.values["evapotranspiration"].tolist() == [1.0] * 4 + [2.0] * 3
     assert read.notes[0] == (
-        f"{late}: its hours begin {minutes} min after the hours of {early}; each value is the mean "
-        "of the two hours in which it lies"
+        f"{late}: its hours begin {minutes} min after those of {early}; each value is the mean "
+        "of the two hours that it overlaps"
     )
 
 

@@ -1,4 +1,4 @@
-"""The inputs of a run in Python: sites, and what is given by keywords."""
+"""The inputs of a run in Python: sites, and what is passed as keywords."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _NOT_THE_USERS = {__name__.partition(".")[0], "gymnasium"}
 
 
 def read_site(path: PathText | None = None, **changes: Any) -> Site:
-    """Read a site file; without one the paper's site.
+    """Read a site file; without one, the paper's site.
 
-    Volumes that follow from changed values follow them, such as the target volume ``x2_star`` from
-    the target level ``z_veg``.
+    Volumes that depend on changed values change with them, such as the target volume ``x2_star``
+    with the target level ``z_veg``.
 
     Args:
-        path: of the file.
-        changes: parameters, or plain keys such as ``cistern_volume`` and ``roof_area``, with other
-            values than in the file.
+        path: path of the file.
+        changes: parameters, or plain keys such as ``cistern_volume`` and ``roof_area``, whose
+            values differ from the file's.
 
     Raises:
-        ConfigurationError: the file, or a value, is wrong.
+        ConfigurationError: if the file, or a value, is wrong.
 
     Example:
         >>> import greenroof_ros as gr
@@ -50,7 +50,7 @@ def read_weather(inputs: Mapping[str, Any]) -> Weather:
     """Read the weather of a run from keywords.
 
     Raises:
-        ConfigurationError: an input is wrong.
+        ConfigurationError: if an input is wrong.
     """
     known = make_inputs(choose_class(FunctionController), inputs)
     return known.read_records(known.read_site())[0]
@@ -59,15 +59,15 @@ def read_weather(inputs: Mapping[str, Any]) -> Weather:
 def build_run(
     controller: ControllerChoice, inputs: Mapping[str, Any], warned: set[str]
 ) -> Run:
-    """Build and check a run from keywords, and warn of what a reader must know before its results.
+    """Build and check a run from keywords, and warn of what readers must know before its results.
 
     Args:
-        controller: of the run.
+        controller: controller of the run.
         inputs: the keywords.
-        warned: the warnings that were shown before, which are not repeated; new ones are added.
+        warned: the warnings shown before, which are not repeated; new ones are added.
 
     Raises:
-        ConfigurationError: an input is wrong.
+        ConfigurationError: if an input is wrong.
     """
     run = make_inputs(controller, inputs).build()
     for note in (*run.notes(), *run.weather.notes, *run.series.notes, *run.forecast.notes):
@@ -78,7 +78,7 @@ def build_run(
 
 
 def _count_own_calls() -> int:
-    """Return how many calls, from the caller's on, are of this package or of Gymnasium."""
+    """Return how many calls, counted from the caller's, are inside this package or Gymnasium."""
     frame, count = sys._getframe(1), 1
     while frame.f_back is not None and (
         frame.f_globals.get("__name__", "").partition(".")[0] in _NOT_THE_USERS

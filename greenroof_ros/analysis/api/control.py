@@ -24,7 +24,7 @@ class SiteState(NamedTuple):
     """The state of a site at a tick."""
 
     time: datetime
-    """of the tick, with its offset from UTC"""
+    """time of the tick, with its offset from UTC"""
     cistern_level: float
     """m"""
     roof_level: float
@@ -44,12 +44,12 @@ class SiteState(NamedTuple):
 
 
 class ForecastSteps(NamedTuple):
-    """A forecast in steps, the first from now on; the means over each step."""
+    """A forecast in steps, the first beginning now; its values are means over the steps."""
 
     rain: Values
-    """m/s, shape (steps,)"""
+    """rain (m/s), shape (steps,)"""
     evapotranspiration: Values
-    """off the whole bed (m3/s), shape (steps,)"""
+    """evapotranspiration from the whole bed (m3/s), shape (steps,)"""
     ends: Values
     """ends of the steps (s from now), the first 0, shape (steps + 1,); step i lasts from
     ``ends[i]`` to ``ends[i + 1]``"""
@@ -60,14 +60,14 @@ Function = Callable[[SiteState, ForecastSteps], float]
 
 
 def read_number(value: Any) -> float | None:
-    """Return a real number, also the only one in an array of any shape; None if it is none."""
+    """Return a real number, which may be the only one in an array of any shape; otherwise None."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
     return float(value) if isinstance(value, Real) else None
 
 
 class FunctionController:
-    """A controller that calls a function; a subclass has the function."""
+    """A controller that calls a function; a subclass provides the function."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter(
         "horizon", 24.0, "h", 0.1, MAX_HORIZON, "how far the forecast reaches, in growing steps"
@@ -80,7 +80,7 @@ class FunctionController:
         self._tick = -1
         self.forecast_ends = np.empty(0)
         self.start: datetime
-        """of the run; is set before it"""
+        """site of the run; it is set before the run"""
 
     def command(
         self,
@@ -99,25 +99,25 @@ class FunctionController:
             ),
         )
         number = read_number(value)
-        return value if number is None else number  # what is none is refused, and named
+        return value if number is None else number  # anything else is rejected, and named
 
     def skip(self) -> None:
         """Count the tick, in which the pump may not run."""
         self._tick += 1
 
     def statistics(self) -> None:
-        """Return nothing: it has no solver."""
+        """Return None: it has no solver."""
 
 
 def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | None]:
     """Return the choice of a controller, and the instance if it is one.
 
     Args:
-        controller: a name, ``package.module:Class``, a class, an instance, or a function
-            of a :class:`SiteState` and :class:`ForecastSteps`.
+        controller: a name, ``package.module:Class``, a class, an instance, or a function of a
+            :class:`SiteState` and :class:`ForecastSteps`.
 
     Raises:
-        ConfigurationError: it is none of these.
+        ConfigurationError: if it is none of these.
     """
     if isinstance(controller, str):
         return find_controller(controller), None
@@ -133,22 +133,22 @@ def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | N
     name = getattr(controller, "__name__", type(controller).__name__).strip("<>")
     members = {
         "function": staticmethod(controller), "__module__": controller.__module__,
-        "__wrapped__": controller,  # errors name its place
+        "__wrapped__": controller,  # so that errors name its place
     }
     return choose_class(type(name, (FunctionController,), members)), None
 
 
 def read_parameters(instance: Controller, choice: ControllerChoice) -> dict[str, float]:
-    """Return the parameters of its class that an instance has as attributes.
+    """Return those parameters of its class that an instance has as attributes.
 
     Raises:
-        ConfigurationError: it has a parameter ``horizon``, but not as an attribute.
+        ConfigurationError: if it has a parameter ``horizon``, but no such attribute.
     """
     names = [parameter.name for parameter in choice.kind.parameters]
     values = {name: getattr(instance, name) for name in names if hasattr(instance, name)}
     if "horizon" in names and "horizon" not in values:
         raise ConfigurationError(
             "must have its parameter horizon as an attribute, or its forecast's length is "
-            "unknown; or give the class, and horizon=", key=f"an instance of {choice.name}",
+            "unknown; or pass the class, and horizon=", key=f"an instance of {choice.name}",
         )
     return values

@@ -13,20 +13,20 @@ from greenroof_ros.analysis.workers.processes import processes, this_process
 def district(
     file: str | os.PathLike[str], *, weather: str | os.PathLike[str] | None = None, jobs: int = 1
 ) -> DistrictResult:
-    """Add up what many buildings send to one sewer, as ``greenroof district``.
+    """Add up what many buildings send to one sewer, like ``greenroof district``.
 
     Args:
-        file: of the district.
+        file: the district's file.
         weather: directory of weather files that are not next to it.
-        jobs: number of processes. With more than 1, a script must start under
-            ``if __name__ == "__main__":``.
+        jobs: number of processes. With more than 1, a script must start under ``if __name__ ==
+            "__main__":``.
 
     Returns:
         The results: ``.sentence``, ``.table``, ``.buildings``, ``.hydrographs`` and
         ``.save(directory)``, which writes the page to a new or empty directory.
 
     Raises:
-        ConfigurationError: a file is wrong; the message states which, and what would be right.
+        ConfigurationError: if a file is wrong; the message states which, and what would be right.
 
     Example:
         >>> import greenroof_ros as gr

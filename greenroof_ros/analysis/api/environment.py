@@ -36,28 +36,28 @@ class _Commanded:
     share = 0.0
 
     def command(self, *inputs: Any) -> float:
-        """Return the command that the program has given."""
+        """Return the command that the program has set."""
         return self.share
 
     def skip(self) -> None:
-        """Ignore it: the pumps may not run."""
+        """Do nothing: the pumps may not run."""
 
     def statistics(self) -> None:
-        """Return nothing: it has no solver."""
+        """Return None: it has no solver."""
 
 
 def _read_share(outlet: Any) -> float:
-    """Return a command to the valve.
+    """Return a command to the valve as a number.
 
     Raises:
-        ConfigurationError: it is not a number from 0 to 1.
+        ConfigurationError: if it is not a number from 0 to 1.
     """
     share = read_number(outlet)
     return float(SHARE.read(outlet if share is None else share, key="outlet"))
 
 
 class _Valve:
-    """Opens the outlet's valve as a program commands, or as a policy if the program does not."""
+    """Opens the outlet valve as a program commands, or as a policy does if the program does not."""
 
     share: float | None = None
 
@@ -65,17 +65,17 @@ class _Valve:
         self._policy = policy
 
     def command(self, *inputs: Any) -> float:
-        """Return the share; the policy is asked in each tick, since it counts dry hours."""
+        """Return the share; the policy is called in every tick, since it counts dry hours."""
         share = self._policy.command(*inputs)
         return share if self.share is None else self.share
 
 
 class Environment:
-    """A site and its weather; a program gives the command of each tick.
+    """A site and its weather; a program sets the command of every tick.
 
-    In frost and in quiet hours the command acts as 0. At a site with a valve on its low outlet the
-    program can command that, too. ``copy`` and ``pickle`` make
-    environments that go on from the same tick, bit for bit.
+    In frost and in quiet hours the command acts as 0. At a site with a valve on its low outlet, the
+    program can command the valve, too. ``copy`` and ``pickle`` create environments that go on from
+    the same tick, bit for bit.
 
     Example:
         >>> import greenroof_ros as gr
@@ -87,26 +87,26 @@ class Environment:
         59.3
 
     Attributes:
-        site: its parameters.
-        state: time and levels now.
+        site: parameters of the site.
+        state: present time and levels.
         done: whether the run has ended; :meth:`reset` begins it again.
     """
 
     state: SiteState
     done: bool
-    __copy__ = copy.deepcopy  # or both would go on with one state
+    __copy__ = copy.deepcopy  # otherwise both would go on with one state
 
     def __init__(self, **inputs: Any) -> None:
         """Begin a run.
 
         Args:
-            inputs: of :func:`.simulate`, without the controller and ``trajectory_every``; and
-                ``horizon``, how far the forecasts reach (h). At a site with a valve on its low
-                outlet ``outlet`` and its parameters are of the policy that commands it, unless
+            inputs: inputs of :func:`.simulate`, without the controller and ``trajectory_every``;
+                and ``horizon``, how far the forecasts reach (h). At a site with a valve on its low
+                outlet, ``outlet`` and its parameters set the policy that commands the valve, unless
                 :meth:`step` does.
 
         Raises:
-            ConfigurationError: an input is wrong.
+            ConfigurationError: if an input is wrong.
         """
         self._run = build_run(choose_class(FunctionController), inputs, set())
         self.site = self._run.site
@@ -117,10 +117,10 @@ class Environment:
         """Begin the run again, and return the state.
 
         Args:
-            seed: of the errors of forecasts that have errors; as before if None.
+            seed: seed for the errors of forecasts that have errors; unchanged if None.
 
         Raises:
-            ConfigurationError: the seed is not a whole number, or negative.
+            ConfigurationError: if the seed is not a whole number, or is negative.
 
         Example:
             >>> import greenroof_ros as gr
@@ -131,7 +131,7 @@ class Environment:
         if seed is not None:
             if not (isinstance(seed, Integral) and seed >= 0):
                 raise ConfigurationError(
-                    "must be a whole number, not negative", key="seed", value=seed
+                    "must be a whole number and not negative", key="seed", value=seed
                 )
             run = self._run
             choice = replace(run.forecast_choice, seed=seed)
@@ -142,7 +142,7 @@ class Environment:
         self._controller = _Commanded()
         policy, known = self._run.make_outlet(self._controller), self._run
         self._valve = None if policy is None else _Valve(policy)
-        if policy is None:  # nothing in the simulation needs a forecast
+        if policy is None:  # otherwise nothing in the simulation needs a forecast
             known = replace(known, forecast=PerfectForecast(known.series, 1))
         self._simulation = Simulation(known, self._controller, self._valve)
         self._ticks = self._simulation.ticks()
@@ -163,11 +163,11 @@ class Environment:
 
         Args:
             command: share of the pumps' maximum flow (1), finite and not negative.
-            outlet: share to which the valve of the low outlet is open (1), from 0 to 1; None for
-                what its policy commands.
+            outlet: share to which the valve of the low outlet is open (1), from 0 to 1; None to
+                leave it to its policy.
 
         Raises:
-            ConfigurationError: a command is wrong, the site has no such valve, or the run has
+            ConfigurationError: if a command is wrong, the site has no such valve, or the run has
                 ended.
 
         Example:
@@ -181,7 +181,7 @@ class Environment:
         share = read_number(command)
         if share is None or not 0 <= share < math.inf:
             raise ConfigurationError(
-                "must be a finite number, not negative", key="command", value=command
+                "must be a finite number and not negative", key="command", value=command
             )
         if self._valve is not None:
             self._valve.share = None if outlet is None else _read_share(outlet)
@@ -196,7 +196,7 @@ class Environment:
         return tick
 
     def _observe(self) -> None:
-        """Set what the present tick begins with; the last one has only this."""
+        """Set the state with which the present tick begins; the last tick has only this state."""
         site = self._simulation.site
         time = self._run.start + timedelta(seconds=site.tick * self.site.tau)
         self.state = SiteState(time, *site.observe(), self.site)
@@ -204,7 +204,7 @@ class Environment:
 
     @property
     def forecast(self) -> ForecastSteps:
-        """What is known now of the weather that comes.
+        """What is known now about the coming weather.
 
         Example:
             >>> import greenroof_ros as gr
@@ -222,7 +222,7 @@ class Environment:
 
     @property
     def metrics(self) -> dict[str, float]:
-        """The metrics until now, by their names in ``summary.json``.
+        """The metrics so far, by their names in ``summary.json``.
 
         Example:
             >>> import greenroof_ros as gr

@@ -1,6 +1,6 @@
-"""The environment ``GreenRoof-v1`` of Gymnasium, the interface of reinforcement learning.
+"""The environment ``GreenRoof-v1`` for Gymnasium, the interface for reinforcement learning.
 
-Its name with the package's, ``greenroof_ros:GreenRoof-v1``, is known in every process:
+Its name, including the package's, ``greenroof_ros:GreenRoof-v1``, is known in every process:
 
     import gymnasium
 
@@ -34,13 +34,13 @@ with require_extra("gym"):
 Values = NDArray[np.float32]
 
 _TO_MM_PER_H = 3.6e6
-# What is 1 in an observation: rain (mm/h) and evapotranspiration (mm/day), both seldom exceeded;
-# higher values are 1, too.
+# What becomes 1 in an observation: rain (mm/h) and evapotranspiration (mm/day), both rarely
+# exceeded; higher values are 1, too.
 _MAX_RAIN, _MAX_EVAPOTRANSPIRATION = 50.0, 12.0
 _MAX_DRAWS = 100
 _TICKS = Range(1, 1e9, whole=True)
 RANDOM = "random"
-"""A start or an initial state that each episode draws"""
+"""a start or an initial state that every episode draws"""
 
 
 def minus_deviation(tick: Tick, state: SiteState) -> float:
@@ -51,25 +51,26 @@ def minus_deviation(tick: Tick, state: SiteState) -> float:
 class GreenRoofEnv(gymnasium.Env[Values, Values]):
     """A green roof over a window of weather, for Gymnasium.
 
-    - Observation: a vector of float32 from 0 to 1: level of the cistern as a share of its outlet's
-      level times 1.5, level of the roof as a share of the target level times 2, then the forecast:
-      mean rain in each step as a share of 50 mm/h, then mean evapotranspiration in each step as a
-      share of 12 mm/day. What is above is 1. The steps grow, see :attr:`ends`; the first is now.
-      At a site with a valve on its low outlet, last how long the weather remains wet if no more
-      rain falls, as a share of ``wet_after``.
+    - Observation: a vector of float32 from 0 to 1: the level of the cistern as a share of its
+      outlet's level times 1.5; the level on the roof as a share of the target level times 2; then
+      the forecast: mean rain in every step as a share of 50 mm/h, followed by mean
+      evapotranspiration in every step as a share of 12 mm/day. Anything above is 1. The steps grow,
+      see :attr:`ends`; the first begins now. At a site with a valve on its low outlet, the last
+      entry is how long the weather remains wet if no more rain falls, as a share of ``wet_after``.
     - Action: the command, a vector with one number from 0 to 1, the share of the pumps' maximum
-      flow. In frost and in quiet hours it acts as 0. At a site with a valve on its low outlet a
-      second one, the share to which that is open. Others are refused.
+      flow. In frost and in quiet hours it acts as 0. At a site with a valve on its low outlet, a
+      second number is the share to which the valve is open. Other numbers are rejected.
     - Reward: minus the deviation from the target volume (m3) of the state that a tick leads to,
-      summed over the ticks of the step. So the sum of an episode is minus ``total_deviation_m3``
-      without the first tick, which no action changes.
-    - Episode: the N ticks of the window, each ``site.tau`` long, ``decision_ticks`` of them in each
-      step with one action; the pumps' minimum times and the roof's limits act in every tick. It
-      ends with ``truncated``, since the roof goes on; ``terminated`` is always false. The ``info``
-      of the last step has the ``metrics`` of the run, by their names in ``summary.json``.
-    - Random numbers, which ``reset(seed=...)`` seeds, decide the errors of forecasts with
-      ``forecast="errors"`` or ``"ensemble"``, the start with ``start="random"``, in whole hours of
-      the weather, and the volumes with ``initial="random"``, uniform up to the outlet and to twice
+      summed over the ticks of the step. So the sum over an episode is minus ``total_deviation_m3``
+      without the first tick, which no action can change.
+    - Episode: the N ticks of the window, each ``site.tau`` long, with ``decision_ticks`` of them in
+      every step with one action; the pumps' minimum times and the roof's limits apply in every
+      tick. It ends with ``truncated``, since the roof goes on; ``terminated`` is always false. The
+      ``info`` of the last step contains the ``metrics`` of the run, by their names in
+      ``summary.json``.
+    - Random numbers, which ``reset(seed=...)`` seeds, determine the errors of forecasts with
+      ``forecast="errors"`` or ``"ensemble"``; with ``start="random"`` the start, in whole hours of
+      the weather; and with ``initial="random"`` the volumes, uniform up to the outlet and to twice
       the target, or to the soil's capacity if that is less.
 
     Example:
@@ -81,11 +82,11 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         (True, False)
 
     Attributes:
-        site: its parameters.
+        site: parameters of the site.
         ends: ends of the forecast's steps (s from now), the first 0, shape (steps + 1,).
     """
 
-    __copy__ = copy.deepcopy  # or both would go on with one state
+    __copy__ = copy.deepcopy  # otherwise both would go on with one state
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as the base class has it)
 
     def __init__(
@@ -95,21 +96,21 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         """Take the inputs of :class:`.Environment`.
 
         Args:
-            reward: returns the reward of a tick, given what happened in it and the state that it
+            reward: returns the reward for a tick, given what happened in it and the state that it
                 leads to.
-            decision_ticks: how many ticks an action lasts; the last may be cut short by the end of
-                the window.
-            render_mode: None, the only one.
+            decision_ticks: how many ticks an action lasts; the last action may be cut short by the
+                end of the window.
+            render_mode: None, the only mode.
             inputs: site, weather, start, hours, forecast, horizon (h) and others; start and initial
                 can also be ``"random"``.
 
         Raises:
-            ConfigurationError: an input is wrong.
+            ConfigurationError: if an input is wrong.
         """
         for name in map(attrgetter("name"), choose_class(FunctionController).of_valve):
             if inputs.get(name) is not None:
                 raise ConfigurationError(
-                    "is for what commands the outlet's valve; here the action does", key=name,
+                    "is for what commands the outlet valve; here the action does that", key=name,
                     value=inputs[name],
                 )
         self.render_mode, self._reward = render_mode, reward
@@ -119,7 +120,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             key: value for key, value in inputs.items() if self._places.get(key) != RANDOM
         }
         self._begun: dict[str, Any] = {}
-        if self._places["start"] == RANDOM:  # until the first is drawn
+        if self._places["start"] == RANDOM:  # until the first one is drawn
             self._inputs["weather"] = read_weather(self._inputs)
             self._inputs["start"] = self._inputs["weather"].first
         self._roof = self._make_roof({})
@@ -143,20 +144,20 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         """Begin an episode.
 
         Args:
-            seed: of the environment's random numbers.
-            options: ``start`` and ``initial`` of this episode instead of the environment's own.
+            seed: seed of the environment's random numbers.
+            options: ``start`` and ``initial`` of this episode, instead of the environment's own.
 
         Returns:
             The observation; and ``start``, ``cistern_m3`` and ``roof_m3`` of the episode.
 
         Raises:
-            ConfigurationError: an option is unknown, or its value is wrong.
+            ConfigurationError: if an option is unknown, or its value is wrong.
         """
         super().reset(seed=seed)
         for key in options or {}:
             if key not in self._places:
                 raise ConfigurationError(
-                    f"is no option of reset; {suggest_names(key, self._places)}", key=key
+                    f"is not an option of reset; {suggest_names(key, self._places)}", key=key
                 )
         places = {**self._places, **(options or {})}
         begin = {key: value for key, value in places.items() if value is not None}
@@ -179,8 +180,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         """Run the ticks of a decision with a command.
 
         Raises:
-            ConfigurationError: the action is not one number from 0 to 1, at a site with a valve two
-                of them, or the episode has ended.
+            ConfigurationError: if the action is not one number from 0 to 1 (two of them at a site
+                with a valve), or the episode has ended.
         """
         commands, shape = np.asarray(action), self.action_space.shape
         if not (
@@ -214,11 +215,11 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         return np.asarray(np.clip(values, 0.0, 1.0), np.float32)
 
     def _make_roof(self, begin: Mapping[str, Any]) -> Environment:
-        """Return an environment; all of them share the weather that the first has read."""
+        """Return an environment; all of them share the weather that the first one read."""
         return Environment(**{**self._inputs, **begin})
 
     def _draw_start(self) -> datetime:
-        """Draw a whole hour of the weather from which an episode is possible."""
+        """Draw a whole hour of the weather at which an episode can start."""
         length = timedelta(seconds=(self._steps + self.site.M) * self.site.tau)
         hours = (self._weather.end - self._weather.first - length) // timedelta(hours=1) + 1
         if hours < 1:

@@ -62,7 +62,7 @@ class Result:
 
     Attributes:
         run: what was simulated.
-        summary: everything that ``summary.json`` of the command has.
+        summary: everything that ``summary.json`` of the command contains.
         ticks: the trajectory as arrays; :attr:`trajectory` is a table of them.
     """
 
@@ -71,13 +71,13 @@ class Result:
     ticks: Trajectory
 
     def __repr__(self) -> str:
-        """Return controller, length and start."""
+        """Return controller, length and start as text."""
         length = duration(self.run.steps * self.run.site.tau)
         return f"<Result: {self.run.controller.name}, {length} from {to_minutes(self.run.start)}>"
 
     @cached_property
     def metrics(self) -> dict[str, float]:
-        """The metrics by their names in ``summary.json``, which end with their unit.
+        """The metrics by their names in ``summary.json``, which end with their units.
 
         Example:
             >>> import greenroof_ros as gr
@@ -91,29 +91,29 @@ class Result:
 
     @cached_property
     def trajectory(self) -> polars.DataFrame:
-        """The trajectory, a row for each tick 0..N, as a data frame of polars.
+        """The trajectory, with a row for every tick 0..N, as a polars data frame.
 
-        ``.to_pandas()`` makes one of pandas, if pandas and pyarrow are installed. The columns are
+        ``.to_pandas()`` converts it to pandas, if pandas and pyarrow are installed. The columns are
         the same as in ``greenroof simulate --trajectory``; their units are in their names:
 
         - ``time``, in the site's ``time_zone``, or else at the offset from UTC of the run's start
-          (in UTC if that is not of whole hours), and ``time_s``, since the start
+          (in UTC if that is not in whole hours), and ``time_s``, since the start
         - ``cistern_m3``, ``roof_m3``: water volumes x1 and x2
-        - ``cistern_level_m``, ``roof_level_m``: water depths; the command's file and bags have the
-          readings of the sensors instead, which differ if the roof's sensor has errors
+        - ``cistern_level_m``, ``roof_level_m``: water depths; the command's file and bags contain
+          the readings of the sensors instead, which differ if the roof's sensor has errors
         - ``precipitation_m_per_s``: rain
-        - ``evapotranspiration_m3_per_s``: off the whole bed, of plants that lack no water
+        - ``evapotranspiration_m3_per_s``: from the whole bed, for plants that lack no water
         - ``command``: share of the pumps' maximum flow (1)
         - ``pump_flow_m3_per_s``: from the cistern to the roof
         - ``outflow_m3_per_s``: from the cistern to the sewer
-        - ``drainage_m3_per_s``: off the roof
-        - ``frost``: 1 in frost, else 0
-        - ``drainage_layer_m3``: water volume in the drainage layer of a measured soil
+        - ``drainage_m3_per_s``: from the roof
+        - ``frost``: 1 in frost, otherwise 0
+        - ``drainage_layer_m3``: water volume in the drainage layer of field-capacity soil
 
-        The flows of the last row are not applied: the run ends in its state.
+        The flows in the last row are not applied: the run ends in that state.
 
         Raises:
-            ConfigurationError: polars is not installed.
+            ConfigurationError: if polars is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -125,15 +125,15 @@ class Result:
 
     @cached_property
     def events(self) -> polars.DataFrame:
-        """The events of rain, a row for each, and what of it reached the sewer.
+        """The rain events, one per row, and how much of each reached the sewer.
 
         Events are separated by ``event_separation`` of the site without rain, by default six hours.
-        ``volume_reduction`` and ``peak_reduction`` are of the discharge in wet weather, compared
+        ``volume_reduction`` and ``peak_reduction`` are for the discharge in wet weather, compared
         with the same area without roof and cistern. The columns are ``start``, in the time zone of
         :attr:`trajectory`, and the fields of :class:`greenroof_ros.model.storm_water.Event`.
 
         Raises:
-            ConfigurationError: polars is not installed.
+            ConfigurationError: if polars is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -159,12 +159,12 @@ class Result:
     def plot(self) -> altair.VConcatChart:
         """Return a chart: rain, levels of roof and cistern, the pump, and any water to the sewer.
 
-        A notebook shows it as a picture; ``.save("run.png")`` writes it, also as .svg, or as .html
+        A notebook shows it as a picture; ``.save("run.png")`` writes it, as .svg or .html as well
         (``inline=True`` for a page that needs no internet). Long runs are drawn with the smallest
-        and the largest value of each of some 500 intervals.
+        and the largest value in each of some 500 intervals.
 
         Raises:
-            ConfigurationError: altair is not installed.
+            ConfigurationError: if altair is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -175,15 +175,16 @@ class Result:
         return Comparison({self.run.controller.name: self}).plot()
 
     def save(self, directory: PathText) -> Path:
-        """Write a run directory, as the command does, with the trajectory; return its path.
+        """Write a run directory with the trajectory, as the command does; return its path.
 
         ``greenroof report DIRECTORY`` reads it.
 
         Args:
-            directory: new or empty.
+            directory: a new or empty directory.
 
         Raises:
-            ConfigurationError: it is not empty, or cannot be written, or polars is not installed.
+            ConfigurationError: if it is not empty, or cannot be written, or polars is not
+                installed.
 
         Example:
             >>> import tempfile, greenroof_ros as gr
@@ -204,51 +205,51 @@ class Result:
 def simulate(
     controller: str | type | Controller | Function = "mpc", **inputs: Any
 ) -> Result:
-    """Simulate a run, with the numbers of ``greenroof simulate``; without ROS.
+    """Simulate a run without ROS; the numbers equal those of ``greenroof simulate``.
 
     Args:
         controller: ``"mpc"``, ``"onoff"``, ``"anticipating_onoff"``, ``"lookahead"`` or
-            ``"package.module:Class"``; a class as "Your controller" in the
-            documentation describes it; an instance, which goes on with what it has learned; or a
-            function of (state, forecast) that returns the command, the share of the pumps' maximum
-            flow. ``state`` has time, cistern_level and roof_level (m), cistern and roof (m3), and
-            the site. ``forecast`` has rain (m/s), evapotranspiration (m3/s) and the ends of its
-            steps (s); a function's parameter ``horizon`` (h, 24 by default) is its length.
+            ``"package.module:Class"``; a class as described under "Your controller" in the
+            documentation; an instance, which goes on with what it has learned; or a function of
+            (state, forecast) that returns the command, the share of the pumps' maximum flow.
+            ``state`` has time, cistern_level and roof_level (m), cistern and roof (m3), and the
+            site. ``forecast`` has rain (m/s), evapotranspiration (m3/s) and the ends of its steps
+            (s); a function's parameter ``horizon`` (h, 24 by default) is its length.
         inputs: the inputs below and the controller's parameters, by name; None for the default.
 
-            - ``site``: a site file or what ``gr.read_site`` returns; by default the paper's.
-            - ``weather``: a file, a pattern or a list of them, or a data frame of polars or pandas
+            - ``site``: a site file, or what ``gr.read_site`` returns; by default the paper's.
+            - ``weather``: a file, a pattern or a list of them, or a polars or pandas data frame
               with hourly rows and the columns of such a file: ``time`` (or an index of times),
               ``precipitation [mm/h]`` and others. By default the paper's.
             - ``start``: time of the first tick, ISO 8601, a datetime or a date; without an offset
-              from UTC it is the wall clock of the site's ``time_zone``, or else in the weather's
+              from UTC, it is wall-clock time in the site's ``time_zone``, or else in the weather's
               zone or offset. By default the paper's window, 2021-07-07T02:00-05:00.
             - ``hours``: length of the run (h); by default N of the site file, 12 h.
-            - ``forecast``: ``"perfect"``, ``"errors"``, ``"ensemble"``, or the
-              path of archived forecasts; with ``forecast_skill``, ``forecast_seed``,
-              ``forecast_members`` and ``forecast_delay`` (h), as the command's options.
-            - ``initial``: ``"low-low"``, ``"high-low"`` or ``"high-high"``, Table II of the paper,
-              ``"site"``, the site file's own, or the volumes in cistern and on the roof (m3). By
-              default the site file's own, or low-low.
+            - ``forecast``: ``"perfect"``, ``"errors"``, ``"ensemble"``, or the path of archived
+              forecasts; with ``forecast_skill``, ``forecast_seed``, ``forecast_members`` and
+              ``forecast_delay`` (h), like the command's options.
+            - ``initial``: ``"low-low"``, ``"high-low"`` or ``"high-high"`` from Table II of the
+              paper, ``"site"`` for the site file's own, or the volumes in the cistern and on the
+              roof (m3). By default the site file's own, or low-low.
             - ``evapotranspiration``: ``"fao56"``, ``"hargreaves"``, ``"monthly"``, or the name of
               the weather's own column; by default the weather's own, otherwise the first of these
-              three for which it has what is needed.
-            - ``gaps``: ``"refuse"``, or ``"fill"`` to fill long gaps of the weather.
+              three for which the weather has what is needed.
+            - ``gaps``: ``"refuse"``, or ``"fill"`` to fill long gaps in the weather.
             - ``roof_noise`` and ``roof_offset`` of the roof's level sensor (m), ``noise_seed``, and
               ``pump_min_on`` and ``pump_min_off`` (s); by default 0, as in the paper.
-            - ``trajectory_every``: time between the ticks that the trajectory keeps (s), and it
-              keeps the last; by default all: ten million take a gigabyte.
+            - ``trajectory_every``: time between the ticks that the trajectory keeps (s), in
+              addition to the last one; by default all are kept: ten million take a gigabyte.
             - parameters of the controller, such as ``weight=0.01``.
 
     Returns:
         The metrics, the trajectory with a chart of it, and a way to save both.
 
     Raises:
-        ConfigurationError: an input is wrong; the message states which, and what would be right.
+        ConfigurationError: if an input is wrong; the message states which, and what would be right.
 
     Warns:
-        UserWarning: what a reader must know before the results, as the command's notes: weather
-            from far away, a run shorter than the look-ahead, or what was assumed about the weather.
+        UserWarning: what a reader must know before the results, like the command's notes: weather
+            from far away, a run shorter than the look-ahead, or assumptions about the weather.
 
     Example:
         >>> import greenroof_ros as gr
@@ -277,12 +278,12 @@ def _simulate(
         given = inputs.keys() & choice.parameters.keys() - of_valve
         if given:
             raise ConfigurationError(
-                f"cannot be given with an instance of {choice.name}, which has its own",
+                f"cannot be set with an instance of {choice.name}, which has its own",
                 key=", ".join(sorted(given)),
             )
         own = read_parameters(instance, choice)
         run = build_run(choice, {**inputs, **own}, warned)
-        # Not the defaults: of its other parameters nothing is known.
+        # Not the defaults: nothing is known about its other parameters.
         known = {
             name: value for name, value in run.parameters.items() if name in own or name in of_valve
         }
@@ -301,17 +302,17 @@ class Comparison:
     """The results of several controllers.
 
     Attributes:
-        results: by their names.
+        results: results by name.
     """
 
     results: Mapping[str, Result]
 
     @property
     def table(self) -> polars.DataFrame:
-        """Their metrics, a row for each: ``controller``, then the names of ``summary.json``.
+        """Their metrics, one row for each: ``controller``, then the names of ``summary.json``.
 
         Raises:
-            ConfigurationError: polars is not installed.
+            ConfigurationError: if polars is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -329,10 +330,10 @@ class Comparison:
     def plot(self) -> altair.VConcatChart:
         """Return a chart as :meth:`.Result.plot` does, with a line for each controller.
 
-        If their sites differ in the target, or in a level of the cistern, it has no line for it.
+        If their sites differ in the target, or in a level of the cistern, there is no line for it.
 
         Raises:
-            ConfigurationError: they begin at different times, or altair is not installed.
+            ConfigurationError: if they begin at different times, or altair is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -353,15 +354,15 @@ def compare(
     """Simulate several controllers with the same inputs.
 
     Args:
-        controllers: each by a name for table and chart. A result is used as it is, so that
-            parameters can differ.
-        inputs: of :func:`simulate`, for all of them.
+        controllers: controllers by their names for table and chart. A result is used as it is, so
+            that parameters can differ.
+        inputs: inputs of :func:`simulate`, for all of them.
 
     Returns:
         One table and one chart.
 
     Raises:
-        ConfigurationError: an input is wrong, or polars is not installed.
+        ConfigurationError: if an input is wrong, or polars is not installed.
 
     Example:
         >>> import greenroof_ros as gr
@@ -372,10 +373,10 @@ def compare(
     """
     if not (isinstance(controllers, Mapping) and controllers):
         raise ConfigurationError(
-            'must be controllers by their names, such as {"on/off": "onoff"}', key="controllers",
+            'must be controllers by name, such as {"on/off": "onoff"}', key="controllers",
             value=controllers,
         )
-    with require_extra("study"):  # before the work, since the table needs it
+    with require_extra("study"):  # checked before the work, since the table needs it
         import polars  # noqa: F401
     warned: set[str] = set()
     return Comparison({
@@ -392,7 +393,7 @@ def make_table(site: Site, ticks: Trajectory) -> polars.DataFrame:
         import polars
 
         from greenroof_ros.analysis.report.bags import make_samples
-    # Not divided by polars, which multiplies by the reciprocal: other bits than the plant's.
+    # Not divided by polars, which multiplies by the reciprocal and gets other bits than the plant.
     computed = {"cistern_level_m": ticks.cistern / site.a1, "roof_level_m": ticks.roof / site.a2}
     if site.drainage_storage is not None:
         computed[LAYER.name] = make_samples(site, ticks).layer
@@ -404,18 +405,19 @@ def make_table(site: Site, ticks: Trajectory) -> polars.DataFrame:
 
 
 def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.DataFrame:
-    """Read the trajectory of a bag: of a run of this package, or of a real site.
+    """Read the trajectory from a bag, recorded by a run of this package or at a real site.
 
     Args:
-        path: a run directory, also one that :meth:`Result.save` wrote, a bag, or a single .mcap
-            file.
+        path: a run directory (including one that :meth:`Result.save` wrote), a bag, or a single
+            .mcap file.
         site: the site, or its file; by default the one next to the bag, or else the paper's.
 
     Returns:
         The columns of :attr:`Result.trajectory`.
 
     Raises:
-        ConfigurationError: the bag is damaged or is not of such a graph, or a package is missing.
+        ConfigurationError: if the bag is damaged or is not from such a graph, or a package is
+            missing.
 
     Example:
         >>> import tempfile, greenroof_ros as gr
@@ -431,6 +433,6 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
     trajectory = run.trajectory()
     if trajectory is None:
         raise ConfigurationError(
-            "has results alone: the run wrote no trajectory", file=Path(path)
+            "has only results: the run wrote no trajectory", file=Path(path)
         )
     return make_table(run.site, trajectory)

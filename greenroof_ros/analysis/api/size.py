@@ -10,25 +10,25 @@ from greenroof_ros.common.errors import ConfigurationError, suggest_names
 
 
 def size(**options: Any) -> Sizes:
-    """Compare cisterns, targets and outlets over all seasons of a record, as ``greenroof size``.
+    """Compare cisterns, targets and outlets over all seasons of a record, like ``greenroof size``.
 
     Args:
-        options: those below; None for the default.
+        options: the options below; None for the default.
 
-            - ``site``: a site file or what ``gr.read_site`` returns; by default the paper's.
+            - ``site``: a site file, or what ``gr.read_site`` returns; by default the paper's.
             - ``weather``: files, a pattern or a data frame, as for ``gr.simulate``; at least one
               season.
             - ``evapotranspiration``, ``gaps``: as for ``gr.simulate``.
-            - ``volumes``: of the cistern up to its overflow (m3); by default eight that suit roof
-              and catchment.
-            - ``targets``: water to keep on the roof, as depths (mm); by default the site's, and
-              4 mm below and above it.
-            - ``outlets``: some of ``"none"``, ``"drain"`` and ``"plan"``; by default all.
-            - ``season``: its first and last day, as ``"05-01/10-31"``; by default May to October,
-              south of the equator November to April.
+            - ``volumes``: volumes of the cistern up to its overflow (m3); by default eight that
+              suit roof and catchment.
+            - ``targets``: water to keep on the roof, as depths (mm); by default the site's target,
+              and 4 mm below and above it.
+            - ``outlets``: any of ``"none"``, ``"drain"`` and ``"plan"``; by default all three.
+            - ``season``: its first and last day, as in ``"05-01/10-31"``; by default May to
+              October, south of the equator November to April.
             - ``knee``: water that another m3 of cistern must save in a season (m3), by default 1.
-            - ``mains_price``, ``storm_water_price``, ``cistern_price`` (each for a m3), and
-              ``cistern_years`` over which the last is spread: all of them, or none.
+            - ``mains_price``, ``storm_water_price``, ``cistern_price`` (each per m3), and
+              ``cistern_years`` over which the last one is spread: all of them, or none.
             - ``jobs``: number of processes, by default 1. With more, a script must start under
               ``if __name__ == "__main__":``.
 
@@ -37,7 +37,7 @@ def size(**options: Any) -> Sizes:
         ``.save(directory)``, which writes the page.
 
     Raises:
-        ConfigurationError: an input is wrong; the message states which, and what would be right.
+        ConfigurationError: if an input is wrong; the message states which, and what would be right.
 
     Example:
         >>> import greenroof_ros as gr
@@ -51,6 +51,6 @@ def size(**options: Any) -> Sizes:
     for name in options:
         if name not in OPTIONS:
             raise ConfigurationError(
-                f"is no option; {suggest_names(name, OPTIONS)}", key=name, value=options[name]
+                f"is not an option; {suggest_names(name, OPTIONS)}", key=name, value=options[name]
             )
     return size_site(options, Progress())

@@ -1,1 +1,1 @@
-"""Fitting a measured soil and the pumps: records, checks of records, fits, site file, page."""
+"""Fitting field-capacity soil and the pumps: records, their checks, fits, site file and page."""

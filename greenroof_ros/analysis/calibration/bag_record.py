@@ -1,4 +1,4 @@
-"""Measured records from a bag of this project, of a live site or a simulation."""
+"""Measured records from a bag of this project, from a live site or a simulation."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ _GAP_S = 600.0
 def read_bag_record(bag: Path, site: Site) -> StepRecord:
     """Read a bag as steps of five minutes.
 
-    Rain, evapotranspiration and pumped water are summed over each step; ``/roof/level`` is the
+    Rain, evapotranspiration and pumped water are summed over every step; ``/roof/level`` is the
     level at its beginning. If ``/roof/drainage`` is not recorded, or is always 0, runoff does not
     count.
 
-    Evapotranspiration that the run computed (``fao56`` in the files next to its bag) contains the
+    Evapotranspiration that the run computed (``fao56`` in the files next to its bag) includes the
     crop coefficient of the run's site, and is divided by it. A weather file's own column and the
-    forecasts of a live site do not contain it, so other evapotranspiration is used as it is.
+    forecasts of a live site do not include it, so other evapotranspiration is used as it is.
 
-    The pumps' command counts while they deliver. Steps with a command above 1, which no real pump
-    follows, have none. Steps in a gap have only evapotranspiration, because a roof dries in gaps,
-    too: the value of a day before or, on the first day, the last before the gap.
+    The pumps' command counts while they deliver water. Steps with a command above 1, which no real
+    pump can follow, have none. Steps in a gap have only evapotranspiration, because a roof dries in
+    gaps, too: the value of the previous day or, on the first day, the last one before the gap.
 
     Raises:
-        ConfigurationError: the bag cannot be read, is shorter than two steps, or holds no
+        ConfigurationError: if the bag cannot be read, is shorter than two steps, or contains no
             evapotranspiration.
     """
     offset = timezone(timedelta(hours=site.utc_offset or 0.0))
@@ -57,7 +57,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
         gap[int(low):int(high)] = True
 
     def summed(flow: Values) -> Values:
-        """Return the sum in each step of a flow that holds from each sample to the next."""
+        """Return the sum, in every step, of a flow that holds from each sample to the next."""
         total = np.concatenate(([0.0], np.cumsum(flow[:-1] * spacing)))
         amounts = np.diff(np.interp(edges, trajectory.time, total))
         return np.where(gap, np.nan, amounts)
@@ -90,7 +90,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
 
 
 def _fill_gaps(reference: Values) -> Values:
-    """Fill the gaps of evapotranspiration (mm in a step)."""
+    """Fill the gaps of evapotranspiration (mm per step)."""
     day = round(86400 / _STEP_S)
     filled = reference.copy()
     for step in np.flatnonzero(np.isnan(reference)).tolist():

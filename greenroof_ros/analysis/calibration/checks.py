@@ -14,19 +14,19 @@ from greenroof_ros.formats.rules import check_steps
 from greenroof_ros.formats.step_record import HOUR_S, StepRecord
 from greenroof_ros.model.site import Site
 
-# The minimum for a fit: values of each column, and water (mm).
+# The minimum for a fit: number of values in every column, and water (mm).
 _MIN_VALUES, _MIN_WATER = 100, 20.0
 
 
 def check_record(record: StepRecord, site: Site) -> list[str]:
-    """Return what is implausible in a record, by :data:`greenroof_ros.formats.rules.RULES`.
+    """Return what is implausible in a record, using :data:`greenroof_ros.formats.rules.RULES`.
 
     Args:
         record: the measurements in the steps that count.
-        site: its roof and place.
+        site: site with the roof and its place.
 
     Raises:
-        ConfigurationError: a rule refuses it, or it is too little for a fit.
+        ConfigurationError: if a rule rejects it, or it is too short for a fit.
     """
     for column, values in {"rain": record.rain, **record.measured}.items():
         there = int(np.count_nonzero(~np.isnan(values)))
@@ -38,7 +38,7 @@ def check_record(record: StepRecord, site: Site) -> list[str]:
     water = float(record.water.sum())
     if water < _MIN_WATER:
         raise ConfigurationError(
-            f"is {water:.3g} mm in all, with pumped water; a fit needs at least {_MIN_WATER:g} mm: "
+            f"is {water:.3g} mm, with pumped water; a fit needs at least {_MIN_WATER:g} mm: "
             "is the unit of the column right?", file=record.source, key="rain",
         )
     return check_steps(record, site)
@@ -51,16 +51,16 @@ _VOLUME_OFF = 0.5
 def check_fit(scores: Sequence[FitScores], source: Path) -> list[str]:
     """Return warnings about a fit.
 
-    There is one if, in the validation, the NSE of days is below 0 (of hours or longer steps if
-    there are too few days), or the volume of runoff is wrong by more than half.
+    There is a warning if, in the validation, the NSE of days is below 0 (or of hours or longer
+    steps if there are too few days), or the volume of runoff is wrong by more than half.
 
     Args:
-        scores: of each series, in the fit and in the validation.
+        scores: scores of every series, in the fit and in the validation.
         source: the record.
 
     Raises:
-        ConfigurationError: every NSE is below 0, of hours (or of longer steps) and of days, in the
-            fit and in the validation, and of every series.
+        ConfigurationError: if every NSE is below 0, for hours (or longer steps) and for days, in
+            the fit and in the validation, and for every series.
     """
     nses = [
         (row, [nse for span_s, nse in row.nse.items() if span_s >= HOUR_S and not math.isnan(nse)])
@@ -72,8 +72,8 @@ def check_fit(scores: Sequence[FitScores], source: Path) -> list[str]:
             f"{row.quantity} in {row.part} {max(of_row):.2f}" for row, of_row in nses if of_row
         )
         raise ConfigurationError(
-            f"no roof fits this record: the best NSE of {best}, and the mean of what was measured "
-            f"has 0. {advice}", file=source,
+            f"no roof fits this record: the best NSE is {best}; the mean of the measurements "
+            f"alone has 0. {advice}", file=source,
         )
     why = [
         f"the NSE of {row.quantity} is {of_row[-1]:.2f}" for row, of_row in nses

@@ -1,4 +1,4 @@
-"""Records of a roof in this project's CSV, as a fit needs them."""
+"""Records of a roof in this project's CSV, in the form that a fit needs."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ from greenroof_ros.weather.evapotranspiration import (
 _WANTED = (PRECIPITATION, EVAPOTRANSPIRATION, TEMPERATURE, *ROOF)
 _EXTREMES = "minimum temperature", "maximum temperature"
 _MIN_ROWS = 100
-# Temperatures further apart (s) miss a day's extremes: three hours apart they show at least 0.92 of
-# a sine's range, six hours apart 0.71.
+# Temperatures further apart than this (s) miss a day's extremes: three hours apart they show at
+# least 0.92 of a sine's range, six hours apart 0.71.
 _MAX_STEP_S = 3 * HOUR_S
 
 
 def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRecord:
     """Read a measured record from CSV; see :func:`greenroof_ros.formats.own_csv.read_rows`.
 
-    A row describes the step that begins at its time; levels are at that time. Rows are at most a
-    day apart. Required are rain, ``level`` or ``runoff``, and evapotranspiration. It is ``reference
-    evapotranspiration``, with gaps of at most an hour, or computed by Hargreaves' equation from
-    ``temperature``, or from the day's ``minimum temperature`` and ``maximum temperature`` in any
-    row of that day. Pumped water is ``pumped``, or ``pump state`` (share of the maximum flow) with
-    ``cistern level``, or else 0.
+    A row describes the step that begins at its time; levels are at that time. Rows are no more than
+    a day apart. Rain, ``level`` or ``runoff``, and evapotranspiration are required. The last is
+    ``reference evapotranspiration``, with gaps of no more than an hour, or is computed with
+    Hargreaves' equation from ``temperature``, or from the day's ``minimum temperature`` and
+    ``maximum temperature`` in any row of that day. Pumped water is ``pumped``, or ``pump state``
+    (share of the maximum flow) with ``cistern level``, or else 0.
 
     Args:
         file: the record.
-        site: its place, clock and pumps.
-        months: that count, such as ``4-10``. In other months evapotranspiration may have longer
-            gaps, which are interpolated linearly.
+        site: site with place, clock and pumps.
+        months: months that count, such as ``4-10``. In other months, evapotranspiration may have
+            longer gaps, which are interpolated linearly.
 
     Raises:
-        ConfigurationError: the file breaks a rule; the message names line, column and value.
+        ConfigurationError: if the file breaks a rule; the message names line, column and value.
     """
     rows = read_rows(file, site, _WANTED)
     columns, measured = rows.columns, rows.method == "reference"
@@ -63,7 +63,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
          "both 'minimum temperature [degC]' and 'maximum temperature [degC]'"),
         ("pump state" not in columns or "cistern level" in columns,
          "with 'pump state' there must be a column 'cistern level [m]', on which the pumps' flow "
-         "depends; or 'pumped [l]' in its place"),
+         "depends; or use 'pumped [l]' instead"),
     ):
         if not there:
             raise rows.table.refuse(message)
@@ -73,7 +73,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
         raise rows.table.refuse(
             f"the time between rows changes from {name_time(rows.steps.durations[changed - 1])} to "
             f"{name_time(rows.steps.durations[changed])} after row {changed}; a record must have "
-            "one: make a file of each part"
+            "one interval throughout: make a separate file of each part"
         )
     if count < _MIN_ROWS:
         raise ConfigurationError(
@@ -82,7 +82,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     # A roof drains within hours, so longer sums show no more than the rain does.
     if step_s > DAY_S:
         raise rows.table.refuse(
-            f"the rows are {name_time(step_s)} apart; they must be at most a day apart"
+            f"the rows are {name_time(step_s)} apart; more than a day is not allowed"
         )
     step_h, steps = step_s / HOUR_S, int(rows.steps.steps[-1]) + 1
     series = {}
@@ -92,7 +92,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     for quantity, hours in (
         (PRECIPITATION, 1), ("runoff", 1), ("pumped", 1), (EVAPOTRANSPIRATION, 24),
     ):
-        if quantity in series:  # mm in a step
+        if quantity in series:  # mm per step
             series[quantity] = series[quantity] * step_h / hours
     late = round(rows.about.get(RAIN_LATE, 0.0) / step_h)
     rain = np.append(series[PRECIPITATION][late:], np.full(late, np.nan))
@@ -127,7 +127,7 @@ def _find_last_decimal(values: Values) -> float:
 
 
 def _compute_pumped(series: Mapping[str, Values], site: Site, step_s: float) -> Values:
-    """Return the water pumped onto the roof (mm in a step), NaN if unknown.
+    """Return the water pumped onto the roof (mm per step), NaN if unknown.
 
     While the pumps are stopped, the cistern's level does not matter.
     """
@@ -145,17 +145,17 @@ def _compute_pumped(series: Mapping[str, Values], site: Site, step_s: float) -> 
 def _bridge_short_gaps(record: StepRecord, values: Values, counts: Steps) -> Values:
     """Return reference evapotranspiration without gaps (mm), shape (steps,).
 
-    A roof dries even if its sensors fail. So a gap of at most an hour, or a step, is interpolated
-    linearly, and a longer gap is refused.
+    A roof dries even while its sensors fail. So a gap of no more than an hour, or a step, is
+    interpolated linearly, and a longer gap is rejected.
 
     Args:
-        record: its times, and the column's name.
-        values: of each step (mm), NaN if missing.
+        record: record with the times and the column's name.
+        values: values of every step (mm), NaN if missing.
         counts: whether a step is fitted or judged, shape (steps,). A gap without such steps may
             have any length.
 
     Raises:
-        ConfigurationError: another gap is longer, or evapotranspiration is 0 throughout.
+        ConfigurationError: if another gap is longer, or evapotranspiration is 0 throughout.
     """
     column = record.reference_column
     if not np.any(values > 0):
@@ -168,10 +168,10 @@ def _bridge_short_gaps(record: StepRecord, values: Values, counts: Steps) -> Val
         gap_s = (high - low) * record.step_s
         if gap_s > max(HOUR_S, record.step_s) and counts[low:high].any():
             raise ConfigurationError(
-                f"has no value from {record.time(low)} for {name_time(gap_s)}: at most an hour may "
+                f"has no value from {record.time(low)} for {name_time(gap_s)}: up to an hour may "
                 "be missing, since a roof also dries while sensors have gaps; write a day's value "
-                "into each of its rows, and add missing rows with the time and this value, their "
-                "other cells empty", file=record.source, key=column,
+                "into each of its rows, and add missing rows with the time and this value, and "
+                "all other cells empty", file=record.source, key=column,
             )
     steps = np.arange(len(values))
     return np.interp(steps, steps[~missing], values[~missing])
@@ -180,29 +180,29 @@ def _bridge_short_gaps(record: StepRecord, values: Values, counts: Steps) -> Val
 def _compute_from_temperatures(
     record: StepRecord, site: Site, series: Mapping[str, Values], counts: Steps
 ) -> Values:
-    """Return Hargreaves' reference evapotranspiration of each step (mm), shape (steps,).
+    """Return Hargreaves' reference evapotranspiration in every step (mm), shape (steps,).
 
-    Days are by the record's own clock. A day without temperatures, or with less than 0.75 of its
-    ``temperature``, is interpolated. For a day that counts, temperatures must exist within three
-    days.
+    Days follow the record's own clock. A day without temperatures, or with less than 0.75 of its
+    ``temperature`` values, is interpolated. For a day that counts, temperatures must exist within
+    three days.
 
     Args:
-        record: its times.
-        site: its place.
-        series: of each quantity, among them ``temperature``, or ``minimum temperature`` and
+        record: record with the times.
+        site: site with its place.
+        series: series of every quantity, including ``temperature``, or ``minimum temperature`` and
             ``maximum temperature`` in any row of the day (degC), NaN if a step has none, shape
             (steps,).
         counts: whether a step is fitted or judged, shape (steps,).
 
     Raises:
-        ConfigurationError: the site has no place; or temperatures are too far apart to show a day's
-            extremes, too far from a day that counts, or minimum above maximum.
+        ConfigurationError: if the site has no place; or temperatures are too far apart to show a
+            day's extremes, too far from a day that counts, or the minimum is above the maximum.
     """
     check_place(site, HARGREAVES, ("latitude", "longitude"))
     if TEMPERATURE in series and record.step_s > _MAX_STEP_S:
         raise ConfigurationError(
             f"its rows are {name_time(record.step_s)} apart, but show a day's extremes only if "
-            "they are at most three hours apart; write columns 'minimum temperature [degC]' and "
+            "they are up to three hours apart; write columns 'minimum temperature [degC]' and "
             "'maximum temperature [degC]' instead", file=record.source, key=TEMPERATURE,
         )
     dates, day = np.unique(record.times.astype("datetime64[D]"), return_inverse=True)
@@ -227,7 +227,7 @@ def _compute_from_temperatures(
     if far.any():
         raise ConfigurationError(
             f"has no temperature within 3 days of {counted[far][0]}, from which evapotranspiration "
-            "is computed; add a row for each day without them, with its temperatures and the other "
-            "cells empty, or leave its month out with --months", file=record.source,
+            "is computed; add a row for each day that lacks them, with its temperatures and all "
+            "other cells empty, or leave its month out with --months", file=record.source,
         )
     return temperatures.evapotranspiration(site, record.seconds, record.step_s, record.offset_s)

@@ -29,16 +29,17 @@ _STAGES = (
 # Duration of sums (s): shorter ones show the sensors' resolution, longer ones lose the peaks.
 _SUM_S = 3600
 # A simulation spreads a step's rain evenly, so it leaves the drainage layer later than real showers
-# do. If single steps were compared, the fit would compensate with more runoff in total: a third
-# more with steps of six hours. In sums over this many steps the delay does not matter. But a record
-# of days has too few sums longer than this (s).
+# do. If single steps were compared, the fit would compensate with more total runoff: a third more
+# with steps of six hours. In sums over this many steps, the delay does not matter. But in a record
+# of days, there are too few sums longer than this (s).
 _SUM_STEPS, _MAX_SUM_S = 8, 4 * 86400
-# The residuals of a week are a group: a storm's effect on a roof is gone after about a week.
+# The residuals of a week form a group: a storm's effect on a roof is gone after about a week.
 _WEEK_S = 7 * 86400
-# In standard deviations of the measurements: beyond it the loss grows in proportion to a residual,
-# no longer with its square.
+# In standard deviations of the measurements: beyond this the loss grows in proportion to a
+# residual, no longer with its square.
 _ROBUST_FROM = 10.0
-# A parameter is not identified if its diagonal of the pivoted QR, over the largest, is below this.
+# A parameter is not identified if its diagonal of the pivoted QR, relative to the largest, is below
+# this.
 _UNIDENTIFIED = 1e-3
 # The coarse grid: shares of the ranges at which the search can begin.
 _GRID = {
@@ -57,18 +58,18 @@ _CONFIDENCE = 0.95
 # A group with more than this share of the information about a parameter determines it alone.
 _ALONE = 0.99
 FILLED = "filled"
-# Share of the available water on the roof at first, if nothing is known about it.
+# Share of the available water that is on the roof at first, if nothing is known about it.
 _HALF_FILLED = 0.5
 _DRAINAGE = "drainage_time"
 
 
 @dataclass(frozen=True)
 class FitRange:
-    """The range of a parameter.
+    """The range of a parameter that is fitted.
 
     Attributes:
-        name: of a site's parameter, or ``filled``: the share of the available water that is on the
-            roof when the record begins.
+        name: name of a site's parameter, or ``filled``: the share of the available water that is on
+            the roof when the record begins.
         low: minimum value.
         high: maximum value.
         logarithmic: whether its scale is logarithmic.
@@ -80,7 +81,7 @@ class FitRange:
     logarithmic: bool = False
 
     def share(self, value: float) -> float:
-        """Return where a value lies between the ends, 0 to 1."""
+        """Return where a value lies between the ends, from 0 to 1."""
         if self.logarithmic:
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
@@ -97,7 +98,7 @@ def list_ranges(site: Site, record: StepRecord) -> list[FitRange]:
 
     The ranges of field capacity and wilting point do not overlap; the driest level, if measured,
     separates them. The drainage layer's storage is not fitted: while the layer is not full, its
-    outflow k V^2 depends only on storage times time constant. With steps longer than an hour its
+    outflow k V^2 depends only on storage times time constant. With steps longer than an hour, its
     time constant is not fitted either.
     """
     if record.level is None:
@@ -121,7 +122,7 @@ _TYPICAL_STORAGE = 0.02
 
 
 def complete_roof(site: Site) -> Site:
-    """Return a site with a measured soil, with typical values of parameters that it lacks."""
+    """Return a site with field-capacity soil, with typical values for parameters that it lacks."""
     if site.field_capacity is None:
         site = replace(
             site, field_capacity=0.35, wilting_point=0.02, depletion_fraction=0.5,
@@ -140,17 +141,17 @@ _DEPLETION = 0.5
 def lower_target(site: Site) -> Site:
     """Return the site with a target that its roof can hold; unchanged if it holds the present one.
 
-    Water above field capacity drains, so pumping to a target there would never end. A record
-    reports nothing about the target. It is set half-way between wilting point and field capacity,
-    and the site's owner is asked to choose another.
+    Water above field capacity drains, so pumping to a target there would never end. A record says
+    nothing about the target. It is set half-way between wilting point and field capacity, and the
+    site's owner is asked to choose another one.
 
     Args:
-        site: with a measured soil.
+        site: site with field-capacity soil.
     """
     if site.x2_star < site.z_cap:
         return site
     volume = site.wilting_volume + (1 - _DEPLETION) * site.available_volume
-    depth = float(f"{volume / site.a2:.6g}")  # with the digits of the site file
+    depth = float(f"{volume / site.a2:.6g}")  # with as many digits as the site file
     return replace(site, z_veg=depth, x2_star=site.a2 * depth)
 
 
@@ -184,26 +185,26 @@ def fit(
     site: Site, record: StepRecord, steps: Steps,
     update_progress: UpdateProgress = lambda text, share: None,
 ) -> Fit:
-    """Fit a measured soil to some steps of a record.
+    """Fit field-capacity soil to some steps of a record.
 
     Sums of runoff and means of the level are fitted to the measured ones by least squares within
-    bounds. Each is over an hour, or over eight steps (at most four days) if that is longer,
+    bounds. Each covers an hour, or eight steps (but no more than four days) if that is longer,
     because a simulated step spreads its rain evenly. Beyond ten standard deviations of the
-    measurements the loss grows only in proportion ("soft_l1"), so that a broken sensor does not
+    measurements, the loss grows only in proportion ("soft_l1"), so that a broken sensor does not
     dominate. The simulation is compared as the record's meter would show it. The search begins at
     the best point of a coarse grid.
 
-    Parameters that the record does not identify stay as the site has them: the drainage time if
-    steps are longer than an hour, and any parameter with a column of the Jacobian, over its range,
+    Parameters that the record does not identify keep the site's values: the drainage time if steps
+    are longer than an hour, and any parameter with a column of the Jacobian, scaled by its range,
     that is small or a sum of others (QR with column pivoting; Golub and Van Loan, Matrix
-    Computations, 5.5.7). Intervals are by :func:`compute_intervals`, with weeks as groups. They
-    are widened by how far a parameter follows the held ones anywhere in the ranges of those.
+    Computations, 5.5.7). Intervals come from :func:`compute_intervals`, with weeks as groups. They
+    are widened by how far a parameter follows the held ones anywhere within their ranges.
 
     Args:
         site: start of the search, and values of the parameters that are held.
         record: the measurements.
-        steps: that count; the roof is simulated through all.
-        update_progress: called after each simulation.
+        steps: steps that count; the roof is simulated through all steps.
+        update_progress: called after every simulation.
     """
     site = complete_roof(site)
     every = list_ranges(site, record)
@@ -231,8 +232,8 @@ def fit(
         """Return the derivatives of residuals by the shares of ranges, shape (n, ranges).
 
         The meter has no minimum reading here, because that turns a smooth simulation into steps. A
-        short difference across a few steps makes a parameter look identified, or equal columns
-        look different.
+        short difference across a few steps makes a parameter look identified, or makes equal
+        columns look different.
         """
         base = differences(at, 0.0)
         columns = []
@@ -242,7 +243,7 @@ def fit(
             columns.append((differences(moved, 0.0) - base) / (moved[place] - share))
         return np.column_stack(columns)
 
-    from scipy.optimize import least_squares  # half a second, and not needed for a refusal
+    from scipy.optimize import least_squares  # half a second; not needed for rejected records
 
     def solve() -> OptimizeResult:
         def moved(shares: Values) -> Values:
@@ -269,7 +270,7 @@ def fit(
     at = min([at, *map(np.array, grid)], key=lambda shares: _compute_cost(differences(shares)))
     stage = 2
     solve()
-    # Again at the solution: it may identify other parameters than the start of the search.
+    # Again at the solution: it may identify parameters other than those at the start of the search.
     stage = 3
     free, why = _identify(names, jacobian())
     at[~free] = as_it_was[~free]
@@ -280,7 +281,7 @@ def fit(
     robust = 1 + (solution.fun / _ROBUST_FROM) ** 2
     rows = jacobian() * robust[:, None] ** -0.75
     half = np.full(len(every), np.nan)
-    # How far the fitted parameters follow each held one to the end of its range that is further.
+    # How far the fitted parameters follow each held one to the more distant end of its range.
     follows = np.linalg.lstsq(rows[:, free], rows[:, ~free], rcond=None)[0]
     shift = np.linalg.norm(follows * np.maximum(at[~free], 1 - at[~free]), axis=1)
     own = compute_intervals(rows[:, free], solution.fun * robust**0.25, weeks)
@@ -303,7 +304,7 @@ def _compute_cost(residuals: Values) -> float:
 def _make_comparison(
     record: StepRecord, steps: Steps
 ) -> tuple[Callable[[Simulated], Values], NDArray[np.int64]]:
-    """Return a function for the residuals of a simulation, and the week of each residual.
+    """Return a function for the residuals of a simulation, and the week of every residual.
 
     Residuals are in standard deviations of the measurements.
     """
@@ -326,7 +327,7 @@ def _make_comparison(
 
 
 def _identify(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]:
-    """Return which parameters the data identify, and for the others why not."""
+    """Return which parameters the data identify, and why they do not identify the others."""
     from scipy.linalg import qr
 
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
@@ -351,10 +352,10 @@ def _judge(parameter: FitRange, share: float, half: float, why: str) -> FittedPa
     """Return a parameter with its interval, and the reason if something is wrong with it.
 
     Args:
-        parameter: its name and range.
+        parameter: name and range of the parameter.
         share: its value, as a share of the range.
-        half: half of its interval, likewise; NaN if the data do not determine it.
-        why: the reason if they do not.
+        half: half of its interval, as a share of the range; NaN if the data do not determine it.
+        why: reason why they do not determine it.
     """
     value = parameter.value(share)
     if math.isnan(half):
@@ -371,20 +372,20 @@ def _judge(parameter: FitRange, share: float, half: float, why: str) -> FittedPa
 def compute_intervals(
     jacobian: Values, residuals: Values, groups: NDArray[np.int64]
 ) -> Values:
-    """Return half of each parameter's 95 % interval, by :func:`compute_half_intervals`.
+    """Return half of every parameter's 95 % interval, using :func:`compute_half_intervals`.
 
-    The fit is treated as linear: without a group of residuals r_g and Jacobian J_g, the parameters
-    move by (J'J - J_g'J_g)^-1 J_g' r_g. If few groups have most of the information about a
-    parameter, its variance is less certain. The degrees of freedom are Kish's effective number of
-    groups less one, sum(w)^2 / sum(w^2) - 1, where w is the information that is lost without a
-    group; at least 1. With equal groups they are the number of groups less one. If one group alone
-    determines nearly everything about a parameter, nothing shows how it would vary, and its half is
-    infinite.
+    The fit is treated as linear: without a group with residuals r_g and Jacobian J_g, the
+    parameters move by (J'J - J_g'J_g)^-1 J_g' r_g. If few groups have most of the information about
+    a parameter, its variance is less certain. The degrees of freedom are Kish's effective number of
+    groups minus one, sum(w)^2 / sum(w^2) - 1, where w is the information that is lost without a
+    group; at least 1. With equal groups they are the number of groups minus one. If one group alone
+    determines nearly everything about a parameter, nothing shows how it would vary, and its half
+    interval is infinite.
 
     Args:
-        jacobian: at the fit, shape (n, parameters).
-        residuals: there, shape (n,).
-        groups: number of each residual's group, shape (n,). Residuals of one group may depend on
+        jacobian: Jacobian at the fit, shape (n, parameters).
+        residuals: residuals at the fit, shape (n,).
+        groups: number of every residual's group, shape (n,). Residuals in one group may depend on
             each other.
     """
     moved, kept = [], []
@@ -401,10 +402,10 @@ def compute_intervals(
 
 
 def _measure_information(jacobian: Values) -> Values:
-    """Return the information about each parameter: its column's squares, less what others explain.
+    """Return the information about every parameter: its column's squares minus what others explain.
 
     Args:
-        jacobian: shape (n, parameters).
+        jacobian: Jacobian, shape (n, parameters).
     """
     unexplained = []
     for place, column in enumerate(jacobian.T):
@@ -415,15 +416,16 @@ def _measure_information(jacobian: Values) -> Values:
 
 
 def compute_half_intervals(moved: Values, degrees: Values | int) -> Values:
-    """Return half of each 95 % interval, from how each value moves without one group.
+    """Return half of every 95 % interval, from how a value moves without one group.
 
     Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t.
 
     Args:
-        moved: shape (groups, values); a constant added to all groups does not matter.
-        degrees: of freedom of each value; with equal groups their number less one.
+        moved: values without each group, shape (groups, values); adding a constant to all groups
+            does not matter.
+        degrees: degrees of freedom of every value; with equal groups, their number minus one.
     """
-    from scipy.stats import t as student  # half of all import time, and not needed for a refusal
+    from scipy.stats import t as student  # half of the import time; not for rejected records
 
     variance = np.var(moved, axis=0) * (len(moved) - 1)
     return np.asarray(student.ppf((1 + _CONFIDENCE) / 2, degrees) * np.sqrt(variance))

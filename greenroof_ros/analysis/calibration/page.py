@@ -34,8 +34,8 @@ def render(
     Args:
         record: the measurements in the months that count.
         halves: the steps that were fitted, and the steps for validation.
-        fit: the result.
-        scores: of each quantity, in the fit and in the validation.
+        fit: the result of the fit.
+        scores: scores of every quantity, in the fit and in the validation.
         site_file: text of the site file that was written.
         spans: time span of each half, as text.
         warnings: objections to the record and the fit.
@@ -59,7 +59,7 @@ def _shown(value: float, form: str) -> str:
     return "-" if np.isnan(value) else format(value, form)
 
 
-# For each quantity: title of its figure, and how many mm make one of its unit.
+# For every quantity: the title of its figure, and how many mm make one of its unit.
 _QUANTITIES = {"runoff": ("Runoff", 1.0), "level": ("Level on the roof", 1000.0)}
 
 
@@ -78,7 +78,7 @@ def draw_quantity(
     adds_up = COMBINE[quantity] is sum_spans
     boundary = [{"t": row["t"]} for row in days if row["part"] == [*halves][1]][:1]
     caption = (
-        f"{'Sums' if adds_up else 'Means'} of days, and the residuals (simulated less measured). "
+        f"{'Sums' if adds_up else 'Means'} of days, and the residuals (simulated minus measured). "
         "The dashed line separates fit and validation; what was not measured is left out."
     )
     data = alt.Chart(alt.NamedData(f"{name}-days"))
@@ -90,7 +90,7 @@ def draw_quantity(
     for chart, heading, value, field, names, label, zero in (
         (data.transform_fold([MEASURED, SIMULATED], as_=["series", "v"]), "Measured and simulated",
          "v", "series", [MEASURED, SIMULATED], axis, adds_up),
-        (data, "Residuals", "error", "part", [*halves], f"simulated less measured, {axis}", True),
+        (data, "Residuals", "error", "part", [*halves], f"simulated minus measured, {axis}", True),
     ):
         lines = chart.mark_line(
             clip=True, strokeWidth=1.2, interpolate="step-after", point="transparent"
@@ -107,7 +107,7 @@ def draw_quantity(
 def _list_days(
     quantity: str, record: StepRecord, halves: Mapping[str, Steps], simulated: Values
 ) -> Rows:
-    """Return sums or means of days as rows, with the residual: simulated less measured."""
+    """Return sums or means of days as rows, with the residual: simulated minus measured."""
     rows: Rows = []
     for part, steps in halves.items():
         seconds = record.seconds[steps]

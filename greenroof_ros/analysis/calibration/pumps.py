@@ -1,4 +1,4 @@
-"""The pumps of a site, fitted to the mean fall of the cistern while they run."""
+"""The pumps of a site, fitted to the mean fall of the cistern's level while they run."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from greenroof_ros.formats.step_record import StepRecord, Steps, Values, prolong
 from greenroof_ros.model.plant import maximum_pump_flow
 from greenroof_ros.model.site import Site
 
-# For this long after rain the catchment still feeds the cistern (s). At this distance from the
-# levels of outlet, valve and suction a sensor's noise does not matter (m).
+# For this long after rain, the catchment still feeds the cistern (s). At this distance from the
+# levels of outlet, valve and suction, a sensor's noise does not matter (m).
 _WET_S = 3600
 _MARGIN_M = 0.05
-# How long the pumps stand before and after a run, at least: the pump state can be late or early,
+# How long the pumps are off before and after a run, at least: the pump state can be late or early,
 # a logger's by a step or two, a drive's by minutes.
 _STANDING_STEPS, _STANDING_S = 3, 900
 _MIN_RUNS = 10
 # Something else moved the level in a run whose flow is this many typical deviations off.
 _OFF = 5.0
-# No pump lifts this many times the flow of its curve, or less than that flow over this.
+# No pump lifts this many times the flow of its curve, or less than that flow divided by this.
 _BELIEVABLE = 10.0
 
 
 class PumpRun(NamedTuple):
-    """A run in which only the pumps change the cistern's level."""
+    """A run of the pumps in which nothing else changes the cistern's level."""
 
     seconds: float
-    """at full command (s), by the pump state"""
+    """time at full command (s), according to the pump state"""
     fall: float
-    """of the cistern's level (m)"""
+    """fall of the cistern's level (m)"""
     level: float
     """mean level (m)"""
 
@@ -44,13 +44,13 @@ class PumpFit(NamedTuple):
     """The pumps as fitted to the cistern's levels."""
 
     site: Site
-    """with the fitted curve; unchanged if the record does not identify it"""
+    """site with the fitted curve; unchanged if the record does not identify it"""
     parameters: Sequence[FittedParameter] = ()
     """``a_hat`` and ``c_hat``; empty if the record does not identify them"""
     runs: int = 0
     """number of runs that count"""
     flow: float = np.nan
-    """at full command (m3/s)"""
+    """flow at full command (m3/s)"""
     half: float = np.nan
     """half of its 95 % interval (m3/s)"""
     level: float = np.nan
@@ -64,7 +64,7 @@ def find_runs(record: StepRecord, site: Site, command: Values, cistern: Values) 
     the levels of suction and mains valve. Runs with short breaks count as one.
     """
     standing = max(_STANDING_STEPS, round(_STANDING_S / record.step_s))
-    count = standing // 3 + 1  # levels that are averaged, before and after
+    count = standing // 3 + 1  # number of levels averaged, before and after
     low = max(site.suction_level, site.mains_level or 0.0) + _MARGIN_M
     recent = prolong_steps(~(record.rain == 0), round(_WET_S / record.step_s) + 1)
     between = (cistern > low) & (cistern < site.min_outlet_level - _MARGIN_M)
@@ -82,23 +82,23 @@ def find_runs(record: StepRecord, site: Site, command: Values, cistern: Values) 
 
 
 def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
-    """Fit the pump curve to the mean fall of the cistern in undisturbed runs of the pumps.
+    """Fit the pump curve to the mean fall of the cistern's level in undisturbed pump runs.
 
-    The flow Q at command 1 is the fall of all runs, times the cistern's area, over their time at
-    full command. ``a_hat`` is held, and ``c_hat`` follows from Q at the mean level Z by Eqs.
+    The flow Q at command 1 is the fall in all runs times the cistern's area, divided by their time
+    at full command. ``a_hat`` is held, and ``c_hat`` follows from Q at the mean level Z with Eqs.
     (3b)-(3e): Z + c_hat - d = Q^2 (pipe_resistance - a_hat). A sensor's offset does not matter, nor
-    does a pump state that is a little late. The interval is by
+    does a pump state that is a little late. The interval comes from
     :func:`.fit.compute_half_intervals` with runs as groups. Runs whose flow is far from the median
     are left out, because something else moved the level.
 
     With fewer than ten runs no curve is fitted.
 
     Args:
-        site: its cistern, pipe and pump curve.
-        record: the measurements; without a command or a cistern level nothing is fitted.
+        site: site with cistern, pipe and pump curve.
+        record: the measurements; without a command or a cistern level, nothing is fitted.
 
     Raises:
-        ConfigurationError: the flow is far from what the site's pumps can lift.
+        ConfigurationError: if the flow is far from what the site's pumps can lift.
     """
     if record.command is None or record.cistern is None:
         return PumpFit(site)
@@ -114,9 +114,9 @@ def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
     curve = maximum_pump_flow(site, level * site.a1)
     if not curve / _BELIEVABLE < flow < curve * _BELIEVABLE:
         raise ConfigurationError(
-            f"falls while the pumps run as if they lifted {1000 * flow:.2g} l/s at full command, "
-            f"and by the site's curve they lift {1000 * curve:.2g} l/s: is the sensor stuck, a "
-            "unit wrong, a clock shifted, or the pump state from other pumps?",
+            f"falls while the pumps run as if they lifted {1000 * flow:.2g} l/s at full command; "
+            f"according to the site's curve, they lift {1000 * curve:.2g} l/s: is the sensor "
+            "stuck, a unit wrong, a clock shifted, or the pump state from other pumps?",
             file=record.source, key="cistern level",
         )
     without = site.a1 * (np.sum(falls) - falls) / (np.sum(seconds) - seconds)

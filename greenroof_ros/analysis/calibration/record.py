@@ -1,4 +1,4 @@
-"""A roof's record for a fit: sums of time spans, storms that count, months and two halves."""
+"""A roof's record for a fit: sums over time spans, storms that count, months and two halves."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _RAINED_MM = 1.0
 
 
 def sum_spans(values: Values | Steps, seconds: NDArray[np.int64], span_s: int) -> Values:
-    """Add up values by the clock span of ``span_s`` seconds that each begins in.
+    """Add up values by the clock span of ``span_s`` seconds in which each begins.
 
     Spans without values are left out.
     """
@@ -37,9 +37,9 @@ def sum_spans(values: Values | Steps, seconds: NDArray[np.int64], span_s: int) -
 
 
 def average_spans(values: Values, seconds: NDArray[np.int64], span_s: int) -> Values:
-    """Average values by the clock span that each begins in, as :func:`sum_spans` adds them up.
+    """Average values by the clock span in which each begins, as :func:`sum_spans` adds them up.
 
-    NaN do not count; the mean of a span with only NaN is NaN.
+    NaN values do not count; the mean of a span with only NaN is NaN.
     """
     count = sum_spans(~np.isnan(values), seconds, span_s)
     total = sum_spans(np.nan_to_num(values), seconds, span_s)
@@ -47,17 +47,17 @@ def average_spans(values: Values, seconds: NDArray[np.int64], span_s: int) -> Va
 
 
 COMBINE = {"runoff": sum_spans, "level": average_spans}
-"""How to combine the values of a span, by the names of :attr:`StepRecord.measured`.
+"""how to combine the values of a span, by the names of :attr:`StepRecord.measured`
 
 Amounts add up. Levels do not: their sum would depend on the length of gaps in the span.
 """
 
 
 def find_outages(record: StepRecord) -> list[slice]:
-    """Return the steps of each outage of a meter of water, until the roof has forgotten it.
+    """Return the steps of every outage of a water meter, until the roof has forgotten it.
 
     A storm may have come in them. Its water is gone after about a week, and not before 20 mm could
-    evaporate. Outages of at most an hour count only if it rained in the hours next to them.
+    evaporate. Outages of up to an hour count only if it rained in the hours next to them.
     """
     lost = find_gaps(np.isnan(record.rain) | np.isnan(record.pumped))
     evaporated = np.concatenate(([0.0], np.cumsum(record.reference)))
@@ -73,7 +73,7 @@ def find_outages(record: StepRecord) -> list[slice]:
 
 
 def select_comparable(record: StepRecord) -> Steps:
-    """Return the steps in which a simulation is compared: known steps outside of broken storms.
+    """Return the steps in which a simulation is compared: known steps outside broken storms.
 
     A storm is broken if rain, pumped water or runoff is missing in it. Unrecorded water affects the
     roof for the whole storm. And meters fail when runoff is largest; their values before and after
@@ -95,13 +95,13 @@ def select_comparable(record: StepRecord) -> Steps:
 def halve_steps(record: StepRecord, steps: Steps) -> dict[str, Steps]:
     """Split steps on the first dry day after half of all rain and pumped water.
 
-    Only water tells something about a roof: with halves of equal time, one could have all storms. A
-    storm in both halves would make the validation depend on data of the fit. Without a dry day all
-    steps are in the earlier half.
+    Only water tells something about a roof: with halves of equal time, one half could have all the
+    storms. A storm in both halves would make the validation depend on data used in the fit. Without
+    a dry day, all steps are in the earlier half.
 
     Args:
-        record: its rain and pumped water.
-        steps: that count.
+        record: record with rain and pumped water.
+        steps: steps that count.
 
     Returns:
         The steps of each half by its purpose: ``fit``, the earlier half, and ``validation``.
@@ -116,7 +116,7 @@ def read_months(span: str) -> tuple[int, int]:
     """Return the first and the last month (1 to 12) of a span such as ``4-10``.
 
     Raises:
-        ConfigurationError: it is not a span.
+        ConfigurationError: if it is not a span.
     """
     match = re.fullmatch(r"(\d{1,2})-(\d{1,2})", span)
     first, last = map(int, match.groups()) if match else (0, 0)
@@ -129,12 +129,12 @@ def read_months(span: str) -> tuple[int, int]:
 
 
 def select_months(record: StepRecord, span: str | None) -> Steps:
-    """Return which steps begin in a span of months, by the record's own clock; None means all.
+    """Return which steps begin in a span of months on the record's own clock; None means all.
 
-    A span is such as ``4-10``, or ``11-3`` over new year, ends included.
+    A span is written like ``4-10``, or ``11-3`` over new year; both ends are included.
 
     Raises:
-        ConfigurationError: no step does, or the text is not a span.
+        ConfigurationError: if no step does, or the text is not a span.
     """
     if span is None:
         return np.full(record.steps, True)

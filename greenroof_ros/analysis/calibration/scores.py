@@ -14,7 +14,7 @@ from greenroof_ros.formats.step_record import DAY_S, HOUR_S, Values
 class FitScores(NamedTuple):
     """The scores of one series in one half of a record.
 
-    Efficiencies are of sums of runoff, or means of levels, over a time (s), and listed by that
+    Efficiencies are for sums of runoff, or means of levels, over a time (s), and are listed by that
     time. 1 is perfect; an NSE of 0 is no better than the mean of the measurements.
     """
 
@@ -27,11 +27,11 @@ class FitScores(NamedTuple):
     kge: dict[int, float]
     """Gupta et al. 2009, doi:10.1016/j.jhydrol.2009.08.003, Eq. 9"""
     volume_error: float
-    """simulated less measured total, as a share of the measured total"""
+    """simulated minus measured total, as a share of the measured total"""
 
 
 def efficiency(simulated: Values, measured: Values) -> float:
-    """Return NSE: 1 less the squared errors over the squared deviations from the measured mean.
+    """Return NSE: 1 minus the squared errors over the squared deviations from the measured mean.
 
     NaN if the measurements do not vary, because then they cannot judge a simulation.
     """
@@ -42,7 +42,7 @@ def efficiency(simulated: Values, measured: Values) -> float:
 
 
 def kling_gupta(simulated: Values, measured: Values) -> float:
-    """Return KGE: 1 less the distance of correlation, spread ratio and mean ratio from (1, 1, 1).
+    """Return KGE: 1 minus the distance of correlation, spread ratio and mean ratio from (1, 1, 1).
 
     NaN if either series does not vary, because then there is no correlation.
     """
@@ -62,10 +62,10 @@ def score(
 
     Args:
         quantity: ``runoff`` or ``level``.
-        part: of the record.
-        simulated: shape (n,).
-        measured: the same steps, without NaN.
-        seconds: start of each step on a clock, since 1970-01-01.
+        part: part of the record.
+        simulated: simulated values, shape (n,).
+        measured: measured values in the same steps, without NaN.
+        seconds: start of every step on a clock (s since 1970-01-01 on that clock).
         step_s: duration of a step (s).
     """
     step = round(step_s)

@@ -1,4 +1,4 @@
-"""Simulation of a measured soil under a record's weather and pumping, as its meters show it."""
+"""Simulation of field-capacity soil with a record's weather and pumping, as its meters show it."""
 
 from __future__ import annotations
 
@@ -11,26 +11,27 @@ from greenroof_ros.formats.step_record import StepRecord, Values
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.soil import MeasuredSoil
 
-# Less water in the drainage layer does not count: outflow falls with its square (m3 per m2).
+# Less water than this in the drainage layer does not count: outflow falls with its square (m3 per
+# m2).
 _EMPTY = 1e-9
-# Longest parts of steps (s): with water, the drainage layer's inflow hardly changes within one; in
-# dry weather, the soil's water stress hardly changes.
+# Longest parts of steps (s): with water, within which the drainage layer's inflow hardly changes;
+# and in dry weather, within which the soil's water stress hardly changes.
 _WET_S, _DRY_S = 600.0, 3600.0
 # Other programs may round readings to five digits: the largest error, as a share.
 _DIGITS = 5e-5
 
 
 class Simulated(NamedTuple):
-    """The measurements that the simulated roof would give."""
+    """The measurements that the simulated roof would produce."""
 
     runoff: Values
-    """runoff in each step (mm), shape (steps,)"""
+    """runoff in every step (mm), shape (steps,)"""
     level: Values
-    """water level in the substrate at the beginning of each step (m), shape (steps,)"""
+    """water level in the substrate at the beginning of every step (m), shape (steps,)"""
 
 
 def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0) -> Simulated:
-    """Simulate a measured soil through a record's steps.
+    """Simulate field-capacity soil through a record's steps.
 
     The result matches :class:`greenroof_ros.model.plant.Plant` with short ticks, because
     percolation is solved for a whole step. Runoff is solved for a constant inflow; so steps longer
@@ -39,12 +40,12 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
     in which water moves, which are few in a dry week.
 
     Args:
-        site: with a ``field_capacity``.
-        record: rain, pumped water and reference evapotranspiration.
-        filled: share of the available water on the roof at first, 0 to 1.
-        minimum: runoff of a step (mm) below which a meter shows 0.
+        site: site with a ``field_capacity``.
+        record: record of rain, pumped water and reference evapotranspiration.
+        filled: share of the available water that is on the roof at first, 0 to 1.
+        minimum: runoff in a step (mm) below which a meter shows 0.
     """
-    volume_flow = site.a2 / 1000 / record.step_s  # m3/s of a mm in a step
+    volume_flow = site.a2 / 1000 / record.step_s  # m3/s for one mm per step
     water = record.water
     wet, dry = (math.ceil(record.step_s / longest) for longest in (_WET_S, _DRY_S))
     parts = np.where(water > 0, wet, dry)
@@ -78,10 +79,10 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
 
 
 def find_min_reading(record: StepRecord) -> float:
-    """Return the runoff of a step (mm) below which a record's meter shows 0.
+    """Return the runoff in a step (mm) below which a record's meter shows 0.
 
-    It is the minimum reading above 0. A tipping bucket misses nothing, because less than a tip adds
-    to the next. For it, and without a meter, the result is 0.
+    It is the minimum reading above 0. A tipping bucket misses nothing, because less than a tip is
+    carried over to the next. For this kind of meter, and without a meter, the result is 0.
     """
     if record.runoff is None:
         return 0.0

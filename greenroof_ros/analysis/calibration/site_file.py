@@ -1,4 +1,4 @@
-"""The site file of a fitted roof: the file that the fit began with, with fitted values."""
+"""The site file of a fitted roof: the file with which the fit began, with fitted values."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ CROP_NOTE = (
     "applies only if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a "
     "weather file has it"
 )
-"""Where a crop coefficient has an effect."""
+"""where a crop coefficient has an effect"""
 INTERVAL_NOTE = (
     "The intervals include the effect of parameters that the record cannot distinguish, anywhere "
-    "in their ranges. All other parameters have the site file's values."
+    "within their ranges. All other parameters have the site file's values."
 )
-"""What the intervals of fitted parameters cover."""
+"""what the intervals of fitted parameters cover"""
 
 _ROOF = (
     "field_capacity", "wilting_point", "depletion_fraction", "drainage_storage", "drainage_time",
@@ -31,10 +31,10 @@ Entries = dict[str, tuple[float, str]]
 
 
 def list_fit_entries(fit: Fit, target: float) -> Entries:
-    """Return the entries of a fit: each with its interval, or why the record does not identify it.
+    """Return the entries of a fit, each with its interval or why the record does not identify it.
 
     Args:
-        fit: the result, with the pumps' parameters if the record has data on them.
+        fit: result of the fit, with the pumps' parameters if the record has data on them.
         target: target depth on the roof (m) in the original site file.
     """
     entries: Entries = {name: (getattr(fit.site, name), "unchanged, not fitted") for name in _ROOF}
@@ -57,18 +57,18 @@ def format_fitted_site(file: Path, entries: Entries, heading: Sequence[str]) -> 
 
     Args:
         file: the site file with which the fit began.
-        entries: of the fit.
+        entries: entries of the fit.
         heading: lines for the top.
 
     Raises:
-        ConfigurationError: the result is not a valid site, because a value is out of its range.
+        ConfigurationError: if the result is not a valid site, because a value is out of its range.
     """
     fitted = {name: float(f"{value:.6g}") for name, (value, _) in entries.items()}
     try:
         site = read_site(file, fitted)
     except ConfigurationError as error:
         raise ConfigurationError(
-            f"the fitted values do not make a valid site; nothing is written: {error.wrong}",
+            f"the fitted values do not form a valid site; nothing is written: {error.wrong}",
             file=file,
         ) from error
     text = format_site(site, {name: reason for name, (_, reason) in entries.items()})

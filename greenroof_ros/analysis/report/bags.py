@@ -1,6 +1,7 @@
 """Run directories and bags as runs of a report.
 
-A run directory has a bag; of a simulation in one process it has the trajectory, or results alone.
+A run directory contains a bag; for a simulation in one process, it contains the trajectory, or only
+the results.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from greenroof_ros.recording.events_table import event_rows
 from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.recording.trajectory import CSV, TRAJECTORY, Trajectory
 
-# Columns without which results alone make no run of a report.
+# Columns without which results alone do not make a run of a report.
 _NEEDED = {"start", "hours", "cistern_m3", "total_deviation_m3"}
 
 
@@ -47,11 +48,11 @@ def _bag_in(path: Path) -> Path:
 def _closed_and_repair(bag: Path, run: Path) -> tuple[Path | None, str]:
     """Return the closed bag to read, if any, and what repairs it, for a message.
 
-    What ``recover`` made counts until something is recorded after it, or if no other is closed. A
-    single file is a bag.
+    The bag that ``recover`` made is used until something is recorded after it, or if no other is
+    closed. A single file counts as a bag.
     """
     new = name_recovered_bag(bag)
-    repair = f"greenroof recover {run} makes a whole one of what is left"
+    repair = f"greenroof recover {run} makes a whole one from what is left"
     closed = bag if bag.is_file() or (bag / METADATA).is_file() else None
     if not (new / METADATA).is_file():
         return closed, repair
@@ -64,15 +65,16 @@ def _closed_and_repair(bag: Path, run: Path) -> tuple[Path | None, str]:
 def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
     """Read a run directory, a bag or an .mcap file.
 
-    Results of a finished run are its summary's; all others are computed from the trajectory.
+    The results of a finished run are taken from its summary; all others are computed from the
+    trajectory.
 
     Args:
-        path: its path.
+        path: path of the run directory, bag or file.
         site: the site, or its file; by default the one next to the bag, or else the paper's.
 
     Raises:
-        ConfigurationError: the bag is damaged or foreign, or there is neither bag nor result; of a
-            run that was not done it begins with how that ended.
+        ConfigurationError: if the bag is damaged or foreign, or there is neither bag nor result; if
+            the run was not finished, the message begins with how it ended.
     """
     about = read_about(run_directory(path))
     try:
@@ -104,7 +106,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
             if repair:
                 notes.append(f"more was recorded since: {repair}")
         if zone is None:
-            notes.append("times are in UTC: no configuration gives the offset")
+            notes.append("times are in UTC: no configuration states the offset")
         trajectory, further, unknown = load_bag(
             closed, site, zone or timezone.utc, own=about.own, external_pump=about.external_pump,
             repair=repair,
@@ -120,7 +122,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
         raise ConfigurationError("no bag", file=path)
     elif not row.keys() >= _NEEDED:
         raise ConfigurationError(
-            "must be a study (with results.csv), a run (with bag/, or a simulation that is done), "
+            "must be a study (with results.csv), a run (with bag/, or a finished simulation), "
             "a bag (with metadata.yaml) or an .mcap file", file=path,
         )
     if trajectory is not None:
@@ -155,7 +157,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
 
 
 def _zone(row: Row, site: Site | None) -> tzinfo | None:
-    """Return the time zone of a run: of its start, or the site's."""
+    """Return the time zone of a run: that of its start, or the site's."""
     if "start" in row:
         return datetime.fromisoformat(row["start"]).tzinfo
     if site is not None and (site.time_zone, site.utc_offset) != (None, None):
@@ -168,10 +170,10 @@ def _moment(seconds: float, zone: tzinfo | None) -> str:
 
 
 def complete_row(known: Row, site: Site, trajectory: Trajectory, samples: Samples) -> Row:
-    """Return a run's row: the results that are known, and the others from its trajectory.
+    """Return a run's row: the known results, and the others computed from its trajectory.
 
-    Sums are Euler's: a value holds from its sample to the next, over the difference of their times.
-    The flows of the last sample count in no sum, because the run ends in its state.
+    Sums are Euler sums: a value holds from its sample to the next, over the difference of their
+    times. The flows of the last sample are in no sum, because the run ends in that state.
     """
     frost = trajectory.frost[:-1] > 0
     pumped = trajectory.pump_flow[:-1] * np.diff(trajectory.time)
@@ -189,12 +191,12 @@ def make_samples(
 ) -> Samples:
     """Return a whole run as samples. Whether a tank's flows were limited is unknown.
 
-    The drainage layer of a measured soil is computed from percolation; it begins with the site's
-    ``initial_layer``.
+    The drainage layer of field-capacity soil is computed from percolation; it begins with the
+    site's ``initial_layer``.
 
     Args:
-        site: its parameters.
-        trajectory: of the run.
+        site: parameters of the site.
+        trajectory: trajectory of the run.
         unknown: attributes of the trajectory that are 0 because nobody recorded them.
     """
     dt = np.append(np.diff(trajectory.time), site.tau)

@@ -1,4 +1,4 @@
-"""The parts of every figure: panels, colours that everybody can distinguish, and its files."""
+"""The parts of every figure: panels, colours that everybody can distinguish, and files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from greenroof_ros.common.files import add_path_to_errors
 
 # Okabe and Ito's colours without yellow, which is too pale on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#56B4E9")
-# For readers who cannot see colours. The numbers of dashes and colours have no common factor.
+# For readers who cannot see colours. The numbers of dashes and of colours have no common factor.
 _DASHES = ([1, 0], [8, 3], [2, 2], [10, 3, 2, 3], [5, 2, 1, 2, 1, 2])
 _SHAPES = ("circle", "square", "triangle-up", "diamond", "cross")
 _PANEL_WIDTH = 400
@@ -31,7 +31,7 @@ CONFIG: dict[str, Any] = {
     "axis": {
         "labelFontSize": 11, "titleFontSize": 12, "titleFontWeight": "normal",
         "labelColor": "#222222", "titleColor": "#222222", "gridColor": "#e6e6e6",
-        # Numbers closer than this (px) read as one; the last is moved inwards.
+        # Numbers closer than this (px) read as one; the last one is moved inwards.
         "labelSeparation": 6,
     },
     "legend": {
@@ -51,10 +51,10 @@ class Panel(NamedTuple):
     """One view of a figure."""
 
     chart: Chart
-    """without size and title"""
+    """the chart, without size and title"""
     title: str
     height: int = 190
-    """of its plotting area (px)"""
+    """height of its plotting area (px)"""
 
     def sized(self, width: int | str = _PANEL_WIDTH) -> Chart:
         """Return the chart with its title and size; its width is in px, or ``container``."""
@@ -65,7 +65,7 @@ class Panel(NamedTuple):
 class _Picture:
     """A chart that a notebook shows as a picture, without scripts from the internet.
 
-    That is unless another of Altair's renderers was enabled.
+    This does not apply if another of Altair's renderers was enabled.
     """
 
     def _repr_mimebundle_(self, *given: Any, **further: Any) -> Any:
@@ -78,7 +78,7 @@ class _Picture:
 
 
 class PictureColumn(_Picture, alt.VConcatChart):
-    """Charts below each other."""
+    """Charts below one another."""
 
 
 class PictureGrid(_Picture, alt.ConcatChart):
@@ -90,11 +90,11 @@ class Figure:
     """A figure: its panels and their data.
 
     Attributes:
-        name: of its files.
+        name: name of its files.
         title: what it shows.
-        caption: a few words that name the marks; may be empty.
+        caption: a few words that name the marks; it may be empty.
         panels: in reading order.
-        columns: how many panels go side by side.
+        columns: number of panels side by side.
         data: the rows that the panels refer to by name.
     """
 
@@ -121,7 +121,8 @@ class Figure:
     def save(self, directory: Path) -> None:
         """Write the figure as SVG and as PNG."""
         specification = self._concatenate().to_dict()
-        # Added here, as altair would check every row. The PNG is made from the SVG, laid out once.
+        # Added here, as altair would check every row. The PNG is made from the SVG, which is laid
+        # out once.
         specification.setdefault("datasets", {}).update(self.data)
         vectors = vl_convert.vegalite_to_svg(specification, VEGA_LITE)
         file = directory / f"{self.name}.svg"
@@ -135,7 +136,7 @@ class Figure:
 def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
     """Distinguish the series of a field by colour and by dashes; see :func:`cycle_choices`.
 
-    Without series there is no legend: vega gives an empty one a size that is not a number.
+    Without series there is no legend: vega gives an empty legend a size that is not a number.
     """
     legend = alt.Legend(symbolSize=600, symbolType="stroke") if values else None
     return {
@@ -177,13 +178,13 @@ def make_tooltips(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tool
 
 
 def cycle_choices(choices: Sequence[Any], values: Sequence[str]) -> alt.Scale:
-    """Return a scale that gives each value a choice; choices repeat if there are more values."""
+    """Return a scale that maps values to choices; choices repeat if there are more values."""
     chosen = dict(zip(values, itertools.cycle(choices)))
     return alt.Scale(domain=list(chosen), range=list(chosen.values()))
 
 
 def value_scale(values: Iterable[float | None]) -> alt.Scale:
-    """Return the scale of a quantity: around its values, logarithmic if they differ much."""
+    """Return the scale that covers a quantity's values, logarithmic if they vary widely."""
     known = [value for value in values if value is not None]
     if known and 0 < 5 * min(known) < max(known):
         return alt.Scale(type="log", nice=False, padding=8)
@@ -199,15 +200,15 @@ def series_panel(
     lines: alt.Chart, field: str, names: list[str], title: str,
     below: Sequence[alt.Chart],
 ) -> Panel:
-    """Return a panel of lines; on the page a click on its legend shows one line alone.
+    """Return a panel of lines; on the page, a click on its legend shows one line alone.
 
     Shift and the wheel zoom along x; the wheel alone still scrolls the page.
 
     Args:
         lines: chart with axes and tooltips.
-        field: that distinguishes the lines.
-        names: of the lines, the values of ``field``.
-        title: of the panel.
+        field: field that distinguishes the lines.
+        names: names of the lines, the values of ``field``.
+        title: title of the panel.
         below: charts to draw underneath the lines.
     """
     number = next(_NUMBERS)

@@ -1,4 +1,4 @@
-"""The figures of results by case, and which figures a report has."""
+"""The figures of results by case, and the choice of a report's figures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from greenroof_ros.analysis.report.trajectories import (
 )
 from greenroof_ros.recording.events_table import EventRow
 
-# More lines than this in one panel: each controller has its own figures.
+# With more lines than this in one panel, every controller has its own figures.
 _MAX_LINES = len(COLOURS)
 
 # The names of all figures begin with one of these; numbers and a controller can follow.
@@ -37,7 +37,7 @@ _KINDS = ("deviation", "discharge", "events", "water", "flows")
 
 
 def is_figure(name: str) -> bool:
-    """Whether a file has the name of a figure in a report."""
+    """Return whether a file has the name of a figure in a report."""
     return re.fullmatch(rf"({'|'.join(_KINDS)})(-[\w.]+)*\.(svg|png)", name) is not None
 
 
@@ -45,7 +45,7 @@ def make_figures(report: Report) -> Iterator[Figure]:
     """Yield the figures, in the order in which they appear.
 
     Raises:
-        ConfigurationError: the trajectory of a run cannot be read.
+        ConfigurationError: if the trajectory of a run cannot be read.
     """
     windows = {f"{number}": cases for number, cases in enumerate(report.windows(), start=1)}
     if len(report.cases) > 1:
@@ -77,7 +77,7 @@ def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
 
 
 def _of_events(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
-    """Yield the figures of a place's events of rain, if there are any."""
+    """Yield the figures of a place's rain events, if there are any."""
     window, initial = place[0].place
     title = f"from {initial}: {window}"
     events: dict[str, dict[str, list[EventRow]]] = {}
@@ -106,7 +106,7 @@ def _of_discharge(cases: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
 
 
 def draw_discharge(cases: Sequence[CaseRuns], name: str) -> Figure:
-    """Return the discharge in wet weather over the mains water, a panel for each initial state."""
+    """Return the discharge in wet weather over the mains water, with a panel per initial state."""
     panels, data = list[Panel](), dict[str, Rows]()
     for initial in dict.fromkeys(case.place[1] for case in cases):
         here = [case for case in cases if case.place[1] == initial]
@@ -135,27 +135,27 @@ def draw_discharge(cases: Sequence[CaseRuns], name: str) -> Figure:
         panels.append(Panel(chart, f"from {initial}", 260))
     return Figure(
         name, f"What keeps storm water out of the sewer: {cases[0].place[0]}",
-        "Minimum possible: for the irrigation of on/off control, with all weather known",
+        "Minimum possible: for on/off control's irrigation, with all weather known in advance",
         tuple(panels), min(len(panels), 2), data,
     )
 
 
-# --- events of rain -------------------------------------------------------------------------------
+# --- rain events ----------------------------------------------------------------------------------
 
 _REDUCTIONS = {
     "volume_reduction": "volume kept from the sewer", "peak_reduction": "peak kept from the sewer",
 }
-# A valve can let more out of the store than a small event brings: the axis ends here.
+# A valve can release more from the cistern than a small event brings: the axis ends here.
 _MIN_REDUCTION = -1.0
 
 
 def draw_events(events: Mapping[str, Sequence[EventRow]], name: str, title: str) -> Figure:
-    """Return the reduction of volume and peak of each event over its depth.
+    """Return the reduction of volume and peak in every event over its depth.
 
     Args:
-        events: of each case, by its label.
-        name: of the figure.
-        title: what its title ends with.
+        events: events of every case, by its label.
+        name: name of the figure.
+        title: end of its title.
     """
     rows = [
         {
@@ -184,9 +184,10 @@ def draw_events(events: Mapping[str, Sequence[EventRow]], name: str, title: str)
         for key, text in _REDUCTIONS.items()
     ]
     return Figure(
-        name, f"Events of rain{title}",
-        "Each point is an event; of the runoff of the same area without roof and cistern, in wet "
-        "weather. Events that the run cuts are left out; values below -100 % are drawn there",
+        name, f"Rain events{title}",
+        "Each point is an event, compared with the runoff of the same area without roof and "
+        "cistern, in wet weather. Events cut off by the run are left out; values below -100 % are "
+        "drawn at -100 %",
         tuple(panels), 2, {name: rows},
     )
 
@@ -202,7 +203,7 @@ _DEVIATION = "total |x2 - x2*| (m³)"
 
 
 def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
-    """Return the total deviation of a window's cases, a panel for each initial state."""
+    """Return the total deviation of a window's cases, with a panel for every initial state."""
     panels, data = list[Panel](), dict[str, Rows]()
     for initial in dict.fromkeys(case.place[1] for case in cases):
         here = [case for case in cases if case.place[1] == initial]
@@ -214,7 +215,7 @@ def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
         panels.append(Panel(chart, f"from {initial}", height))
     return Figure(
         f"deviation-{name}", f"Total deviation: {cases[0].place[0]}",
-        "Lines: from the smallest to the largest of a case's runs. Dashed: the minimum possible",
+        "Lines extend from the smallest to the largest of a case's runs. Dashed: minimum possible",
         tuple(panels), min(len(panels), 3), data,
     )
 
@@ -230,12 +231,12 @@ def _make_row(case: CaseRuns) -> dict[str, Any]:
 
 
 def _draw_rows(dataset: str, rows: Rows, reference: float | None) -> Chart:
-    """Return a chart with a row for each case: its value, and a line from low to high.
+    """Return a chart with a row for every case: its value, and a line from low to high.
 
     Args:
         dataset: name of the rows.
-        rows: of :func:`_make_row`.
-        reference: value of a dashed line, if any.
+        rows: rows from :func:`_make_row`.
+        reference: value of a dashed line, if there is one.
     """
     controllers = list(dict.fromkeys(row["controller"] for row in rows))
     cases = list(dict.fromkeys(row["case"] for row in rows))

@@ -1,4 +1,4 @@
-"""The cases of a report: runs that differ only in their seeds and, of a season, in the year."""
+"""The cases of a report: runs that differ only in their seeds and, for a season, in the year."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FLOWS = {
     },
     "roof": {"rain_roof_m3": 1, "pumped_m3": 1, "evapotranspiration_m3": -1, "drainage_m3": -1},
 }
-"""the flows of each tank's water balance, each with its sign"""
+"""the flows in the water balance of either tank, each with its sign"""
 
 
 @dataclass
@@ -35,10 +35,10 @@ class CaseRuns:
     """Runs of one window, initial state and setting.
 
     Attributes:
-        runs: in the order of their source.
-        row: the first run's row, with the mean of each result over the seeds of each year, and then
-            over the years; None if no run has it.
-        deviations: of each seed and, if it is a season, of each week.
+        runs: runs in the order of their source.
+        row: the first run's row, with the mean of each result over the seeds of every year, and
+            then over the years; None if no run has it.
+        deviations: deviations of every seed and, for a season, of every week.
         relative: the season compared with plain on/off, if that ran in the same years.
     """
 
@@ -49,23 +49,24 @@ class CaseRuns:
 
     @property
     def label(self) -> str:
-        """Name of the case, unique in its place."""
+        """Name of the case, unique within its place."""
         return str(self.row["case"])
 
     @property
     def place(self) -> tuple[str, str]:
-        """Window and initial state: within a place cases are compared."""
+        """Window and initial state: cases are compared within a place."""
         return str(self.row["window"]), str(self.row["initial"])
 
 
 class Report:
-    """All results, and their grouping into cases.
+    """All results, grouped into cases.
 
     Attributes:
-        cases: in the order of the runs, window by window and in each by initial state.
+        cases: cases in the order of the runs, window by window, and within a window by initial
+            state.
         runs: all runs with results.
         failed: runs without results.
-        configuration: name and text of each further file that affects the results.
+        configuration: name and text of every other file that affects the results.
     """
 
     def __init__(self, sources: Sources) -> None:
@@ -81,11 +82,11 @@ class Report:
             _compare(place)
 
     def windows(self) -> list[list[CaseRuns]]:
-        """Return the cases of each window."""
+        """Return the cases of every window."""
         return _grouped(self.cases, lambda case: case.place[0])
 
     def places(self) -> list[list[CaseRuns]]:
-        """Return the cases of each window and initial state."""
+        """Return the cases of every window and initial state."""
         return _grouped(self.cases, lambda case: case.place)
 
 
@@ -114,9 +115,10 @@ def _case(runs: list[ReportedRun]) -> CaseRuns:
 
 
 def _means(years: Sequence[Sequence[Row]]) -> Row:
-    """Return the mean of each result over the runs of each year, then over the years.
+    """Return the mean of every result over the runs of a year, then over the years.
 
-    The ratio to the minimum possible deviation is of the means, and known if all minima are.
+    The ratio to the minimum possible deviation is the ratio of the means; it is known if all minima
+    are.
     """
     means: Row = {}
     for name in _AVERAGED:
@@ -139,8 +141,8 @@ _AVERAGED = (
 def _derived(run: ReportedRun) -> Row:
     """Return what is derived from the results: changes of storage, and mass balance errors.
 
-    The mass balance error, the change of storage that the flows do not explain, is rounding in a
-    simulation. On a site it is all that was not measured.
+    The mass balance error, which is the change of storage that the flows do not explain, is
+    rounding in a simulation. On a real site it is everything that was not measured.
     """
     row, site = {**run.row, "mains_m3": run.row.get("mains_m3") or 0.0}, run.site
     row["drainage_kept_m3"], derived = 0.0, Row()
@@ -169,9 +171,10 @@ def _sum(row: Row, terms: Mapping[str, float]) -> float | None:
 def _compare(place: Sequence[CaseRuns]) -> None:
     """Compare the cases of a place with the on/off controller that fills to the target.
 
-    That is the paper's, with the valve of the low outlet closed if there is one and it ran so. Of
-    several with different shares of the flow it is the one in the most years with the smallest mean
-    deviation. The deviation is compared if they are seasons, volumes if both ran in the same years.
+    This is the paper's controller, with the valve of the low outlet closed if there is a valve and
+    such a run. If there are several with different shares of the flow, it is the one in the most
+    years with the smallest mean deviation. Deviations are compared for seasons; volumes are
+    compared if both ran in the same years.
     """
     (level,) = (known.default for known in OnOff.parameters if known.name == "level")
     plain = [

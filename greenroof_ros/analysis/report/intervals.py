@@ -5,8 +5,8 @@ depend on the same weather. So a year has one value, the mean over its seeds, an
 resampled. Seeds are not resampled within years: that would count their variance twice, because the
 mean over them already contains it.
 
-Each interval is for one comparison alone. If a table has many, some exclude 1 by chance: with no
-difference anywhere, one in twenty does.
+Every interval is for one comparison alone. If a table has many, some exclude 1 by chance: even if
+there are no differences at all, one in twenty does.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _RESAMPLES = 2000
-"""of the bootstrap: enough to know the ends of intervals to some hundredths of their width"""
+"""number of bootstrap resamples, which determine the ends of intervals to some hundredths of their
+width"""
 
 _SEED = 1
 
@@ -39,20 +40,20 @@ class Deviations:
     """Deviations of a controller in one season of several years, or in any other window.
 
     Attributes:
-        totals: total deviation of each seed (m3), shape (seeds,), by year; the year of a run that
-            is of no season is 0.
-        weeks: deviation of each whole week of each seed (m3), shape (seeds, weeks), by year; empty
-            if it is no season.
+        totals: total deviation of every seed (m3), shape (seeds,), by year; the year is 0 for a run
+            that does not belong to a season.
+        weeks: deviation in every whole week of every seed (m3), shape (seeds, weeks), by year;
+            empty if it is not a season.
     """
 
     totals: dict[int, Array]
     weeks: dict[int, Array] = field(default_factory=dict)
 
     def worst_tenth(self) -> float:
-        """Mean of the worst tenth of weeks, where seeds share a year's weight, or of runs (m3).
+        """Mean of the worst tenth of weeks (a year's seeds share its weight), or of runs (m3).
 
         The value at the edge of the tenth counts in part. A tenth is at least one whole value: with
-        fewer than ten values it is the largest.
+        fewer than ten values, it is the largest one.
         """
         years = self.weeks or {year: runs[None, :] for year, runs in self.totals.items()}
         values = np.concatenate([seeds.ravel() for seeds in years.values()])
@@ -68,7 +69,7 @@ class SeasonComparison(NamedTuple):
     """A controller compared with another in the same years."""
 
     difference: float
-    """in the mean total deviation of a season (m3), negative if the controller has less"""
+    """difference of a season's mean total deviation (m3), negative if the controller has less"""
     mean: Ratio
     """ratio of the mean total deviations of a season"""
     better: int
@@ -98,7 +99,7 @@ def compare(own: Deviations, other: Deviations) -> SeasonComparison | None:
 def _draws(years: int) -> Array:
     """Return how often each year is in each resample: as many years, drawn with replacement.
 
-    The seed is fixed, so a report is the same each time it is made.
+    The seed is fixed, so a report is the same every time it is made.
     """
     drawn = np.random.default_rng(_SEED).integers(years, size=(years, _RESAMPLES))
     counts: Array = (drawn[:, :, None] == np.arange(years)).sum(axis=0).astype(np.float64)
@@ -108,23 +109,23 @@ def _draws(years: int) -> Array:
 def _ratio(ratios: Array, years: int) -> Ratio:
     """Return an estimate with its 95 % interval: the percentiles of its resamples, widened.
 
-    With few years the percentiles are too near to the estimate: the years' spread is measured about
-    their own mean, and treated as known. With eleven years, nine of a hundred intervals missed a
-    normal mean. The distance of the percentiles from the estimate is multiplied by the ratio of
-    Student's interval of a mean to the percentile interval,
+    With few years, the percentiles are too close to the estimate: the years' spread is measured
+    about their own mean, and treated as known. With eleven years, nine of a hundred intervals
+    missed a normal mean. So the distance of the percentiles from the estimate is multiplied by the
+    ratio of Student's interval of a mean to the percentile interval,
 
         t(0.975, n - 1) / z(0.975) sqrt(n / (n - 1))
 
     This is the correction of the expanded percentile interval: Hesterberg (2015), What Teachers
     Should Know About the Bootstrap, The American Statistician 69(4), 371-386. He uses percentiles
     further out instead, which do not exist for four years. A ratio cannot be negative: a lower end
-    below 0 is 0.
+    below 0 becomes 0.
 
     Args:
-        ratios: of the original years, then of each resample.
+        ratios: ratio of the original years, followed by those of the resamples.
         years: n, the number of years.
     """
-    from scipy.special import ndtri, stdtrit  # a fifth of all import time; few reports need it
+    from scipy.special import ndtri, stdtrit  # a fifth of the import time; few reports need it
 
     value = ratios[0]
     low, high = np.percentile(ratios[1:], [2.5, 97.5])

@@ -20,12 +20,12 @@ from greenroof_ros.model.site import Site, site_parameters
 def make_page(package: str, figures: Sequence[Figure], **values: object) -> str:
     """Return a package's ``page.html``, which can extend this package's templates.
 
-    It is an error if a value that a template uses is missing.
+    A missing value that a template uses is an error.
 
     Args:
-        package: its name.
-        figures: in the order in which they appear.
-        values: further values for the template.
+        package: name of the package.
+        figures: figures in the order in which they appear.
+        values: other values for the template.
     """
     places = [jinja2.PackageLoader(name, ".") for name in (package, __package__)]
     environment = jinja2.Environment(
@@ -43,7 +43,7 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
 
     Args:
         report: the results.
-        figures: in the order in which they appear.
+        figures: figures in the order in which they appear.
     """
     alarms = [
         {**({"run": run.name} if len(report.runs) > 1 else {}), **alarm}
@@ -63,7 +63,7 @@ def render(report: Report, figures: Sequence[Figure]) -> str:
 
 
 def _parameters(site: Site) -> Table:
-    """Return the parameters that a site has as a table."""
+    """Return the parameters of a site as a table."""
     return [
         {"symbol": known.name, "value": str(value), "unit": known.unit, "meaning": known.meaning}
         for known in site_parameters() if (value := getattr(site, known.name)) is not None
@@ -100,5 +100,5 @@ def payload(figures: Sequence[Figure]) -> Markup:
 
 
 def _columns(rows: Rows) -> dict[str, list[Any]]:
-    """Return rows as columns, to write each name only once."""
+    """Return rows as columns, so that every name is written only once."""
     return {name: [row[name] for row in rows] for name in (rows[0] if rows else {})}

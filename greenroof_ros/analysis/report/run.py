@@ -1,4 +1,4 @@
-"""A run in a report: its row of results, its trajectory, and what its summary contains."""
+"""A run in a report: its row of results, its trajectory, and the contents of its summary."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class ReportedRun:
     """A run with results.
 
     Attributes:
-        site: where it took place.
-        row: its results: the columns of a study's ``results.csv``. In ``case`` is its label; of an
+        site: site of the run.
+        row: its results: the columns of a study's ``results.csv``. ``case`` is its label; for an
             unfinished run, ``ended`` says how it ended.
         notes: what a reader should know about it.
-        alarms: recorded ones, each a row for a table.
-        kept: its trajectory, or the file with it; None if none was kept.
-        kept_events: its events of rain, or the file with them.
+        alarms: recorded alarms, each a row for a table.
+        kept: its trajectory, or the file that contains it; None if none was kept.
+        kept_events: its rain events, or the file that contains them.
     """
 
     site: Site
@@ -49,22 +49,22 @@ class ReportedRun:
 
     @property
     def name(self) -> str:
-        """Name of the run, unique in the report."""
+        """Name of the run, unique within the report."""
         return str(self.row["run"])
 
     def trajectory(self) -> Trajectory | None:
-        """Return its trajectory, if any.
+        """Return its trajectory, if there is one.
 
         Raises:
-            ConfigurationError: the file is damaged.
+            ConfigurationError: if the file is damaged.
         """
         return load_trajectory(self.kept) if isinstance(self.kept, Path) else self.kept
 
     def events(self) -> Sequence[EventRow]:
-        """Return its events of rain.
+        """Return its rain events.
 
         Raises:
-            ConfigurationError: the file is damaged.
+            ConfigurationError: if the file is damaged.
         """
         events = self.kept_events
         return read_events(events) if isinstance(events, Path) else events
@@ -78,7 +78,7 @@ def load_trajectory(path: Path) -> Trajectory:
     return trajectory
 
 
-# How an unfinished run ended, by the status in its summary.
+# How an unfinished run ended, according to the status in its summary.
 _NOT_DONE = {
     summary.FAILED: "failed", summary.INTERRUPTED: "was interrupted",
     summary.RUNNING: "has not ended, or bringup was killed",
@@ -90,12 +90,12 @@ class About:
     """A run as its summary describes it; the defaults stand for a bag without a summary.
 
     Attributes:
-        row: what was asked for and, of a finished run, its results.
+        row: what was requested and, for a finished run, its results.
         own: whether it is a simulation by this package.
-        external_pump: whether a pump driver reported its pump flow.
+        external_pump: whether a pump driver reported the pump flow.
         ending: how an unfinished run ended, as a sentence without subject and full stop.
         notes: what a reader should know about it.
-        events: of rain; None if it has no results.
+        events: its rain events; None if it has no results.
     """
 
     row: Row = field(default_factory=lambda: {
@@ -117,14 +117,14 @@ def read_about(run: Path) -> About:
     try:
         return _understood(json.loads(read_text(file)), run)
     except Exception:  # a foreign file can be wrong in any way
-        return About(notes=(f"{file.name} next to the bag is damaged or foreign, and not used",))
+        return About(notes=(f"{file.name} next to the bag is damaged or foreign, and is not used",))
 
 
 def _understood(content: Mapping[str, Any], run: Path) -> About:
     """Return the run that a summary describes.
 
     Raises:
-        Exception: of any kind, if the content is no summary.
+        Exception: of any kind, if the content is not a summary.
     """
     controller, live = content["controller"], "drive_at" in content
     if not isinstance(controller, str):
@@ -133,7 +133,7 @@ def _understood(content: Mapping[str, Any], run: Path) -> About:
     errors = content.get("sensor_and_pump") or {}
     forecast = {"file": content.get("forecast")} if live else content.get("forecast") or {}
     results = summary_columns(content)
-    if status != summary.DONE:  # they are of whole runs
+    if status != summary.DONE:  # they are for whole runs
         results = {
             name: value for name, value in results.items()
             if name not in {metric.name for metric in METRICS}
@@ -176,7 +176,7 @@ def _external_pump(run: Path) -> bool:
 
 
 def _changes(content: Mapping[str, Any]) -> list[str]:
-    """Return a note for each change of a parameter that the summary lists."""
+    """Return a note for every change of a parameter that the summary lists."""
     changes = content.get("parameter_changes") or []
     left_out = int(content.get("parameter_change_count") or len(changes)) - len(changes)
     return [

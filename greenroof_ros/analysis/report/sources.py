@@ -1,4 +1,4 @@
-"""Where a report's runs come from: studies by their ``results.csv``, run directories, and bags."""
+"""Where a report's runs come from: studies with a ``results.csv``, run directories, and bags."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ _NUMBERS = (
 
 
 def _read_number(cell: str, low: float = -sys.float_info.max) -> float:
-    """Return a number that is finite and not below another."""
+    """Return a number that is finite and not below a limit."""
     if not low <= (number := float(cell)) < math.inf:
         raise ValueError
     return number
 
 
-# How a column of a study's table is read; the others are text.
+# How a column of a study's table is read; the other columns are text.
 _READ: dict[str, Callable[[str], object]] = {
     **dict.fromkeys(_NUMBERS, lambda cell: _read_number(cell) if cell else None),
     **dict.fromkeys(
@@ -58,12 +58,12 @@ _READ: dict[str, Callable[[str], object]] = {
 
 @dataclass
 class Sources:
-    """The runs and files that a report is made from.
+    """The runs and files from which a report is made.
 
     Attributes:
-        runs: those with results.
-        failed: the others, each a row for a table.
-        configuration: name and text of each further file that affects the results.
+        runs: runs with results.
+        failed: runs without results, each a row for a table.
+        configuration: name and text of every other file that affects the results.
     """
 
     runs: list[ReportedRun] = field(default_factory=list)
@@ -80,11 +80,11 @@ def find_runs(
     Args:
         paths: study directories, run directories and bags.
         site_file: the site of all bags, instead of the site file next to each.
-        show: shows the progress: a text, and the share of the paths that are read.
+        show: shows the progress: a text, and the share of the paths that have been read.
 
     Raises:
-        ConfigurationError: a path is none of these, its content is wrong, two have one name, or no
-            run has results.
+        ConfigurationError: if a path is none of these, its content is wrong, two have the same
+            name, or no run has results.
     """
     named: dict[str, Path] = {}
     for path in paths:
@@ -96,8 +96,8 @@ def find_runs(
         name = run_directory(path).resolve().name
         if name in named:
             raise ConfigurationError(
-                f"{named[name]} and {path} have one name, {name}: give each path once, or rename "
-                "one of the directories"
+                f"{named[name]} and {path} have the same name, {name}: name each path once, or "
+                "rename one of the directories"
             )
         named[name] = path
     sources, single = Sources(), dict[Path, ReportedRun]()
@@ -107,7 +107,7 @@ def find_runs(
         if (path / "results.csv").is_file():
             if site_file is not None:
                 raise ConfigurationError(
-                    f"is for bags; {path} is a study and has its own sites", key="--site"
+                    f"is for bags; {path} is a study, which has its own sites", key="--site"
                 )
             _read_study(path, f"{name}/" if len(paths) > 1 else "", sources)
             continue
@@ -124,16 +124,16 @@ def find_runs(
     if not sources.runs:
         first = sources.failed[0]
         raise ConfigurationError(
-            f"holds no finished run; {len(sources.failed)} failed or did not run, the first: "
+            f"contains no finished run; {len(sources.failed)} failed or did not run, the first: "
             f"{first['run']} {first['error']}"
         )
     return sources
 
 
 def _name_by_difference(runs: Mapping[Path, ReportedRun]) -> None:
-    """Name the cases of runs that are no study's by the parameters that differ.
+    """Name the cases of runs that do not belong to a study by the parameters that differ.
 
-    A window has one name, unless the files of two runs with this name differ.
+    Windows with the same name share it, unless the files of two such runs differ.
     """
     windows = dict[str, tuple[object, ...]]()
     apart = find_differing_keys([row_parameters(run.row) for run in runs.values()])
@@ -177,16 +177,16 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
                 "window": row["window"], "error": row["error"] or row["status"],
             })
     for further in sorted(configuration.glob("*")):
-        # Sites have their own table. Weather files are long, and are named with each run.
+        # Sites have their own table. Weather files are long, and are named with every run.
         if further.suffix in (".json", ".yaml") and further.name not in sites:
             sources.configuration[prefix + further.name] = read_text(further)
 
 
 def _read_results(file: Path) -> list[Row]:
-    """Return the rows of a study's table; an empty cell of a number is None.
+    """Return the rows of a study's table; an empty cell of a number becomes None.
 
     Raises:
-        ConfigurationError: it is not a study's table, or was cut short or has a wrong value.
+        ConfigurationError: if it is not a study's table, was cut short, or has a wrong value.
     """
     text = read_text(file)
     table = csv.DictReader(io.StringIO(text), restkey="", restval=None)
@@ -233,6 +233,6 @@ def _find_damage(row: Row, earlier: Container[str]) -> Iterable[tuple[str, str]]
     if row["status"] == "done":
         empty = [column for column in row if row[column] in ("", None)]
         for column in (_NEEDED - {"error", "season"}).intersection(empty):
-            yield column, "must be given, because the run is done"
+            yield column, "must not be empty, because the run is done"
         if row["season"] and len(row.get("weekly_deviation_m3", ())) < row["hours"] // 168:
             yield "season", "must be empty, or weekly_deviation_m3 must have all weeks"

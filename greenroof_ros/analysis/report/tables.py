@@ -1,4 +1,4 @@
-"""The tables of the report's page: each a list of rows, which are texts by their headers."""
+"""The tables of the report's page: each is a list of rows, which are texts by their headers."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _RESULTS = {
     "roof_change_m3": _Result("change on the roof (m³)"),
     "roof_residual_m3": _Result("unexplained on the roof (m³)", ".1e"),
 }
-# The results in each table; a page has room for a dozen columns.
+# The results in every table; a page has room for a dozen columns.
 _TABLES = {
     "Results": (
         TOTAL, "ratio", "mean_deviation_mm", "near_target_hours", "pumped_m3", "outflow_m3",
@@ -97,7 +97,7 @@ def make_tables(report: Report) -> dict[str, Table]:
     ]
     if relative:
         tables["Deviation relative to on/off"] = relative
-    if len(report.cases) == 1:  # a row for each quantity
+    if len(report.cases) == 1:  # one row for each quantity
         tables = {
             title: [{"": name, "value": text} for name, text in row.items()]
             for title, (row,) in tables.items()
@@ -167,17 +167,17 @@ _NOTED = {
     "can follow it",
     "excess_starts": "pump starts beyond starts_per_hour of the site",
     "frost_pumped_m3": "m³ of water pumped during frost",
-    "roof_noise": "m of noise of the roof's level sensor: the level is what it reads",
-    "roof_offset": "m of offset of the roof's level sensor: the level is what it reads",
+    "roof_noise": "m of noise of the roof's level sensor: the level is the sensor's reading",
+    "roof_offset": "m of offset of the roof's level sensor: the level is the sensor's reading",
 }
 
 
 def make_notes(report: Report) -> dict[str, list[str]]:
-    """Return what a reader should know: for each note the runs that it is about."""
+    """Return what a reader should know: for every note, the runs that it is about."""
     notes: dict[str, list[str]] = {}
     for run in report.runs:
         ended = run.row.get("ended")
-        texts = [f"{ended}: all results are of the recorded part only"] if ended else []
+        texts = [f"{ended}: all results are for the recorded part only"] if ended else []
         for text in [*texts, *run.notes]:
             notes.setdefault(text, []).append(run.name)
         for column, text in _NOTED.items():
@@ -193,5 +193,5 @@ def make_notes(report: Report) -> dict[str, list[str]]:
     return notes
 
 
-# A two-sided sign test of five years that all agree has 6 %, of six years 3 %.
+# A two-sided sign test of five years that all agree gives 6 %, of six years 3 %.
 _FEW_YEARS = 6

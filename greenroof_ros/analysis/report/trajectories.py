@@ -28,15 +28,15 @@ from greenroof_ros.model.site import Site
 from greenroof_ros.recording.trajectory import Trajectory
 
 MAX_POINTS = 500
-"""of a drawn line, about"""
+"""approximate number of points in a drawn line"""
 
-# The pointer finds the tooltips of points that it cannot see.
+# The pointer finds the tooltips of points that are too small to see.
 _MARK: dict[str, Any] = {"clip": True, "strokeWidth": 1.6, "point": "transparent"}
 # Runs longer than this (h) have no times of day on their axis.
 _MAX_HOURS = 96.0
 # The chart of simulations: width and height of a panel, and of the rain's (px).
 _WIDTH, _HEIGHT, _RAIN_HEIGHT = 640, 130, 70
-# The names of reference levels closer than this share of the axis would cover each other.
+# The names of reference levels closer than this share of the axis would overlap.
 _CLOSE = 0.1
 # Room for the numbers of its axes, so that the titles are in line.
 _EXTENT = 44
@@ -51,7 +51,7 @@ class Drawn(NamedTuple):
     hours: float
     """length (h)"""
     curves: dict[str, list[tuple[float, float]]]
-    """time (s) and value of about :data:`MAX_POINTS` samples, by attribute of the trajectory"""
+    """times (s) and values of about :data:`MAX_POINTS` samples, by attribute of the trajectory"""
 
 
 def select_curves(site: Site, trajectory: Trajectory) -> Drawn:
@@ -62,7 +62,8 @@ def select_curves(site: Site, trajectory: Trajectory) -> Drawn:
     for name in (*_QUANTITIES, "precipitation"):
         values = computed[name] if name in computed else getattr(trajectory, name)
         if name not in ("cistern", "roof"):
-            # The run ends at the last sample: its flows never held, so draw the values before it.
+            # The run ends at the last sample: its flows never held, so the values before it are
+            # drawn.
             values = np.append(values[:-1], values[-2:-1])
         index = select_samples(values)
         times = trajectory.time[index].tolist()
@@ -72,10 +73,10 @@ def select_curves(site: Site, trajectory: Trajectory) -> Drawn:
 
 
 def select_samples(values: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the samples to draw: the first, the last, and the smallest and largest of each bucket.
+    """Return the samples to draw: the first, the last, and the minimum and maximum of every bucket.
 
     Args:
-        values: shape (n,); all are kept if there are no more than :data:`MAX_POINTS`.
+        values: values, shape (n,); all are kept if there are no more than :data:`MAX_POINTS`.
     """
     count = len(values)
     if count <= MAX_POINTS:
@@ -94,11 +95,11 @@ class _Quantity(NamedTuple):
     title: str
     axis: str
     factor: Callable[[Site], float] = lambda site: 1000.0
-    """from the unit of the curves to that of the axis"""
+    """factor from the unit of the curves to that of the axis"""
     min_power: int | None = None
     """the axis is linear below this power of ten, and logarithmic above it"""
     references: Callable[[Site], dict[str, float | None]] = lambda site: {}
-    """levels to draw, in the axis' unit, by their names; None for what a site does not have"""
+    """levels to draw, in the axis' unit, by name; None for what a site does not have"""
 
 
 _QUANTITIES = {
@@ -133,10 +134,10 @@ def _lines(
     """Return a quantity's lines, the reference levels below them, and the points of the lines.
 
     Args:
-        quantity: to draw.
-        runs: by the names of their lines; the axis of time is of the first one's zone.
-        x: axis of time.
-        data: name of the points; without it the chart contains them.
+        quantity: quantity to draw.
+        runs: runs by the names of their lines; the time axis is in the first one's zone.
+        x: time axis.
+        data: name of the points' data set; without it the chart contains them.
     """
     known, (first, *others) = _QUANTITIES[quantity], runs.values()
     rows: Rows = [
@@ -156,21 +157,22 @@ def _lines(
 def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatChart:
     """Return the chart of simulations: rain, roof level, cistern and pump, with a line for each.
 
-    If any water reaches the sewer, it has a panel, too.
+    If any water reaches the sewer, there is a panel for it, too.
 
     Args:
-        simulations: sites and trajectories, by the names of the lines. The rain is the longest's.
+        simulations: sites and trajectories, by the names of the lines. The rain is that of the
+            longest.
 
     Raises:
-        ConfigurationError: they begin at different times.
+        ConfigurationError: if they begin at different times.
     """
     runs = {name: select_curves(*simulation) for name, simulation in simulations.items()}
     first, start = next((name, run.start) for name, run in runs.items())
     for name, run in runs.items():
         if run.start != start:
             raise ConfigurationError(
-                f"begins at {to_minutes(run.start)}, but {first} at {to_minutes(start)}: one "
-                "chart is of one time", key=name,
+                f"begins at {to_minutes(run.start)}, but {first} at {to_minutes(start)}: all runs "
+                "in a chart must begin at the same time", key=name,
             )
     longest = max(runs.values(), key=lambda run: run.hours)
     x = _time(start, longest.hours)
@@ -202,7 +204,7 @@ def figures_over_time(
     """Return the figures of water, and of commands and flows (paper: Figs. 4 and 6-9).
 
     Args:
-        runs: of one window, by the names of their lines.
+        runs: runs of one window, by the names of their lines.
         name: end of the figures' names.
         title: end of their titles.
     """
@@ -239,10 +241,10 @@ def _points(run: Drawn, start: datetime, quantity: str, factor: float) -> Rows:
     """Return the points of a curve, in the local time of ``start``.
 
     Args:
-        run: with the curve.
-        start: of the axis; the run can begin at another time.
-        quantity: of the curve.
-        factor: from its unit to the axis'.
+        run: run with the curve.
+        start: start of the axis; the run can begin at another time.
+        quantity: quantity of the curve.
+        factor: factor from its unit to the axis'.
     """
     origin = _origin(run.start.astimezone(start.tzinfo))
     return [
@@ -252,7 +254,7 @@ def _points(run: Drawn, start: datetime, quantity: str, factor: float) -> Rows:
 
 
 def _time(start: datetime, hours: float) -> alt.X:
-    """Return an axis with dates; at six of its ticks their texts must differ."""
+    """Return an axis with dates; at six of its ticks, the texts must differ."""
     day = "utcFormat(datum.value, '%-d %b')"
     midnight = "utchours(datum.value) + utcminutes(datum.value) + utcseconds(datum.value) == 0"
     clock = f"utcFormat(datum.value, '{'%H:%M:%S' if hours < 0.2 else '%H:%M'}')"
@@ -274,12 +276,12 @@ def _axis(
 ) -> tuple[alt.Y, list[alt.Chart]]:
     """Return a quantity's axis, the same in all panels, and its reference levels with their names.
 
-    A reference far from the values is left out: it would make all lines flat.
+    A reference level far from the values is left out: it would make all lines flat.
 
     Args:
-        quantity: of the curves.
-        site: with the reference levels; None for none.
-        values: all that are drawn, in the axis' unit; there may be none.
+        quantity: quantity of the curves.
+        site: site with the reference levels; None for none.
+        values: all drawn values, in the axis' unit; there may be none.
     """
     low, high = min(values, default=0.0), max(values, default=0.0)
     span = max(high - low, 1e-3 * high) or 1.0
@@ -288,12 +290,12 @@ def _axis(
         if value is not None and low - span / 2 <= value <= high + span / 2
     }
     low, high = min([low, *references.values()]), max([high, *references.values()])
-    margin = 0.1 * max(high - low, span)  # for the names above the lines
+    margin = 0.1 * max(high - low, span)  # room for the names above the lines
     scale: dict[str, Any] = {"nice": False, "domain": [max(0.0, low - margin), high + margin]}
     axis = alt.Axis()
     if quantity.min_power is not None:
         powers = range(quantity.min_power, 10)
-        # From 0, or no power of ten may be in it; on it this leaves room for the names.
+        # From 0, otherwise it may contain no power of ten; this leaves room for the names.
         scale |= {
             "type": "symlog", "constant": 10.0**quantity.min_power,
             "domain": [0.0, max(2.5 * high, 2 * 10.0**quantity.min_power)],
@@ -301,7 +303,7 @@ def _axis(
         axis = alt.Axis(values=[0.0, *(10.0**power for power in powers)], format=".12~g")
     scaled = alt.Scale(**scale)
     layers = []
-    names: list[tuple[float, str]] = []  # those of close levels are at the highest of them
+    names: list[tuple[float, str]] = []  # levels that are close share one label
     for text, value in sorted(references.items(), key=lambda item: item[1], reverse=True):
         if names and names[-1][0] - value < _CLOSE * (high - low):
             names[-1] = names[-1][0], f"{names[-1][1]}, {text}"
@@ -320,7 +322,7 @@ def _axis(
 
 
 def _rained(run: Drawn, x: alt.X) -> alt.Chart:
-    """Return the area of rain of a run, from above as in hydrology."""
+    """Return the area of a run's rain, hanging from above as in hydrology."""
     rows = _points(run, run.start, "precipitation", 3.6e6)
     top = 1.05 * max((row["v"] for row in rows if row["v"] is not None), default=0.0) or 1.0
     chart: alt.Chart = alt.Chart(alt.InlineData(rows)).mark_area(

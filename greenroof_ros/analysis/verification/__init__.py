@@ -1,1 +1,1 @@
-"""Forecasts compared with records: how good they are at each lead time."""
+"""Forecasts compared with records: how good they are at different lead times."""

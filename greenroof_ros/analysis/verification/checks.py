@@ -1,4 +1,4 @@
-"""What is most likely wrong with an archive: leads that lack water, or rain of another place."""
+"""What is most likely wrong with an archive: leads that lack water, or rain for another place."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from statistics import median
 from greenroof_ros.analysis.verification.pairs import Class
 from greenroof_ros.analysis.verification.scores import ForecastScores, Tally
 
-# Minimum record (h). In three months a few storms can make such differences, in a year they do not.
+# Minimum record (h). In three months, a few storms can make such differences; in a year they do
+# not.
 _MIN_HOURS = 8760
-# Minimum ratio to the median of the other leads; its inverse is the largest. In any 365 days of
-# Open-Meteo's previous runs of GEM, GFS and KNMI (2024-02 to 2026-02) a day had 0.60 to 1.37 times
-# the others' water. GFS's fifth day, half missing there, had 0.36 to 0.52.
+# Minimum ratio to the median of the other leads; its inverse is the maximum. In any 365 days of
+# Open-Meteo's previous runs of GEM, GFS and KNMI (2024-02 to 2026-02), a day had 0.60 to 1.37 times
+# the others' water. GFS's fifth day, half of which is missing there, had 0.36 to 0.52.
 _MIN_SHARE = 0.55
 # The lowest r of the services five days ahead is 0.32 (sums over 12 h; the package's table of
-# skill). With this many unrelated pairs r reaches the limit in hardly one case in a thousand.
+# skill). With this many unrelated pairs, r reaches the limit in hardly one case in a thousand.
 _MIN_R, _MIN_PAIRS = 0.1, 1000
 
 
@@ -24,7 +25,7 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     """Return what is most likely wrong with forecasts, each in a sentence.
 
     Args:
-        tallies: the tally of each class.
+        tallies: tally of every class.
         previous_runs: whether these are previous runs, whose leads can lack water.
     """
     scores = {key: tally.scores() for key, tally in tallies.items()}
@@ -33,7 +34,7 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
         "error in the archive; --horizon leaves late leads out"
         for lead, ratio in (_find_odd_leads(scores) if previous_runs else {}).items()
     ]
-    # Classes of few pairs tell nothing, nor do classes whose forecast or rain never varies.
+    # Classes with few pairs tell nothing, nor do classes whose forecast or rain never varies.
     known = [
         score.r for score in scores.values()
         if score.n >= _MIN_PAIRS and not math.isnan(score.r)
@@ -55,7 +56,7 @@ def _find_odd_leads(scores: Mapping[Class, ForecastScores]) -> dict[str, float]:
     less than a year of hours are left out; if fewer than three leads remain, none is odd.
 
     Args:
-        scores: of previous runs, where each pair of a lead covers different hours.
+        scores: scores of previous runs, where every pair of a lead covers different hours.
     """
     water: dict[str, float] = {}
     for key, of_class in scores.items():

@@ -1,4 +1,4 @@
-"""Pairs of sums of rain, forecast (by an archive) and recorded, by lead."""
+"""Pairs of rain sums, forecast (in an archive) and recorded, by lead."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 # How many forecasts are added in one batch.
 _AT_ONCE = 200
-# Decimals to which sums are rounded (mm). In binary numbers tenths of a millimetre do not add up to
-# whole millimetres, which are the thresholds of events.
+# Decimals to which sums are rounded (mm). In binary numbers, tenths of a millimetre do not add up
+# to whole millimetres, which are the thresholds of events.
 _DIGITS = 6
 
 
@@ -32,14 +32,14 @@ class IssuedForecasts:
     """Forecasts of an archive.
 
     Attributes:
-        name: what they are, in words.
-        members: number of members of each.
-        hours: length of the longest.
+        name: name of the forecasts, in words.
+        members: number of members of each forecast.
+        hours: length of the longest forecast (h).
         finest_lead: finest resolution of the lead (h); more than 1 for previous runs.
         span: the period that they cover, in words.
-        issues: in order of time, each the hour of the records in which it begins (negative if
-            before them) and its rain (mm/h), shape (members, hours), NaN if missing.
-        notes: what could not be used as it is.
+        issues: in order of time, for every issue the hour of the records in which it begins
+            (negative if before them) and its rain (mm/h), shape (members, hours), NaN if missing.
+        notes: what could not be used as it was.
     """
 
     name: str
@@ -56,18 +56,18 @@ def read_issued_forecasts(
 ) -> IssuedForecasts:
     """Return the forecasts of an archive, for comparison with records.
 
-    They are compared with rain by the time it fell, even if the records count it
-    later (``rain_late``). Those that end before the records begin or begin after they end are left
+    They are compared with rain at the time when it fell, even if the records count it later
+    (``rain_late``). Forecasts that end before the records begin, or begin after they end, are left
     out.
 
     Args:
         file: the archive, a file or a directory of files.
         weather: the records.
-        site: its place on earth.
-        horizon: hours of each forecast that are compared.
+        site: site with its place on earth.
+        horizon: hours of every forecast that are compared.
 
     Raises:
-        ConfigurationError: the archive is wrong.
+        ConfigurationError: if the archive is wrong.
     """
     archive = read_archive(file, site)
     verified = align_to_hours(archive.verified, weather)
@@ -88,7 +88,7 @@ def read_issued_forecasts(
 
 
 class Sum(NamedTuple):
-    """A length of sums, and the sum that makes an event."""
+    """The length of a sum, and the sum that counts as an event."""
 
     hours: int
     event: float
@@ -116,20 +116,20 @@ def tally_pairs(
 ) -> dict[Class, Tally]:
     """Add up all pairs of forecasts and records.
 
-    A pair is a sum over consecutive hours of an issue, and the sum over the same hours of the
-    records. An issue is divided from its start: with sums of 12 h into its first 12 hours, the next
-    12, and so on. Each sum belongs to the class of leads that contains it. A sum is left out if the
-    issue or the records lack one of its hours.
+    A pair consists of a sum over consecutive hours of an issue, and the sum over the same hours of
+    the records. An issue is divided from its start: with sums of 12 h into its first 12 hours, the
+    next 12, and so on. Every sum belongs to the class of leads that contains it. A sum is left out
+    if the issue or the records lack one of its hours.
 
     Args:
-        forecasts: any number.
+        forecasts: any number of forecasts.
         observed: records (mm/h), shape (hours,); NaN if missing.
-        lead: width of a class of leads (h); a multiple of the length of each sum.
-        sums: their lengths and events.
+        lead: width of a class of leads (h); a multiple of the length of every sum.
+        sums: lengths of the sums, and events.
         done: called with the number of forecasts added so far.
 
     Returns:
-        The tally of each class, in the order of leads and sums.
+        The tally of every class, in the order of leads and sums.
     """
     classes = math.ceil(forecasts.hours / lead)
     reach = classes * lead

@@ -1,9 +1,9 @@
-"""Scores of forecasts of rain.
+"""Scores of rain forecasts.
 
-They are written out here, in a few lines each. Of the libraries that have them, ``scores`` needs
-xarray, pandas and bottleneck; ``scoringrules`` needs Python 3.11, and ``properscoring`` had its
-only release in 2015. The tests compare them with worked
-examples, closed forms and other ways of computing them.
+They are written out here, in a few lines each. Among the libraries that offer them, ``scores``
+needs xarray, pandas and bottleneck; ``scoringrules`` needs Python 3.11, and ``properscoring`` had
+its only release in 2015. The tests compare them with worked examples, closed forms and other ways
+of computing them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def compute_event_scores(
         (hits - a) / (hits + misses + false alarms - a),
         a = (hits + misses) (hits + false alarms) / n
 
-    ETS is 1 for a perfect forecast, and 0 for one without skill.
+    ETS is 1 for a perfect forecast, and 0 for a forecast without skill.
 
     Args:
         hits: pairs with the event both forecast and observed.
@@ -50,7 +50,7 @@ class ForecastScores(NamedTuple):
     """Scores of pairs of forecast and observed sums; NaN if undefined.
 
     Bias, r, POD, FAR and ETS are scores of member 0, the forecast of controllers that use a single
-    one; Brier score and CRPS are scores of all members.
+    one; the Brier score and CRPS are scores of all members.
     """
 
     n: int
@@ -65,7 +65,7 @@ class ForecastScores(NamedTuple):
     brier: float
     """mean squared difference between the event's probability and its outcome, 1 or 0"""
     crps: float
-    """mean fair continuous ranked probability score (mm); of one member the mean absolute error"""
+    """mean fair continuous ranked probability score (mm); the mean absolute error of one member"""
 
     def shown(self, name: str) -> str:
         """Return a score as it is displayed; a dash if it is undefined."""
@@ -78,7 +78,7 @@ SHOWN = {
     "far": ("FAR", ".2f"), "ets": ("ETS", ".2f"), "brier": ("Brier", ".3f"),
     "crps": ("CRPS mm", ".3f"),
 }
-"""Heading and format of each score."""
+"""heading and format of every score"""
 
 
 class Tally:
@@ -99,8 +99,8 @@ class Tally:
         """Add pairs of sums.
 
         Args:
-            forecast: mm, shape (members, pairs); a pair with NaN is left out.
-            observed: mm, shape (pairs,); likewise.
+            forecast: forecast sums (mm), shape (members, pairs); a pair with NaN is left out.
+            observed: observed sums (mm), shape (pairs,); a pair with NaN is left out.
         """
         known = ~(np.isnan(observed) | np.isnan(forecast).any(axis=0))
         forecast, observed = forecast[:, known], observed[known]
@@ -135,22 +135,22 @@ class Tally:
 
 
 def crps(forecast: Array, observed: Array) -> Array:
-    """Return the fair continuous ranked probability score of each pair (mm).
+    """Return the fair continuous ranked probability score of every pair (mm).
 
     The score is the integral over x of the squared difference between the members' distribution and
-    the observation's step (Hersbach 2000, Eq. 1). For M members x_i and the observation y the fair
-    score is
+    the observation's step function (Hersbach 2000, Eq. 1). For M members x_i and the observation y,
+    the fair score is
 
         sum_i |x_i - y| / M - sum_ij |x_i - x_j| / (2 M (M - 1))
 
     (Ferro 2014, doi:10.1002/qj.2270). Its mean is the CRPS of infinitely many members, so ensembles
     of different sizes can be compared. With one member it is the absolute error, so single
-    forecasts can be compared too. The second sum is computed from the sorted members x_(1) to x_(M)
-    as 2 sum_i (2 i - M - 1) x_(i).
+    forecasts can be compared, too. The second sum is computed from the sorted members x_(1) to
+    x_(M) as 2 sum_i (2 i - M - 1) x_(i).
 
     Args:
-        forecast: mm, shape (members, pairs).
-        observed: mm, shape (pairs,).
+        forecast: forecast sums (mm), shape (members, pairs).
+        observed: observed sums (mm), shape (pairs,).
     """
     members = len(forecast)
     errors = np.mean(np.abs(forecast - observed), axis=0)

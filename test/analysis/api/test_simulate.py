@@ -165,7 +165,7 @@ def test_what_is_assumed_about_the_weather_is_a_warning(tmp_path: Path) -> None:
     )
     with pytest.warns(UserWarning, match="moved back an hour") as shown:
         gr.simulate("onoff", weather=tmp_path / "gauge.csv", start="2024-06-01T01:00Z", hours=1)
-    assert any("frost is unknown" in str(each.message) for each in shown)
+    assert any("no frost is assumed" in str(each.message) for each in shown)
     assert {each.filename for each in shown} == {__file__}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -373,8 +373,8 @@ def test_sites(tmp_path: Path) -> None:
     ({"initial": (math.nan, 2.0)}, "cistern = nan: must be a number from 0"),
     ({"controller": 3}, "controller = 3: must be a name, a class, an instance, or a function"),
     ({"controller": object}, "is not a controller: it lacks parameters, command"),
-    ({"controller": lambda state, forecast: -1.0}, "must be a finite number, not negative"),
-    ({"controller": OnOff(gr.read_site(), 1.0), "fraction": 0.5}, "fraction: cannot be given with"),
+    ({"controller": lambda state, forecast: -1.0}, "must be a finite number and not negative"),
+    ({"controller": OnOff(gr.read_site(), 1.0), "fraction": 0.5}, "fraction: cannot be set with"),
 ])
 def test_what_is_wrong_is_named(inputs: dict[str, object], reason: str) -> None:
     refusal(lambda: gr.simulate(**inputs), match=reason)  # type: ignore[arg-type]
@@ -382,7 +382,7 @@ def test_what_is_wrong_is_named(inputs: dict[str, object], reason: str) -> None:
 
 def test_what_cannot_be_compared_is_named() -> None:
     for controllers in ({}, ["onoff"]):
-        refusal(gr.compare, controllers, match="must be controllers by their names")
+        refusal(gr.compare, controllers, match="must be controllers by name")
 
 
 def test_a_run_can_start_with_a_day() -> None:

@@ -60,7 +60,7 @@ def test_a_time_that_clocks_skip_is_refused() -> None:
     refusal(
         lambda: gr.simulate("onoff", site=BERLIN, weather=weather("2024-03-30", "UTC"),
                             start="2024-03-31T02:30"),
-        match="start = '2024-03-31T02:30': is a time that clocks in Europe/Berlin skip",
+        match="start = '2024-03-31T02:30': is a time that the clocks in Europe/Berlin skip",
     )
     naive = weather("2024-03-30", "UTC").with_columns(
         polars.col("time").dt.replace_time_zone(None)

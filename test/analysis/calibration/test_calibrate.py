@@ -106,7 +106,7 @@ def test_volumes_follow_in_a_site_file_of_any_form(tmp_path: Path) -> None:
 def test_an_invalid_site_is_not_written() -> None:
     steep = {"a_hat": (-4.1e22, "steep")}
     assert refusal(format_fitted_site, PAPER, steep, []).startswith(
-        f"{PAPER}: the fitted values do not make a valid site; nothing is written: "
+        f"{PAPER}: the fitted values do not form a valid site; nothing is written: "
         "a_hat = -4.1e+22: must be a number of at least -1e+21 and less than 0 s2/m5"
     )
 
@@ -119,7 +119,7 @@ def test_a_record_without_any_runoff_has_nothing_to_fit(fitted: Path, tmp_path: 
     )
     assert ended.returncode == 2
     *_, line = ended.stderr.splitlines()
-    assert line.startswith(f"error: {record}: in the first half of its rain nothing that was meas")
+    assert line.startswith(f"error: {record}: in the first half of its rain, nothing that was mea")
     assert list(tmp_path.iterdir()) == []
 
 

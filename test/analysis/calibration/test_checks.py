@@ -18,7 +18,7 @@ def test_too_little_for_a_fit() -> None:
     nothing = np.full(3000, np.nan)
     refusal(check_record, a_record(rain, level=nothing), TWIN, match="level: has 0 values; it must")
     wet = a_record(rain / 1000, level=np.linspace(0, 0.02, 3000))
-    refusal(check_record, wet, TWIN, match="rain: is 0.03 mm in all, .* is the unit of the column")
+    refusal(check_record, wet, TWIN, match="rain: is 0.03 mm, .* is the unit of the column")
 
 
 FILE = Path("roof.csv")

@@ -112,7 +112,7 @@ def test_missing_rows_and_empty_cells_are_gaps(file: Path) -> None:
     record = read(file, text)
     for lacks, needed in (
         ("latitude", "hargreaves needs latitude in the site file"),
-        ("utc_offset", "give the site file its time_zone"),
+        ("utc_offset", "set time_zone in the site file"),
     ):
         refusal(read, file, text, replace(TWIN, **{lacks: None}), match=needed)
     assert record.steps == ROWS
@@ -154,7 +154,7 @@ def test_wrong_files_are_refused(name: str, file: Path) -> None:
     ("minutes", "message"),
     [
         (2 * 1440 * np.arange(120),
-         "line 1: the rows are 2 days apart; they must be at most a day apart"),
+         "line 1: the rows are 2 days apart; more than a day is not allowed"),
         (np.cumsum(np.resize([5, 5, 7], 200)),
          "line 4: time = '2021-06-01T00:17': must be 300 s after the row before, or a whole number "
          "of such steps, not 420 s; 66 of 200 rows are like this"),
@@ -199,7 +199,7 @@ def test_an_hour_may_be_missing_and_no_more(what: str, file: Path) -> None:
 
     assert without(12).reference == pytest.approx(values / 288)
     assert refusal(without, 13).startswith(
-        f"{file}: {REFERENCE}: has no value from 2021-06-01 02:30:00 for 65 min: at most "
+        f"{file}: {REFERENCE}: has no value from 2021-06-01 02:30:00 for 65 min: up to "
         "an hour may be missing"
     )
 

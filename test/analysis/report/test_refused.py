@@ -82,7 +82,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "run-outside": (replaced("\n001,", "\n../001,"), "line 2: run = '../001': must be the name"),
     "status": (replaced(",done,", ",lost,"), "line 2: status = 'lost': must be done, failed or"),
-    "no-total": (with_cells(total_deviation_m3=""), "total_deviation_m3: must be given"),
+    "no-total": (with_cells(total_deviation_m3=""), "total_deviation_m3: must not be empty"),
     "total-nan": (with_cells(total_deviation_m3="nan"), "total_deviation_m3 = 'nan': is not a"),
     "bound-below-0": (with_cells(bound_m3="-1"), "bound_m3 = '-1': is not a possible value"),
     "a-week": (with_cells(weekly_deviation_m3="1 inf"), "weekly_deviation_m3 = '1 inf': is not a"),
@@ -129,7 +129,7 @@ def test_command(tmp_path: Path) -> None:
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr and done.stdout == ""
     message = done.stderr.partition("error:")[2].strip()
-    assert "--output = 'mine': holds figures/mine.svg, which does not belong to a report" in message
+    assert "--output = 'mine': contains figures/mine.svg, which does not belong to a" in message
     assert "\n" not in message
     assert sorted(tmp_path.rglob("*")) == before
 

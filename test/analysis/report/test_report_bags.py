@@ -96,7 +96,7 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path) -> None:
     assert "no site file came with the bag: the site is the paper" in page_of(report)
     assert len(report.windows()) == 2  # foreign bags are not compared
     both = write_bag(tmp_path / "both", {**plain, **spaced})
-    refusal(report_of, both, match=r"of one graph, but has .* /, /site1")
+    refusal(report_of, both, match=r"from one graph, but has .* /, /site1")
 
 
 def loaded(path: Path) -> tuple[Trajectory, list[str]]:
@@ -344,17 +344,17 @@ def test_names_distinguish_paths(tmp_path: Path) -> None:
     names = [run.name for run in find_runs([paths[0].parent, *paths[1:3], paths[4]]).runs]
     assert names == ["mon", "bag", "deep", "one"]
     for first, second in (paths[:2], paths[2:4]):
-        reason = refusal(report_of, first, second, match=f"have one name, {first.name}: give each")
+        reason = refusal(report_of, first, second, match=f"have the same name, {first.name}: name")
         assert str(first) in reason and str(second) in reason
     row = simulate("onoff", "0.5", "low-low").row
     studies = [write_study(tmp_path / place / "study", [(row, None)]) for place in ("a", "b")]
-    refusal(report_of, *studies, match="a/study and .*b/study have one name, study")
+    refusal(report_of, *studies, match="a/study and .*b/study have the same name, study")
     studies[1] = studies[1].rename(tmp_path / "other")
     assert [run.name for run in find_runs(studies).runs] == ["study/001", "other/001"]
     windows = [case.place[0].partition("/")[0] for case in report_of(*studies).cases]
     assert windows == ["study", "other"]
     again = tmp_path / "mon" / ".." / "mon" / "bag"
-    refusal(report_of, paths[0], again, match="mon/../mon/bag have one name, bag: give each path")
+    refusal(report_of, paths[0], again, match="mon/../mon/bag have the same name, bag: name each")
 
 
 # --- graphs --------------------------------------------------------------------------------------
@@ -392,7 +392,7 @@ def test_a_run_of_the_graph(domain: int, tmp_path: Path) -> None:
     (run,) = find_runs([tmp_path / "run"]).runs
     row = run.row
     assert (row["controller"], row["initial"], row["site"]) == ("onoff", "low-low", "site.yaml")
-    assert run.notes[0].startswith("13 of 121 values of /pump/flow were refused")
+    assert run.notes[0].startswith("13 of 121 values of /pump/flow were rejected")
     killed = {key: summary[key] for key in list(summary)[: list(summary).index("frost_hours")]}
     (tmp_path / "run" / "summary.json").write_text(json.dumps({**killed, "status": "running"}))
     worked_out = row_of_run(tmp_path / "run")
@@ -414,7 +414,7 @@ def test_what_the_plant_refuses_acts_as_zero(tmp_path: Path) -> None:
     assert trajectory.pump_flow.tolist() == [0, 8, 0]
     assert trajectory.precipitation.tolist() == [0, 1e-6, 0]
     assert trajectory.evapotranspiration.tolist() == [0, 1e-6, 0]
-    refused = {note.split()[5]: note.split()[0] for note in notes if "refused" in note}
+    refused = {note.split()[5]: note.split()[0] for note in notes if "rejected" in note}
     assert refused == {
         "/pump/command": "1", "/weather/precipitation": "1", "/weather/evapotranspiration": "2"
     }
@@ -466,7 +466,7 @@ def test_how_runs_ended(tmp_path: Path) -> None:
     short = "failed at tick 72 of 720 (00:01:12)"
     report = report_of(done, broken, nothing, silent)
     assert [run["run"] for run in report.failed] == ["nothing", "silent"]
-    assert make_notes(report)[f"{ending}: all results are of the recorded part only"] == ["broken"]
+    assert make_notes(report)[f"{ending}: all results are for the recorded part only"] == ["broken"]
     assert [row["ended"] for row in make_tables(report)["Results"]] == ["done", short]
     text = page_of(report)
     assert "2 of 4 runs failed or did not run" in text.partition("</header>")[0]

@@ -253,7 +253,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"mains_price": 2, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 0},
      "cistern_years = 0: must be"),
     ({"weather": None}, "weather: is missing"),
-    ({"hours": 5}, "hours = 5: is no option"),
+    ({"hours": 5}, "hours = 5: is not an option"),
 ]
 
 

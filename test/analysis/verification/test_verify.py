@@ -182,9 +182,9 @@ def test_issues_that_are_shorter_than_the_horizon(tmp_path: Path) -> None:
 
 WRONG = {
     "GEM --sums 1 --events 1 2": "--events: must be as many as --sums, 1, not 2",
-    "GEM --events 1 2": "--sums and --events: must be given together",
+    "GEM --events 1 2": "--sums and --events: must be used together",
     "GEM --lead 6 --sums 12 --events 3":
-        "--sums = 12: must each divide --lead, 6 h, and be given once",
+        "--sums = 12: must each divide --lead, 6 h, and appear only once",
     "GEM --lead 6 --sums 6 --events 2":
         f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM} (Open-Meteo,",
     "GEM": f"{GEM}: FORECASTS = '{GEM}': have no whole sum in common with the records: these cover",
@@ -215,7 +215,7 @@ def test_notes_of_what_was_left_out(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     notes = [line for line in done.stderr.splitlines() if line.startswith("note: ")]
     for part in (
-        "gauge.csv: precipitation [mm/h] of -999 at 2024-03-02T06:00:00+00:00 is no plausible",
+        "gauge.csv: precipitation [mm/h] of -999 at 2024-03-02T06:00:00+00:00 is not a plausible",
         "archive.csv: precipitation [mm/h] of -777 at 2024-03-03",
     ):
         assert any(part in note for note in notes), (part, notes)
