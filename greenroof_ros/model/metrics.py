@@ -452,7 +452,7 @@ def _roof_water(site: Site, samples: Samples) -> Values:
 METRICS = (
     Metric(
         "total_deviation_m3", "m3", "total deviation",
-        "sum over the ticks of |x2 - x2*|, the distance of the roof's volume from its target",
+        "sum over the ticks of |x2 - x2*|, the distance of the volume on the roof from its target",
         _deviation, form=".2f",
     ),
     Metric(
@@ -536,7 +536,7 @@ METRICS = (
     ),
     Metric(
         "wet_discharge_m3", "m3", "discharge in wet weather",
-        "to the sewer in rain, and for the site's wet_after following it", _storm_water, _sums_by,
+        "to the sewer in rain, and for wet_after of the site following it", _storm_water, _sums_by,
         finish=_wet_discharge,
     ),
     *(
@@ -610,7 +610,7 @@ METRICS = (
     ),
     Metric(
         "excess_starts", "1", "too many starts",
-        "pump starts beyond the site's starts_per_hour, in the hour that ends with them",
+        "pump starts beyond starts_per_hour of the site, in the hour that ends with them",
         _excess_starts, _count, "d", max=0,
     ),
     Metric(
