@@ -1,7 +1,7 @@
-"""Scenarios: runs that stay as they are, with a score, its bound, and what other controllers reach.
+"""Scenarios: fixed runs with a score, its bound, and the scores of other controllers.
 
-``config/scenarios.yaml`` has them, and ``config/scenarios.csv`` the scores of their controllers,
-which ``tools/reference_scores.py`` has computed with :func:`score`.
+``config/scenarios.yaml`` defines them. ``config/scenarios.csv`` lists the scores of their
+controllers, which ``tools/reference_scores.py`` computes with :func:`evaluate`.
 """
 
 from __future__ import annotations
@@ -100,11 +100,11 @@ class Scenario:
         return sum(weight * result.metrics[name] for name, weight in self.weights.items())
 
     def bound(self, result: Result) -> float:
-        """Return what no run in this scenario is below, with the result's irrigation if it matters.
+        """Return the lowest score that is possible in this scenario.
 
-        Of the deviation it is the minimum for any commands up to 1, or up to the result's highest.
-        Of storm water it is the minimum for any control of the valve and the roof's irrigation of
-        the result, without water stress.
+        For the deviation it is the minimum over all commands up to 1, or up to the result's
+        highest. For storm water it is the minimum over all controls of the valve, with the
+        irrigation of the result and without water stress.
         """
         run, metrics = result.run, result.metrics
         if _MAINS in self.weights:
@@ -147,13 +147,13 @@ scenarios: Mapping[str, Scenario] = MappingProxyType(_read_scenarios())
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What a controller reaches in a scenario; printed, it is compared with others.
+    """The score of a controller in a scenario; printed, it is compared with others.
 
     Attributes:
         scenario: the scenario.
         name: of the controller.
         value: the score, in the scenario's unit; lower is better.
-        bound: what no run with this irrigation has less than; see :meth:`Scenario.bound`.
+        bound: the lowest score that is possible with this irrigation; see :meth:`Scenario.bound`.
         result: the run.
     """
 
@@ -214,15 +214,15 @@ def read_references() -> list[dict[str, Any]]:
 def score(
     controller: str | type | Controller | Function, scenario: str, **parameters: Any
 ) -> Score:
-    """Return how good a controller is in a scenario, beside the bound and other controllers.
+    """Return how good a controller is in a scenario, next to the bound and other controllers.
 
     Args:
-        controller: as :func:`.simulate` takes it.
-        scenario: its name, one of ``gr.scenarios``.
-        parameters: of the controller, and of what commands the valve, such as ``outlet="plan"``.
+        controller: as :func:`.simulate` accepts it.
+        scenario: name of one of ``gr.scenarios``.
+        parameters: those of the controller and of the valve's policy, such as ``outlet="plan"``.
 
     Returns:
-        The score, its bound, the run, and a table of what the scenario's controllers reach.
+        The score, its bound, the run, and a table with the scores of the scenario's controllers.
 
     Raises:
         ConfigurationError: there is no such scenario, or a parameter is wrong or is fixed by the
