@@ -10,6 +10,7 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Column, Table
 
 from greenroof_ros.analysis.sizing.choice import KNEE
@@ -167,7 +168,7 @@ def show(sizes: Sizes, page: Path) -> None:
             Column("m³", justify="right"),
             *(Column(f"{one.label} ({one.unit})", justify="right") for one in columns.values()),
             title=f"Target {own.target:g} mm, outlet {outlet}", title_justify="left",
-            box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), collapse_padding=True,
+            box=box.SIMPLE_HEAD, padding=0, show_edge=False,
         )
         for design in sizes.select(own.target, outlet):
             cells = []
@@ -178,7 +179,8 @@ def show(sizes: Sizes, page: Path) -> None:
             table.add_row(f"{design.volume:g}", *cells, style="bold" if design is own else None)
             for shown, cell in zip(table.columns[1:], cells, strict=True):
                 shown.min_width = max(shown.min_width or 0, *map(len, cell.split()))
-        console.print(table)
+        needed = Measurement.get(console, console.options.update(max_width=1000), table).minimum
+        console.print(table, width=max(console.width, needed), crop=False)  # no figure is cut off
     console.print(sizes.describe_starts(), highlight=False)
     for note in sizes.list_remarks():
         console.print(f"NOTE: {note}", highlight=False)

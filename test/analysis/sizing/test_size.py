@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from browsers import drawn_page
 from commands import Forked, run_command
@@ -20,8 +21,10 @@ from graphs import alive, wait_for
 from places import CONFIG, DATA, Once
 
 import greenroof_ros as gr
+from greenroof_ros.analysis.sizing.choice import Prices
 from greenroof_ros.analysis.sizing.columns import COLUMNS, format_spread
 from greenroof_ros.analysis.sizing.sizes import Sizes
+from greenroof_ros.commands.size import show
 from greenroof_ros.common.errors import ConfigurationError
 
 VALVE = CONFIG / "site_valve.yaml"
@@ -89,6 +92,23 @@ def test_the_sentence_comes_first(sized: Path) -> None:
         for group, value in zip(range(first, first + 3), expected, strict=True):
             if match[group] is not None:
                 assert abs(float(match[group]) - value) <= 0.5
+
+
+@pytest.mark.parametrize("columns", ["50", "80"])
+def test_no_figure_is_cut_off(
+    sizes: Sizes, columns: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With costs there are eight columns, which fit 80 characters; a narrower terminal wraps."""
+    monkeypatch.setenv("COLUMNS", columns)
+    costs = 10_000.5 + np.arange(float(len(sizes.designs)))[:, None] * [1.0, 1.0]
+    priced = replace(
+        sizes, values={**sizes.values, "cost": costs}, prices=Prices(2.0, 1.0, 600.0, 30.0)
+    )
+    show(priced, Path("sizes.html"))
+    printed = capsys.readouterr().out
+    for design in priced.select(priced.recommended.target, "none"):
+        assert f" {priced.spread('cost', design).mean:.0f}" in printed
+    assert columns == "50" or max(map(len, printed.splitlines())) <= 80
 
 
 def test_the_table_has_each_design_and_season(sized: Path) -> None:
