@@ -9,6 +9,7 @@ from typing import Any
 import altair as alt
 import numpy as np
 
+from greenroof_ros.analysis.district.adoption import Adoption
 from greenroof_ros.analysis.district.district_file import DRAIN, NONE, ORIFICE, PLAN
 from greenroof_ros.analysis.district.run import DistrictRun
 from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
@@ -100,7 +101,7 @@ def name_share(adoption: float, count: int) -> str:
         adoption: the share (1).
         count: of all buildings.
     """
-    if adoption < 1:
+    if Adoption(count, (adoption,), 1.0).counts[0] < count:
         return f"{percent(adoption)} of the {number_of(count, 'building')}"
     return f"all {count:,} buildings" if count > 1 else "the only building"
 

@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 from districts import WEATHER, edit, empty_totals, simulate_here, write_district
 
-from greenroof_ros.analysis.district.page import describe_valves, percent, summarise, warn
+from greenroof_ros.analysis.district.page import (
+    describe_valves,
+    name_share,
+    percent,
+    summarise,
+    warn,
+)
 from greenroof_ros.analysis.district.parts import simulate_part
 from greenroof_ros.analysis.district.run import DistrictRun, read_run
 from greenroof_ros.analysis.district.totals import AS_IS, Flow, Totals
@@ -152,6 +158,8 @@ def test_sentences_of_one_building_and_of_none_all_and_the_same(simulated: Simul
         "the highest hour."
     )
     assert summarise(of_one, [before, row(0.4, 0, 1, 1, 1)]).startswith("No building has a green")
+    assert name_share(0.5, 1) == "the only building"
+    assert name_share(0.9999, 1000) == "all 1,000 buildings"
     dry = {**before, "sewer_overflow_m3": 0.0}
     assert summarise(run, [dry, {**row(0.5, 4, 1, 1, 1)}]).endswith(
         "is the same and the sewer, which has room for the buildings as they are, overflows."
