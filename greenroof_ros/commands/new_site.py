@@ -53,9 +53,10 @@ _SOUTH, _NORTH = -60.0, 79.0
 _MAX_FROM_SOLAR, _USUAL_FROM_SOLAR = 3.5, 1.6
 
 _DESCRIPTION = """\
-Write a site file for your house. Without --roof, --catchment, --cistern or --place
-it asks, on a terminal. Everything else is assumed, and each assumption stands in
-the file with its source: read it, and change what you know better.
+Write a site file for your house. On a terminal, the command asks for --roof,
+--catchment, --cistern and --place if they are left out. Everything else is assumed,
+and the file names the source of every assumption: read it, and change what you know
+better.
 """
 _EPILOG = f"""\
 examples:
