@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A first look
 #
-# Simulate a green roof that a pump waters from a storm cistern, draw it, compare controllers, and
-# change the target. ROS is not needed: `pip install "greenroof_ros[study]"`.
+# Simulate a green roof that a pump waters from a rainwater cistern, plot it, compare controllers,
+# and vary the target. ROS is not needed: `pip install "greenroof_ros[study]"`.
 
 # %%
 import tempfile
@@ -17,7 +17,7 @@ _ = altair.renderers.enable("png", ppi=110)  # pictures that GitHub shows, too
 # %% [markdown]
 # ## Run
 #
-# The site and the weather are the paper's unless you give others. Here a tick lasts 10 s.
+# The site and the weather are those of the paper unless you specify others. A tick lasts 10 s here.
 
 # %%
 inputs = {"site": gr.read_site(tau=10.0), "start": "2021-07-07T00:00", "hours": 48}
@@ -30,7 +30,7 @@ result.trajectory["time", "roof_level_m", "cistern_level_m", "command"].head(3)
 # %% [markdown]
 # ## Plot
 #
-# Rain from above, the roof's level with its target, the cistern, and the pump.
+# From top to bottom: the rain, the roof's level with its target, the cistern, and the pump.
 
 # %%
 result.plot()
@@ -39,7 +39,7 @@ result.plot()
 # ## Compare
 #
 # A controller is a name, a class, or a function of the state and the forecast. This function does
-# not water if 3 mm of rain come within 6 h.
+# not water the roof if 3 mm of rain are forecast for the next 6 h.
 
 
 # %%
@@ -64,7 +64,7 @@ compared.plot()
 # %% [markdown]
 # ## Sweep the target
 #
-# How much water a higher target takes.
+# How much water does a higher target take?
 
 # %%
 sweep = polars.DataFrame([
@@ -75,10 +75,10 @@ sweep = polars.DataFrame([
 sweep.plot.line(x="target (mm)", y="pumped (m³)").properties(width=400, height=160)
 
 # %% [markdown]
-# ## Read a bag
+# ## Read a recording
 #
-# `read_bag` reads a run of the node graph, a bag of a real site, and a saved run, which
-# `greenroof report` takes, too.
+# `read_bag` reads the recording of a node graph or of a real site, and a saved run.
+# `greenroof report` reads all of these, too.
 
 # %%
 with tempfile.TemporaryDirectory() as directory:

@@ -1,4 +1,4 @@
-"""Your own controller: the command grows with the water that is missing on the roof.
+"""A controller of your own: the less water the roof contains, the higher the command.
 
 greenroof simulate --controller examples.proportional:Proportional
 greenroof run --controller examples.proportional:Proportional --gain 40
@@ -14,7 +14,7 @@ from greenroof_ros.model.site import Site
 
 
 class Proportional:
-    """Commands gain x (target - level), between 0 and 1, while the cistern holds enough.
+    """Command gain x (target - level), between 0 and 1, while the cistern contains enough water.
 
     Attributes:
         gain: command for a metre below the target (1/m).
@@ -37,14 +37,14 @@ class Proportional:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide from the levels (m) alone; the forecasts are not used."""
+        """Return the command. It depends only on the levels (m), not on the forecasts."""
         if not cistern_level >= self._site.suction_level:
             return 0.0
         command = self.gain * (self._site.z_veg - roof_level)
         return min(command, 1.0) if command > 0 else 0.0
 
     def skip(self) -> None:
-        """Do nothing: there is no state to keep."""
+        """Do nothing, since there is no state."""
 
     def statistics(self) -> None:
-        """Return nothing: it has no solver."""
+        """Return nothing, since there is no solver."""

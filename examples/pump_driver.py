@@ -1,4 +1,4 @@
-"""A pump driver that needs only rclpy: start it before each run with ``--pump external``."""
+"""A pump driver, which needs only rclpy. Start it before every run with ``--pump external``."""
 
 import math
 
@@ -10,14 +10,14 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64
 
-MAX_FLOW, LAG, TICK = 0.008, 30.0, 1.0  # m3/s; first-order lag of the flow, s; tau, s
+MAX_FLOW, LAG, TICK = 0.008, 30.0, 1.0  # maximum flow (m3/s), its first-order lag (s), tau (s)
 SILENCE = 3.0  # time without a command after which the pump stops (s)
 SUCTION = 0.75  # cistern level at or below which the pump runs dry (m)
 state = dict.fromkeys(("cistern/level", "roof/level", "weather/frost"), math.nan)  # by topic
 
 
 def on_command(message):
-    """Follow a command, and publish the flow (m3/s), here simulated: command and ask your pump."""
+    """Follow a command, and publish the flow, which is simulated here; use that of your pump."""
     watchdog.reset()
     command = min(message.data, 1.0) if 0.0 <= message.data < math.inf else 0.0  # not a NaN
     dry = not state["cistern/level"] > SUCTION  # an unknown level, NaN, counts as dry
@@ -28,12 +28,12 @@ def on_command(message):
 
 
 def on_silence():
-    """Stop the pump, as no command has come: send yours 0."""
+    """Stop the pump, since no command has arrived; send 0 to yours."""
     flow.data = 0.0
 
 
 def on_liveliness(event):
-    """Count controllers; when the last has ended, was killed, or hangs: send your pump 0."""
+    """Count controllers; when the last one has ended, died or hangs, send 0 to your pump."""
     node.commanders = event.alive_count
     if event.alive_count == 0:
         print("stopped: no controller")
@@ -44,7 +44,7 @@ rclpy.init()
 node, flow = rclpy.create_node("pump"), Float64()
 node.commanders = 0
 qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # and reliable
-for key in state:  # before the command, which comes last in a tick
+for key in state:  # subscribed before the command, which is the last message of a tick
     node.create_subscription(Float64, key, lambda msg, key=key: state.update({key: msg.data}), qos)
 qos.liveliness_lease_duration = Duration(seconds=1)
 publisher = node.create_publisher(Float64, "pump/flow", qos)
@@ -53,8 +53,8 @@ events = SubscriptionEventCallbacks(liveliness=on_liveliness)
 node.create_subscription(Float64, "pump/command", on_command, qos, event_callbacks=events)
 try:
     rclpy.spin(node)
-except (KeyboardInterrupt, ExternalShutdownException):  # SIGINT, SIGTERM: send your pump 0
+except (KeyboardInterrupt, ExternalShutdownException):  # SIGINT, SIGTERM: send 0 to your pump
     pass
-except RuntimeError:  # also SIGTERM, just as rclpy begins to wait
+except RuntimeError:  # SIGTERM just as rclpy begins to wait
     if rclpy.ok():
         raise

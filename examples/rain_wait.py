@@ -1,4 +1,4 @@
-"""An example of a controller: it fills the roof, but does not water if enough rain is coming.
+"""An example of a controller, which fills the roof unless enough rain is forecast.
 
 greenroof simulate --controller examples.rain_wait:RainWait
 greenroof check-controller examples.rain_wait:RainWait
@@ -13,20 +13,20 @@ from greenroof_ros.model.site import Site
 
 
 class RainWait:
-    """Pumps while more water is missing on the roof than the forecast has within the horizon."""
+    """Pump while the roof lacks more water than is forecast to fall within the horizon."""
 
     parameters = (
         Parameter("horizon", 3.0, "h", 0.1, 240.0, "how long it waits for rain"),
         Parameter("command_on", 1.0, "1", 0.0, 1.0, "command when it pumps", may_change=True),
     )
-    needs_forecast = False  # without one it fills the roof as on/off does
-    forecast_ends = np.empty(0)  # is set: ends of the forecast's steps (s from now), the first 0
+    needs_forecast = False  # without a forecast it fills the roof as on/off does
+    forecast_ends = np.empty(0)  # set from outside: ends of the forecast's steps (s), the first 0
 
     def __init__(self, site: Site, horizon: float, command_on: float) -> None:
         self._site, self.command_on = site, command_on
 
     def command(self, cistern_level, roof_level, precipitation, evapotranspiration) -> float:
-        """Decide from the levels (m) and the forecast of rain (m/s), a mean for each step."""
+        """Return the command, from the levels (m) and the mean rain of each step (m/s)."""
         missing = self._site.z_veg - roof_level
         known = len(precipitation) == len(self.forecast_ends) - 1
         coming = precipitation @ np.diff(self.forecast_ends) if known else 0.0  # m
@@ -34,7 +34,7 @@ class RainWait:
         return self.command_on if short and cistern_level >= self._site.suction_level else 0.0
 
     def skip(self) -> None:
-        """Do nothing: there is no state to keep."""
+        """Do nothing, since there is no state."""
 
     def statistics(self) -> None:
-        """Return nothing: it has no solver."""
+        """Return nothing, since there is no solver."""
