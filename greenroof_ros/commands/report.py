@@ -77,7 +77,7 @@ def _former_figures(directory: Path, own: Callable[[str], bool]) -> list[Path]:
 
 @command
 def main() -> None:
-    """Make the report that the command line asks for."""
+    """Make the report that the command line describes."""
     arguments = make_parser().parse_args()
     with require_extra("study"):
         from greenroof_ros.analysis.report import figures, page

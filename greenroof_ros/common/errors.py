@@ -14,7 +14,7 @@ _MAX_VALUE, _MAX_MESSAGE = 300, 4000
 
 
 class _Repr(reprlib.Repr):
-    """Writes only a few items of a collection, since a file may hold many, also nested."""
+    """Writes only a few items of a collection, since a file may hold many nested ones."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -31,7 +31,7 @@ _PASSING = (408, 429, *range(500, 600))
 
 
 class ServiceError(Exception):
-    """A service gave no usable answer; the message states why, and can be printed anywhere.
+    """A service sent no usable answer; the message states why, and can be printed anywhere.
 
     Attributes:
         wait: how long the service asks not to be called again (s); None if it does not say so.
@@ -152,7 +152,7 @@ def _request(name: str, url: str) -> Answer:
 
 
 def _late(seconds: float) -> TimeoutError:
-    return TimeoutError(f"gave no complete answer within {seconds:g} s")
+    return TimeoutError(f"sent no complete answer within {seconds:g} s")
 
 
 def _within(seconds: float, get: Callable[[], Answer]) -> Answer:

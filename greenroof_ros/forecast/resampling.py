@@ -145,7 +145,7 @@ class PerfectForecast:
         return self._rain[:]
 
     def evapotranspiration(self, tick: int) -> array[float]:
-        """Evapotranspiration off the whole bed (m3/s), shape (M,)."""
+        """Evapotranspiration from the whole bed (m3/s), shape (M,)."""
         self._update_window(tick)
         return self._evapotranspiration[:]
 

@@ -98,7 +98,7 @@ _ONLY_ITS_OWN = re.compile(
     r"|shortwave_radiation|et0_fao_evapotranspiration"
 )
 _SOURCE = "Open-Meteo's hourly files"
-_OTHER_JSON = "is JSON, but no hourly answer of Open-Meteo; from other services download CSV"
+_OTHER_JSON = "is JSON, but not an hourly answer of Open-Meteo; from other services, download CSV"
 # Keys under which services state what went wrong.
 _MESSAGES = ("reason", "message", "detail", "description", "error", "title")
 VARIABLES = {
@@ -389,7 +389,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     evapotranspiration is computed are used if present, and other variables are ignored.
 
     Args:
-        file: file for one place.
+        file: a file for a single place.
         site: site that must be near the file's place, if both state where they are.
 
     Raises:
@@ -501,7 +501,7 @@ def read_run(file: Path, site: Site, issued: datetime) -> IssuedForecast:
     """Read an answer as a forecast whose time of issue is known.
 
     Args:
-        file: file for one place.
+        file: a file for a single place.
         site: site that must be near it.
         issued: start of the first hour; earlier hours in the file are left out.
 

@@ -58,8 +58,9 @@ class Quantity(NamedTuple):
 _LENGTHS = ("cm", "mm")
 _WATER = ("mm", "l", "l/s", "m3/h")
 
-# A value above the world record of an hour's rain, or of a day's evapotranspiration, shows a wrong
-# unit. No roof returns more than its rain. The minimum level allows for a sensor's zero error.
+# A value above the world record of an hour's rain, or of a day's evapotranspiration, indicates a
+# wrong unit. No roof returns more than its rain. The minimum level allows for a sensor's zero
+# error.
 QUANTITIES: dict[str, Quantity] = {
     PRECIPITATION: Quantity("mm/h", 0.0, 500.0, 0.5, ("mm",)),
     EVAPOTRANSPIRATION: Quantity("mm/day", 0.0, 50.0, 2.5, ("mm/h", "mm")),

@@ -38,7 +38,7 @@ from greenroof_ros.model.site import Site
 Values = NDArray[np.float64]
 
 MIN_DEPTH = 1e-4
-"""depth (m) below which a rain gauge shows nothing, 0.1 mm: it is no event and no overflow"""
+"""depth (m) below which a rain gauge shows nothing, 0.1 mm: neither event nor overflow"""
 WET_RAIN = MIN_DEPTH / 3600
 """minimum rate of rain in wet weather (m/s): 0.1 mm in an hour"""
 

@@ -83,8 +83,8 @@ def test_each_hour_has_the_rain_and_temperature_that_are_forecast_for_it(server)
 
 @pytest.mark.parametrize(("fault", "reason"), [
     ("refused", "Remote end closed connection"),
-    ("slow", "gave no complete answer within 0.5 s"),
-    ("slow head", "gave no complete answer within 0.5 s"),
+    ("slow", "sent no complete answer within 0.5 s"),
+    ("slow head", "sent no complete answer within 0.5 s"),
     ("truncated", "broke off after .* bytes"),
     ("broken", "is not a forecast in JSON: <html>"),
     ("limit", "429 Too Many Requests: .*Minutely API request limit"),

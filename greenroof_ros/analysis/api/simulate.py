@@ -159,9 +159,9 @@ class Result:
     def plot(self) -> altair.VConcatChart:
         """Return a chart: rain, levels of roof and cistern, the pump, and any water to the sewer.
 
-        A notebook shows it as a picture; ``.save("run.png")`` writes it, as .svg or .html as well
-        (``inline=True`` for a page that needs no internet). Long runs are drawn with the smallest
-        and the largest value in each of some 500 intervals.
+        A notebook shows it as a picture; ``.save("run.png")`` writes it, and .svg and .html are
+        possible, too (``inline=True`` for a page that needs no internet). Long runs are drawn with
+        the smallest and the largest value in each of some 500 intervals.
 
         Raises:
             ConfigurationError: if altair is not installed.

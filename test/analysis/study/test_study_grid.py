@@ -251,7 +251,7 @@ def test_weather_is_shared_by_sites_only_if_it_is_the_same(tmp_path: Path) -> No
     file = two_sites(
         tmp_path, "precipitation [mm/h]\n0", f"{zone}\nmonthly_evapotranspiration: [{months}]", zone
     )
-    refusal(read_grid, file, match="give the site file monthly_evapotranspiration")
+    refusal(read_grid, file, match="set monthly_evapotranspiration in the")
     text = file.read_text().replace("there.yaml", "{file: here.yaml, crop_coefficient: 2}")
     store = run_here(tmp_path, text)
     # 7 mm/day in July.
