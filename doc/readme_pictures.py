@@ -11,12 +11,10 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-import altair as alt
 from storm_animation import draw as draw_storm
 
 README = Path(__file__).resolve().parent.parent / "README.md"
 HOW_TO = README.parent / "doc" / "howto" / "keep-storm-water-out.md"
-RESULTS = README.parent / "doc" / "results.md"
 STATIC = README.parent / "doc" / "_static"
 # Width of a panel of the storm on a phone (px).
 _PANEL = 290
@@ -49,34 +47,11 @@ def run_block(page: Path, until: str) -> dict[str, Any]:
     return names
 
 
-def draw_frontier() -> alt.Chart:
-    """Return the chart of a column of the results: discharge in wet weather over mains water."""
-    _, _, page = RESULTS.read_text(encoding="utf-8").partition("storm_water_issued.yaml")
-    table = page.partition("| control of the valve |")[2].partition("\n\n")[0]
-    rows = [
-        {"name": name.replace("`", ""), "wet": float(wet), "mains": float(mains)}
-        for name, wet, mains in re.findall(
-            r"^\| ([^|]+) \|[^|]+\| ([\d.]+) / ([\d.]+) \|", table, re.MULTILINE
-        )
-        if "20 m³" not in name and ("days" not in name or "three" in name)
-    ]
-    points = alt.Chart(alt.InlineData(rows)).encode(
-        x=alt.X("mains:Q", title="mains water (m³)"),
-        y=alt.Y("wet:Q", title="to the sewer in wet weather (m³)"),
-    )
-    order = alt.Legend(title=None, labelLimit=0, symbolSize=90, orient="right")
-    return points.mark_point(filled=True, size=90, opacity=1).encode(
-        color=alt.Color("name:N", sort=None, legend=order, scale=alt.Scale(scheme="category20")),
-        shape=alt.Shape("name:N", sort=None, legend=order),
-    ).properties(width=420, height=300)
-
-
 def draw() -> None:
     """Draw the pictures; the storms are simulated again, which takes some twenty seconds."""
     for suffix, narrow in (("", False), ("-narrow", True)):
         picture = draw_storm(narrow)
         (STATIC / f"storm-animation{suffix}.svg").write_text(picture, encoding="utf-8")
-    draw_frontier().save(STATIC / "storm-frontier.png", scale_factor=2)
     wide = (STATIC / "roof-and-graph.svg").read_text(encoding="utf-8")
     (STATIC / "roof-and-graph-narrow.svg").write_text(stacked(wide), encoding="utf-8")
     names = run_block(HOW_TO, "gr.compare(runs)")

@@ -129,7 +129,9 @@ def once(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Once:
 @pytest.fixture(scope="session")
 def recorded(domain: int, once: Once) -> Path:
     """The directory of a successful graph run: mpc, the paper's site, 360 ticks."""
-    return once("recorded", lambda cwd: bring_up(domain, cwd, "--hours", "0.1")) / "run"
+    return once("recorded", lambda cwd: bring_up(
+        domain, cwd, "--controller", "mpc", "--hours", "0.1"
+    )) / "run"
 
 
 @pytest.fixture(scope="session")

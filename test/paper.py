@@ -53,8 +53,8 @@ _STEP = 1e-30
 
 
 def paper_run(*options: str) -> Run:
-    """Build a run like a command line with these options."""
-    parser = Parser()
+    """Build a run like a command line with these options, of ``mpc`` unless they name another."""
+    parser, options = Parser(), ("--controller", "mpc", *options)
     add_run_arguments(parser, options)
     return build_run(parser.parse_args(options))
 

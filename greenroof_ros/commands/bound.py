@@ -133,11 +133,13 @@ def _print_frontier(run: Run, as_json: bool) -> None:
         print(json.dumps(result, indent=2, allow_nan=False))
         return
     about = "m3 in wet weather, with {:.2f} m3 of mains water".format
+    points = frontier.points
+    if run.site.mains_level is None:  # so its cost makes no difference
+        about, points = "m3 in wet weather".format, points[:1]
     rows = (
         *setting_rows(result),
         *(
-            ("bound", f"{point.wet_discharge_m3:.2f}", about(point.mains_m3))
-            for point in frontier.points
+            ("bound", f"{point.wet_discharge_m3:.2f}", about(point.mains_m3)) for point in points
         ),
         (
             "on/off", f"{frontier.wet_discharge_m3:.2f}",

@@ -38,7 +38,7 @@ BUILT_IN = {
     "lookahead": f"{_HERE}.lookahead:Lookahead",
 }
 # The controller that runs unless a user chooses another.
-DEFAULT = "mpc"
+DEFAULT = "onoff"
 FOR_A_SITE = "lookahead"
 """the default of a live site, for which the paper's controller is not suitable"""
 EXTERNAL = "external"

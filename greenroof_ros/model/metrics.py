@@ -452,12 +452,12 @@ def _roof_water(site: Site, samples: Samples) -> Values:
 METRICS = (
     Metric(
         "total_deviation_m3", "m3", "total deviation",
-        "sum over the ticks of |x2 - x2*|, the distance of the volume on the roof from its target",
+        "distance of the water on the roof from its target, summed over the time steps",
         _deviation, form=".2f",
     ),
     Metric(
         "near_target_hours", "h", "near the target",
-        f"volume on the roof within {NEAR_TARGET:.0%} of its target",
+        f"time with the roof within {NEAR_TARGET:.0%} of its target",
         _ticks_where(
             lambda site, samples: np.abs(samples.roof - site.x2_star) <= NEAR_TARGET * site.x2_star
         ),
@@ -465,13 +465,14 @@ METRICS = (
     ),
     Metric(
         "mean_deviation_mm", "mm", "mean deviation",
-        "mean distance from the target, as a depth on the roof",
+        "mean distance of the water on the roof from its target, as a depth",
         lambda site, samples: np.stack((_deviation(site, samples), samples.duration / site.tau)),
         _sums, ".2f", finish=lambda site, sums: 1000 * float(sums[0] / sums[1]) / site.a2,
     ),
     Metric(
         "stress_hours", "h", "water stress",
-        "plants receive less water than they need: K_s of FAO-56 below 1, or an empty roof",
+        "time in which plants receive less water than they need: K_s of FAO-56 is below 1, or "
+        "the roof is empty",
         _ticks_where(
             lambda site, samples: (samples.roof < soil_of(site).stress_volume) | (samples.roof <= 0)
         ),
@@ -479,7 +480,7 @@ METRICS = (
     ),
     Metric(
         "evapotranspiration_ratio", "1", "evapotranspiration ratio",
-        "actual over potential",
+        "actual divided by potential evapotranspiration",
         lambda site, samples: (
             samples.duration * np.stack((samples.evapotranspiration, samples.potential))
         ),
@@ -491,16 +492,17 @@ METRICS = (
     ),
     Metric(
         "rain_kept_share_hour", "1", "rain kept above 20 mm/h",
-        "the same for hours with more than 20 mm, within the hour",
+        "the same for hours with more than 20 mm of rain, within the hour",
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=20.0),
     ),
     Metric(
         "rain_kept_share_day", "1", "rain kept above 10 mm in 24 h",
-        "the same for any 24 hours with more than 10 mm",
+        "the same for any 24 hours with more than 10 mm of rain",
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=10.0, hours=24),
     ),
     Metric(
-        "mains_m3", "m3", "mains water used", "mains water into the cistern, if there is a top-up",
+        "mains_m3",
+        "m3", "mains water used", "mains water that flowed into the cistern, if there is a top-up",
         lambda site, samples: (
             None if site.mains_level is None else samples.duration * samples.mains
         ),
@@ -514,35 +516,41 @@ METRICS = (
         _sums, ".1%", finish=_share_without,
     ),
     Metric(
-        "final_cistern_m3", "m3", "cistern at the end", "volume in the cistern, x1, at the end",
+        "final_cistern_m3", "m3", "cistern at the end", "volume in the cistern at the end",
         lambda site, samples: samples.cistern, _last, ".6g",
     ),
     Metric(
-        "final_roof_m3", "m3", "roof at the end", "volume on the roof, x2, at the end",
+        "final_roof_m3", "m3", "roof at the end", "volume on the roof at the end",
         lambda site, samples: samples.roof, _last, ".6g",
     ),
     Metric(
         "final_layer_m3", "m3", "drainage layer at the end",
-        "volume in the drainage layer of field-capacity soil",
+        "volume in the drainage layer at the end, on a field-capacity soil",
         lambda site, samples: None if site.drainage_storage is None else samples.layer,
         _last, ".6g",
     ),
-    Metric("pumped_m3", "m3", "pumped", "from the cistern to the roof", _volume("pump")),
-    Metric("outflow_m3", "m3", "outflow", "from the cistern to the sewer", _volume("outflow")),
-    Metric("drainage_m3", "m3", "drainage", "from the roof", _volume("drainage")),
+    Metric(
+        "pumped_m3", "m3", "pumped", "water pumped from the cistern to the roof", _volume("pump"),
+    ),
+    Metric(
+        "outflow_m3", "m3", "outflow", "water from the cistern to the sewer", _volume("outflow"),
+    ),
+    Metric("drainage_m3", "m3", "drainage", "water that drained off the roof", _volume("drainage")),
     Metric(
         "discharge_m3", "m3", "discharge",
-        "to the sewer: outflow, and drainage that does not flow into the cistern", _discharge,
+        "water to the sewer: the outflow, and the drainage that does not flow into the cistern",
+        _discharge,
     ),
     Metric(
         "wet_discharge_m3", "m3", "discharge in wet weather",
-        "to the sewer in rain, and for wet_after of the site following it", _storm_water, _sums_by,
+        "water to the sewer while it rains, and for wet_after hours after the rain",
+        _storm_water, _sums_by,
         finish=_wet_discharge,
     ),
     *(
         Metric(
             f"peak_discharge_{minutes}min_l_s", "L/s", f"peak discharge, {minutes} min",
-            f"maximum mean of the discharge over {minutes} min", _storm_water, _sums_by,
+            f"highest mean discharge over {minutes} min", _storm_water, _sums_by,
             finish=partial(_peak, minutes=minutes),
         )
         for minutes in (5, 15, 60)
@@ -550,18 +558,22 @@ METRICS = (
     *(
         Metric(
             f"peak_discharge_{minutes}min_mm_h", "mm/h", f"peak discharge depth, {minutes} min",
-            "the same over the connected area: the roof, and the catchment times its runoff "
+            "the same, divided by the connected area: the roof, and the catchment times its runoff "
             "coefficient", _storm_water, _sums_by, finish=partial(_peak_depth, minutes=minutes),
         )
         for minutes in (5, 15, 60)
     ),
     Metric(
-        "overflow_m3", "m3", "overflow", "through the cistern's upper outlet", _overflow, _sums_by,
+        "overflow_m3",
+        "m3", "overflow", "water that left through the upper outlet of the cistern",
+        _overflow, _sums_by,
         finish=lambda site, days: _sum(0.0, days[0]),
     ),
     Metric(
         "overflow_days", "1", "days of overflow",
-        "calendar days on the site's clock with 0.1 mm or more over the connected area", _overflow,
+        "calendar days on the site's clock with an overflow of at least 0.1 mm over the connected "
+        "area",
+        _overflow,
         _sums_by, "d", finish=_overflow_days,
     ),
     Metric(
@@ -570,34 +582,35 @@ METRICS = (
         _rain_and_discharge, _sums, ".1%", finish=_share_without,
     ),
     Metric(
-        "rain_m3", "m3", "rain", "into both tanks",
+        "rain_m3", "m3", "rain", "rain into the cistern and on the roof",
         lambda site, samples: (
             samples.duration * samples.precipitation * (site.effective_catchment + site.a2)
         ),
     ),
     Metric(
-        "rain_cistern_m3", "m3", "rain into the cistern", "through its inlet",
+        "rain_cistern_m3", "m3", "rain into the cistern", "rain that flowed in from the catchment",
         lambda site, samples: samples.duration * samples.precipitation * site.effective_catchment,
     ),
     Metric(
-        "rain_roof_m3", "m3", "rain on the roof", "on the whole bed",
+        "rain_roof_m3", "m3", "rain on the roof", "rain on the whole bed",
         lambda site, samples: samples.duration * samples.precipitation * site.a2,
     ),
     Metric(
         "evapotranspiration_m3", "m3", "evapotranspiration",
-        "from the roof, no more than the water that it held",
+        "water that soil and plants lost to the air",
         _volume("evapotranspiration"),
     ),
     Metric(
-        "max_command", "1", "maximum command", "share of the maximum flow",
+        "max_command", "1", "maximum command", "highest command, as a share of the maximum flow",
         lambda site, samples: samples.command, _maximum, ".6g", max=1,
     ),
     Metric(
-        "beyond_hours", "h", "beyond the pump", "with a command above 1",
+        "beyond_hours", "h", "beyond the pump", "time with a command above 1",
         _ticks_where(lambda site, samples: samples.command > 1), form=".4f", max=0, finish=_hours,
     ),
     Metric(
-        "limited_steps", "1", "limited ticks", "a tank held less than was demanded",
+        "limited_steps", "1", "limited ticks",
+        "time steps in which a tank held less water than was demanded",
         lambda site, samples: samples.limited, _count, "d", max=0,
     ),
     Metric(
@@ -605,12 +618,13 @@ METRICS = (
         _pump_starts, _count, "d",
     ),
     Metric(
-        "busiest_hour_starts", "1", "starts in an hour", "maximum of pump starts in 60 minutes",
+        "busiest_hour_starts",
+        "1", "starts in an hour", "highest number of pump starts in 60 minutes",
         _starts_in_hour, lambda before, values: int(_maximum(before, values)), "d",
     ),
     Metric(
         "excess_starts", "1", "too many starts",
-        "pump starts beyond starts_per_hour of the site, in the hour that ends with them",
+        "pump starts beyond starts_per_hour of the site, counted over the hour before each start",
         _excess_starts, _count, "d", max=0,
     ),
     Metric(
@@ -619,11 +633,12 @@ METRICS = (
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",
-        "rho g q L over time, L of Eq. (3c)", _hydraulic_energy,
+        "energy that the water receives: density, gravity, flow and head, over time",
+        _hydraulic_energy,
     ),
     Metric(
         "electric_energy_kwh", "kWh", "electric energy",
-        "hydraulic energy over pump_efficiency",
+        "hydraulic energy divided by pump_efficiency",
         lambda site, samples: _hydraulic_energy(site, samples) / site.pump_efficiency,
     ),
 )

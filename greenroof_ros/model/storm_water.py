@@ -67,19 +67,19 @@ class Event(NamedTuple):
     """A rain event, and how much of it reached the sewer.
 
     Attributes:
-        start_h: time of the first rain, since the run's start (h).
+        start_h: time of the first rain, since the start of the run (h).
         hours: time from the first rain to the last (h).
-        rain_mm: depth of the rain (mm).
-        max_rain_5min_mm_h: mean over the wettest five minutes, which is the reference's peak.
-        max_rain_60min_mm_h: mean over the wettest 60 minutes.
-        discharge_m3: what reached the sewer before the dry hours after it were over.
-        wet_discharge_m3: the part of it in wet weather.
-        peak_l_s: maximum mean of that part over five minutes.
-        peak_mm_h: the same over the connected area.
-        volume_reduction: share of the reference's volume that did not come in wet weather (1).
-        peak_reduction: the same for the reference's peak (1).
-        peak_delay_min: how much later the peak begins than the reference's; None without discharge.
-        complete: whether the run begins before the first rain, and ends after the dry hours.
+        rain_mm: depth of the rain.
+        max_rain_5min_mm_h: mean of the wettest five minutes, which is the peak of the reference.
+        max_rain_60min_mm_h: mean of the wettest 60 minutes.
+        discharge_m3: water that reached the sewer before the dry hours after the rain had ended.
+        wet_discharge_m3: the part of it that reached the sewer in wet weather.
+        peak_l_s: highest mean of that part over five minutes.
+        peak_mm_h: the same, divided by the connected area.
+        volume_reduction: share of the reference's volume that did not flow in wet weather (1).
+        peak_reduction: share by which the peak was lower than the reference's (1).
+        peak_delay_min: how much later than the reference's peak it began; None without discharge.
+        complete: whether the run covers the whole event, including the dry hours after it.
     """
 
     start_h: float

@@ -23,7 +23,8 @@ OPTIONS = {
     "--controller pid": "controller = 'pid'",
     "--controller external": "controller = 'external': is a node that you run",
     "--controller onoff --weight 0.1": "--weight 0.1 (the parameters of onoff are --fraction",
-    "--weight 0,1": "must be a number greater than 0 and at most 1000000, with a decimal point",
+    "--controller mpc --weight 0,1":
+        "must be a number greater than 0 and at most 1000000, with a decimal point",
     "--cistern 60": "--roof: is missing: both volumes must be given",
     "--initial low-low --cistern 60 --roof 2": "--initial",
     "--hours 0.0001": "whole number of ticks",

@@ -36,7 +36,9 @@ def test_what_ends_a_run(domain: int, tmp_path: Path) -> None:
     and where it ended, and how to open what was recorded.
     """
     ignored, run = (signal.SIGHUP, signal.SIGINT), tmp_path / "run"
-    process = Process(domain, "bringup", "--output", "run", cwd=tmp_path, ignored=ignored)
+    process = Process(
+        domain, "bringup", "--controller", "mpc", "--output", "run", cwd=tmp_path, ignored=ignored
+    )
     process.wait_for_ticks(size=10_000)
     assert summary_of(run)["status"] == "running"
     for signal_number in ignored:
@@ -61,7 +63,8 @@ def test_kill_leaves_all_but_a_chunk(domain: int, tmp_path: Path) -> None:
     """The bag of a run that was killed is recovered up to the ticks not yet flushed, at most 32."""
     with in_domain(domain), closing(Observer(domain, tmp_path)) as observer:
         process = Process(
-            domain, "bringup", "--output", "run", "--speed", "20", cwd=tmp_path
+            domain, "bringup", "--controller", "mpc",
+            "--output", "run", "--speed", "20", cwd=tmp_path
         )
         levels = observer.collect("/roof/level")
         observer.until(lambda: len(levels) > 100, 60, "100 ticks")
@@ -79,7 +82,7 @@ def test_kill_leaves_all_but_a_chunk(domain: int, tmp_path: Path) -> None:
 
 def test_interrupted_while_starting(domain: int, tmp_path: Path) -> None:
     """Ctrl-C at any moment ends the run; a second and a third do not disturb the end."""
-    process = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
+    process = Process(domain, "bringup", "--controller", "mpc", "--output", "run", cwd=tmp_path)
     wait_for((tmp_path / "run" / "summary.json").exists, 60, "the start of the nodes")
     for _ in range(3):
         process.process.send_signal(signal.SIGINT)
@@ -104,10 +107,12 @@ def test_a_graph_of_its_own(domain: int, tmp_path: Path) -> None:
     for port in ports:
         port.write_bytes(bytes(52400))
     try:
-        process = Process(domain, "bringup", "--speed", "20", "--output", "run", "--namespace",
+        process = Process(domain, "bringup", "--controller", "mpc",
+                          "--speed", "20", "--output", "run", "--namespace",
                           "/site1", cwd=tmp_path)
         process.wait_for_ticks(size=0)
-        second = Process(domain, "bringup", "--output", "second", "--namespace", "site1",
+        second = Process(domain, "bringup", "--controller", "mpc",
+                         "--output", "second", "--namespace", "site1",
                          cwd=tmp_path)
         assert second.wait(300) == 3
         assert all(words in second.stderr() for words in ("namespace /site1", "--namespace"))
@@ -125,7 +130,7 @@ def test_nodes_that_are_there_already(domain: int, tmp_path: Path) -> None:
     weather = Process(domain, "nodes.weather", cwd=tmp_path)
     wait_for(lambda: udp_addresses_of(weather.process.pid), 60, "the start of the node")
     time.sleep(0.5)  # until it has announced its name
-    refused = Process(domain, "bringup", "--output", "run", cwd=tmp_path)
+    refused = Process(domain, "bringup", "--controller", "mpc", "--output", "run", cwd=tmp_path)
     assert refused.wait(300) == 3
     assert "ROS_DOMAIN_ID" in refused.stderr()  # from bringup, or from the node that detects it
     weather.process.kill()

@@ -27,7 +27,8 @@ def test_simulated_run(domain: int, tmp_path: Path, observer: Observer) -> None:
     message = Clock()
     message.clock.sec = start + 86_400
     process = Process(
-        domain, "bringup", "--output", "run", "--namespace", "site1", "--hours", "0.2",
+        domain, "bringup", "--controller", "mpc",
+        "--output", "run", "--namespace", "site1", "--hours", "0.2",
         "--speed", "120", "--parameters", "mine.yaml", "--node-parameters", "mine.yaml",
         cwd=tmp_path,
     )

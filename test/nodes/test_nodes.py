@@ -90,7 +90,9 @@ def test_a_start_without_an_offset_is_of_the_sites_clock(
 def test_who_sets_and_commands(domain: int, tmp_path: Path, observer: Observer) -> None:
     """The weight can be set during the run, wrong values are refused; a second master ends it."""
     clock = observer.collect("/clock", lambda message: message.clock.sec)
-    process = Process(domain, "bringup", "--speed", "10", "--output", "run", cwd=tmp_path)
+    process = Process(
+        domain, "bringup", "--controller", "mpc", "--speed", "10", "--output", "run", cwd=tmp_path
+    )
     observer.until(lambda: clock and clock[-1] >= START + 20, 60, "20 ticks")
     for bad in (-1.0, 0.0, -5, math.nan, math.inf):
         refused = set_weight(observer, bad)

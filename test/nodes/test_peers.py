@@ -31,7 +31,9 @@ class Nodes:
         self.started: dict[str, Process] = {}
 
     def node(self, name: str, **parameters: object) -> Process:
-        """Start a node; a controller by its own name."""
+        """Start a node; a controller by its own name. The recorder is of ``mpc`` unless told."""
+        if name == "recorder":
+            parameters.setdefault("controller", "mpc")
         which = ["controller", "--controller", name] if name in ("mpc", "onoff") else [name]
         self.started[name] = Process(
             self.domain, f"nodes.{which[0]}", *which[1:], *ros_arguments(**parameters),

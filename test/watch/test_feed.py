@@ -116,7 +116,8 @@ def node(role: str, state: str = "ready", name: str = "", **values: Any) -> Diag
 def test_what_is_received_is_what_is_recorded(domain: int, tmp_path: Path) -> None:
     """At 30 times real time: each message at its tick."""
     run = Process(
-        domain, "bringup", "--speed", "30", "--hours", "4", "--output", "run", cwd=tmp_path
+        domain, "bringup", "--controller", "mpc", "--speed", "30", "--hours", "4",
+        "--output", "run", cwd=tmp_path,
     )
     with fed(domain) as (watched, _):
         wait_for(lambda: len(watched.messages[LEVEL]) > 200, 400, "levels")

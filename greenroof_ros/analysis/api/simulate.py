@@ -203,7 +203,7 @@ class Result:
 
 
 def simulate(
-    controller: str | type | Controller | Function = "mpc", **inputs: Any
+    controller: str | type | Controller | Function = "onoff", **inputs: Any
 ) -> Result:
     """Simulate a run without ROS; the numbers equal those of ``greenroof simulate``.
 

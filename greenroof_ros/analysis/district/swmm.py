@@ -27,7 +27,7 @@ def format_series(start: datetime, seconds: float, volumes: Values, about: str) 
     Lines that interpolation does not need are left out.
 
     Args:
-        start: of the first interval; its local time is SWMM's.
+        start: start of the first interval; SWMM's clock is in its UTC offset.
         seconds: duration of an interval (s).
         volumes: in each interval (m3), shape (intervals,).
         about: a comment.

@@ -99,8 +99,14 @@ _MAINS, _WET = "mains water (m³)", "discharge in wet weather (m³)"
 
 
 def _of_discharge(cases: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
-    """Yield the figure of a window's discharge over its mains water, at a site with a valve."""
-    here = [case for case in cases if case.row.get("parameter:outlet")]
+    """Yield the figure of a window's discharge over its mains water.
+
+    It is for sites with a valve and a mains top-up: without one, nothing is traded for discharge.
+    """
+    here = [
+        case for case in cases
+        if case.row.get("parameter:outlet") and case.row.get("mains_m3") is not None
+    ]
     if len(here) > 1:
         yield draw_discharge(here, f"discharge-{name}")
 
@@ -117,7 +123,7 @@ def draw_discharge(cases: Sequence[CaseRuns], name: str) -> Figure:
         points = [
             *(("minimum possible", *bound) for bound in bounds[:1]),
             *((
-                case.label, case.row.get("mains_m3") or 0.0, case.row["wet_discharge_m3"],
+                case.label, case.row["mains_m3"], case.row["wet_discharge_m3"],
             ) for case in here if case.row.get("wet_discharge_m3") is not None),
         ]
         dataset = f"{name}-{len(panels) + 1}"
@@ -199,7 +205,7 @@ def _lowest(reductions: Iterable[float]) -> float:
 
 # --- results by case ------------------------------------------------------------------------------
 
-_DEVIATION = "total |x2 - x2*| (m³)"
+_DEVIATION = "total deviation (m³)"
 
 
 def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:

@@ -52,7 +52,7 @@ _TABLES = {
         "stress_hours", "evapotranspiration_ratio", "rain_kept_share", "rain_kept_share_hour",
         "rain_kept_share_day", "frost_hours", "frost_pumped_m3",
     ),
-    "Pumps and mains": (
+    "Pumps and water supply": (
         "beyond_hours", "limited_steps", "busiest_hour_starts", "excess_starts", "pump_hours",
         "hydraulic_energy_kwh", "mains_m3", "mains_below_onoff_m3", "demand_met_share",
     ),

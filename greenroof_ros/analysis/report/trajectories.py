@@ -231,14 +231,14 @@ _WHEN = alt.Tooltip(
 
 
 def _origin(start: datetime) -> float:
-    """Return a time for an axis in UTC, which then shows local time in every browser (ms)."""
+    """Return a time for an axis in UTC that shows the same clock in every browser (ms)."""
     offset = start.utcoffset()
     assert offset is not None, "a run's start has its offset"
     return (start.timestamp() + offset.total_seconds()) * 1000
 
 
 def _points(run: Drawn, start: datetime, quantity: str, factor: float) -> Rows:
-    """Return the points of a curve, in the local time of ``start``.
+    """Return the points of a curve, in the UTC offset of ``start``.
 
     Args:
         run: run with the curve.
@@ -260,7 +260,7 @@ def _time(start: datetime, hours: float) -> alt.X:
     clock = f"utcFormat(datum.value, '{'%H:%M:%S' if hours < 0.2 else '%H:%M'}')"
     return alt.X(
         "t:T",
-        title=f"from {start:%-d %B %Y}, local time (UTC{start.isoformat()[-6:]})",
+        title=f"from {start:%-d %B %Y}, UTC{start.isoformat()[-6:]}",
         scale=alt.Scale(type="utc", nice=False, domain=[
             _origin(start), _origin(start) + max(3.6e6 * hours, 1000.0),
         ]),

@@ -134,10 +134,10 @@ def bound_case(directory: Path, case: Case) -> float:
 def bound_discharge(directory: Path, case: Case) -> dict[str, float]:
     """Return the columns of the minimum discharge in wet weather, for on/off control's irrigation.
 
-    Of the frontier it is the point where mains water costs as much as ``plan`` assumes.
+    Of the frontier it is the point where mains water costs as much as ``plan`` assumes. Its mains
+    water is left out at a site without a mains top-up.
     """
-    frontier = simulate_frontier(case.plain.find_inputs(directory).build())
-    point = frontier.at(PRICE)
-    return {
-        "bound_wet_discharge_m3": point.wet_discharge_m3, "bound_mains_m3": point.mains_m3,
-    }
+    run = case.plain.find_inputs(directory).build()
+    point = simulate_frontier(run).at(PRICE)
+    bounds = {"bound_wet_discharge_m3": point.wet_discharge_m3}
+    return bounds if run.site.mains_level is None else bounds | {"bound_mains_m3": point.mains_m3}

@@ -361,7 +361,7 @@ def test_sites(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("inputs", "reason"), [
-    ({"hour": 3}, "hour = 3: is neither an input nor a parameter of mpc; did you mean hours"),
+    ({"hour": 3}, "hour = 3: is neither an input nor a parameter of onoff; did you mean hours"),
     ({"start": 5}, "start = 5: must be text"),
     ({"hours": "2"}, "hours = '2': must be a number greater than 0"),
     ({"hours": np.bool_(True)}, "hours = .*: must be a number"),

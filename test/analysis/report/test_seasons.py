@@ -11,6 +11,7 @@ import scipy.stats
 from inputs import figures_of, report_of, study_of
 from studies import record, run_here
 
+from greenroof_ros.analysis.report.figures import make_figures
 from greenroof_ros.analysis.report.groups import TOTAL, CaseRuns, Report
 from greenroof_ros.analysis.report.intervals import Deviations, SeasonComparison, compare
 from greenroof_ros.analysis.report.tables import make_notes, make_tables
@@ -217,6 +218,21 @@ def test_storm_water_is_compared_with_a_closed_valve(tmp_path: Path) -> None:
     ] == ["none", "20", "18"]
     report = study_of(tmp_path / "b", *drain, *mpc)
     assert case_of(report, "mpc").row["wet_discharge_below_onoff_m3"] == -2.0
+
+
+def test_mains_water_is_not_shown_of_a_site_without_mains(tmp_path: Path) -> None:
+    """Neither in a table nor in a figure, although its valve lets storm water out."""
+    runs = [
+        {**row, "parameter:outlet": "drain", "wet_discharge_m3": 10.0, "mains_m3": mains}
+        for mains in (2.0, None) for controller in ("onoff", "mpc")
+        for row in rows(controller, None, ONOFF)
+    ]
+    (topped_up, with_mains), (not_topped_up, without) = (
+        (make_tables(report), {figure.name for figure in make_figures(report)})
+        for report in (study_of(tmp_path / "a", *runs[:22]), study_of(tmp_path / "b", *runs[22:]))
+    )
+    assert "mains" in str(topped_up) and "mains" not in str(not_topped_up)
+    assert with_mains - without == {"discharge-1"}
 
 
 # --- from the grid to the figures ----------------------------------------------------------------

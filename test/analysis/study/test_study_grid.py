@@ -108,8 +108,8 @@ def test_window_of_several_files(tmp_path: Path) -> None:
 
 # For each grid of years: sites, ticks (s), and runs of a year.
 YEARS = {
-    # On each roof two on/off, and two controllers with three forecasts.
-    "seasons.yaml": (2, {300}, 2 * (2 + 2 * 3)),
+    # On/off that drains, and two that plan with three forecasts.
+    "seasons.yaml": (1, {300}, 1 + 2 * 3),
     "ticks.yaml": (8, {1, 10, 60, 300}, 8 * 2),
     # Two roofs with four cisterns each; closed, open, plan, and three reserves.
     "storm_water.yaml": (8, {300}, 8 * 6),
