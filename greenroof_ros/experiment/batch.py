@@ -39,7 +39,7 @@ Rows = NDArray[np.intp]
 _Observer = TypeVar("_Observer", bound="Observer")
 
 # Sites that are stepped together: their arrays fit in the processor's cache.
-_TOGETHER = 5000
+_TOGETHER = 8000
 # Ticks between two reports of progress.
 _BLOCK = 1440
 

@@ -25,7 +25,7 @@ _HOUR_S = 3600.0
 _PEAKS_MIN = (5, 15, 60)
 _MAX_BYTE = 255
 # Discharges that are kept until they are added up.
-_VALUES = 100_000
+_VALUES = 400_000
 
 
 class Clock(NamedTuple):

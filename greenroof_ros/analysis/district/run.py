@@ -41,9 +41,9 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.site import Site, merge_site_file
 from greenroof_ros.model.storm_water import interval_seconds
 
-# Most buildings in a part: more take no less time each. Parts do not depend on the workers, and so
-# neither do the bits of their sums.
-_PART = 650
+# A building takes less time in a larger part, but further processors need parts, too. Parts do not
+# depend on the workers, and so neither do the bits of their sums.
+_MIN_PART, _MAX_PART, _PARTS = 650, 2500, 8
 _REFRESH_S = 0.5
 PRELOADED = ["greenroof_ros.analysis.district.parts"]
 """modules that every worker needs"""
@@ -109,7 +109,8 @@ class DistrictRun:
         adoption = self.adoption
         together = tuple(name for name in self.outlets if name != PLAN)
         count = len(self.buildings)
-        size = math.ceil(count / math.ceil(count / _PART))
+        most = min(max(count / _PARTS, _MIN_PART), _MAX_PART)
+        size = math.ceil(count / math.ceil(count / most))
         for outlets in ((PLAN,) * (PLAN in self.outlets), together):  # the longest first
             for first in range(0, count * bool(outlets), size):
                 places = slice(first, first + size)

@@ -84,7 +84,7 @@ def test_processes_and_dask_with_a_killed_worker(
     dask: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same to the bit: what the killed worker had begun is done again, and counted once."""
-    monkeypatch.setattr("greenroof_ros.analysis.district.run._PART", 2)
+    monkeypatch.setattr("greenroof_ros.analysis.district.run._MIN_PART", 2)
     run = read_run(write_district(tmp_path, SHORT))
     dask.start_worker()
     dask.start_worker()

@@ -200,7 +200,7 @@ def test_sewer(simulated: Simulated, tmp_path: Path) -> None:
 
 def test_parts_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The bits of the sums are the same in any order of the parts."""
-    monkeypatch.setattr("greenroof_ros.analysis.district.run._PART", 3)
+    monkeypatch.setattr("greenroof_ros.analysis.district.run._MIN_PART", 3)
     run = read_run(write_district(tmp_path))
     write_inputs(run.files, tmp_path)
     results = [(part.places, simulate_part(tmp_path, part)) for part in run.parts(tmp_path)]
