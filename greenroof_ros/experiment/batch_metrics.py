@@ -61,7 +61,7 @@ class BatchMetrics:
         self._plants, self._sites = plants, (sites := plants.sites)
         self._tau, self._per_interval, n = float(sites.tau[0]), per_interval, len(sites)
         self._area: Values = connected_area(cast(Any, sites))  # type: ignore[assignment]
-        self._sums = Moved(*np.zeros((len(Moved._fields), n)))
+        self._sums = np.zeros((len(Moved._fields), n))
         self._deviation, self._near, self._stress = np.zeros((3, n))
         # Ticks since the counts were last added, in bytes: numpy adds them quickly.
         self._near_now, self._stress_now = np.zeros((2, n), np.uint8)
@@ -89,13 +89,9 @@ class BatchMetrics:
 
     def add(self, tick: int) -> None:
         """Add what has moved in a tick, and the state at its end."""
-        plants, sums = self._plants, self._sums
+        plants = self._plants
         moved, row, low = plants.moved, self._flows[self._filled], self._low_flows[self._filled]
-        for total, values in (
-            (sums.pump, moved.pump), (sums.drainage, moved.drainage),
-            (sums.evapotranspiration, moved.evapotranspiration),
-        ):
-            np.add(total, values, out=total)
+        np.add(self._sums, plants.all_moved, out=self._sums)
         if tick % self._per_interval == 0:
             np.multiply(self._to_sewer, moved.drainage, out=row)
             low.fill(0.0)
@@ -106,11 +102,6 @@ class BatchMetrics:
         if plants.flowed:
             row += moved.outflow
             low += moved.low_outlet
-            for total, values in (
-                (sums.outflow, moved.outflow), (sums.limited, moved.limited),
-                (sums.mains, moved.mains), (sums.low_outlet, moved.low_outlet),
-            ):
-                np.add(total, values, out=total)
             self._of_day += moved.outflow - moved.low_outlet
         self._add_roof(tick + 1)
         if (tick + 1) % self._per_interval == 0:
@@ -194,7 +185,7 @@ class BatchMetrics:
             ticks: N of the runs.
             rain: depth on each site (m).
         """
-        plants, sites, sums, area = self._plants, self._sites, self._sums, self._area
+        plants, sites, sums, area = self._plants, self._sites, Moved(*self._sums), self._area
         self._add_counts()
         self._end_day(np.arange(len(sites)))
         self._filled += ticks % self._per_interval > 0

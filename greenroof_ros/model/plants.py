@@ -66,6 +66,7 @@ class Plants:
         x2: on each roof (m3).
         layer: in each drainage layer (m3).
         moved: what has moved in the last tick.
+        all_moved: the same in one array, shape (7, n).
         flowed: whether something has flowed in it besides drainage, evapotranspiration and pumped
             water.
     """
@@ -85,7 +86,8 @@ class Plants:
         """
         self.sites, self._tau = sites, float(sites.tau[0])
         self.x1, self.x2, self.layer = x1.copy(), x2.copy(), sites.initial_layer.copy()
-        self.moved = Moved(*np.zeros((len(Moved._fields), len(sites))))
+        self.all_moved = np.zeros((len(Moved._fields), len(sites)))
+        self.moved = Moved(*self.all_moved)
         self.flowed = False
         self._short, self._steps = bool(sites.has_short_ticks[0]), math.ceil(self._tau / MAX_STEP_S)
         self._cisterns, self._soils = Cisterns.of(sites), soils_of(sites)
@@ -131,8 +133,7 @@ class Plants:
             allowed: where the pumps may run; None for all.
         """
         moved, soils = self.moved, self._soils
-        for values in moved if self.flowed else (moved.pump,):
-            values.fill(0.0)
+        (self.all_moved if self.flowed else moved.pump).fill(0.0)
         self.flowed = False
         settled = soils.begin(self.x2, moved.evapotranspiration)
         pumping = self._find_pumping(allowed)
