@@ -13,16 +13,16 @@ from greenroof_ros.watch.bridge import Bridge
 from greenroof_ros.watch.feed import Feed
 from greenroof_ros.watch.store import GraphStore
 
-# As for the page (nice): about a tenth of a core if other processes want all of it.
+# Niceness, as for the page: about a tenth of a core if other processes want all of it.
 _NICENESS = 10
 
 _DESCRIPTION = """\
 Publish on MQTT what the page of 'greenroof watch' shows: levels, pump, rain, frost, what the
 controller plans, and alarms by code. Home Assistant discovers it automatically. It works alongside
 any graph that runs in this ROS domain, simulated or live. It may start
-late and stop early: nothing waits for it.
+late and stop early, as nothing waits for it.
 
-Whoever may write to the topic greenroof/SITE/stop can stop the pump. Nothing can be released or
+Anyone who may write to the topic greenroof/SITE/stop can stop the pump. Nothing can be released or
 started over MQTT.
 """
 _EPILOG = """\
@@ -31,12 +31,12 @@ examples:
   greenroof bridge --broker mqtts://home.example --login login.yaml
   greenroof bridge --broker mqtt://127.0.0.1 --namespace north
 
-With a namespace the topics begin with it: greenroof/north/...
+With a namespace, the topics begin with it: greenroof/north/...
 
-A login file has two lines, username: NAME and password: WORD. Keep others out of it (chmod 600).
+A login file has two lines, username: NAME and password: WORD. No one else may read it (chmod 600).
 If it cannot reach the broker, it reports this and keeps trying. Ctrl-C ends it.
 
-exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
+exit codes: 0 ended on request, 1 failed, 2 bad usage or configuration
 """
 
 
@@ -50,18 +50,19 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--broker", required=True, metavar="ADDRESS",
-        help="mqtt://HOST[:PORT], or mqtts://HOST[:PORT] over TLS (ports 1883 and 8883)",
+        help="publish at this broker: mqtt://HOST[:PORT], or mqtts://HOST[:PORT] over TLS (ports "
+        "1883 and 8883)",
     )
     parser.add_argument(
         "--login", default="", metavar="FILE",
-        help="YAML file with username and password (default: none, no login)",
+        help="log in with username and password from this YAML file (default: no login)",
     )
     parser.add_argument(
         "--authority", default="", metavar="FILE",
-        help="trusted certificates for mqtts://, PEM (default: the system's)",
+        help="trust the certificates in this PEM file for mqtts:// (default: the system's)",
     )
     add_namespace(
-        parser, "; also the site's name on MQTT (roof without a namespace). Two sites on one "
+        parser, "; also the site's name on MQTT (roof without a namespace). Two sites at one "
         "broker need different ones",
     )
     return parser

@@ -21,24 +21,25 @@ from greenroof_ros.model.site import read_site
 
 _CLASS = (
     "Check that a controller does what the node graph, simulate, studies and reports rely on: "
-    "commands finite and not negative, the same for the same inputs, skipped ticks, missing "
-    "forecasts, parameters. Each failure is listed with the correct behaviour."
+    "its commands are finite, not negative, and the same for the same inputs, and it copes with "
+    "skipped ticks, missing forecasts and parameters. Every failure is listed with the correct "
+    "behaviour."
 )
 _NODE = (
     "With --node, check a running node, in any language, that 'greenroof run --controller "
     "external' can use. It must keep four rules: (1) every topic reliable, transient local, keep "
-    "last 64, and its publisher with a liveliness lease of 1 s; (2) exactly one message on "
+    "last 64, with a liveliness lease of 1 s for its publisher; (2) exactly one message on "
     "/pump/command for each tick, when all its inputs of the tick have arrived, and one on "
     "/outlet/command at a site whose low outlet has a valve; (3) an answer to every tick, finite "
-    "and not negative, to the valve at most 1; 0 when a level or frost is not finite, to the pump "
-    "also in frost; "
-    "(4) it ends when /clock has no publisher any more. The check replaces plant and weather, "
+    "and not negative, and at most 1 to the valve; 0 when a level or frost is not finite, and to "
+    "the pump also in frost; "
+    "(4) it ends when /clock no longer has a publisher. The check replaces plant and weather, "
     "so start no run; it ends the node."
 )
 
 
 def _options(reference: str) -> CheckResult:
-    """Check that no parameter has the name of an option of the commands."""
+    """Check that no parameter bears the name of an option of the commands."""
     parser = Parser()
     problem = ""
     try:
@@ -46,7 +47,7 @@ def _options(reference: str) -> CheckResult:
         add_output_arguments(parser)
     except argparse.ArgumentError as error:
         problem = f"{error}; rename the parameter"
-    return CheckResult("its parameters have names that no option of the commands has", problem)
+    return CheckResult("its parameters do not have the names of the commands' options", problem)
 
 
 def make_parser() -> Parser:
@@ -57,22 +58,23 @@ def make_parser() -> Parser:
         epilog="examples:\n  greenroof check-controller my_package.my_module:MyController\n"
         "  python my_controller_node.py &\n"
         "  greenroof check-controller --node controller\n\n"
-        "exit codes: 0 all is right, 1 a check failed, 2 it cannot be imported, or there is no "
-        "such node, 3 a graph is running",
+        "exit codes: 0 all checks passed, 1 a check failed, 2 it cannot be imported, or there is "
+        "no such node, 3 a graph is running",
     )
     subject = parser.add_mutually_exclusive_group(required=True)
     subject.add_argument(
         "controller", nargs="?", metavar="CONTROLLER",
-        help=f"package.module:Class, or one of {', '.join(BUILT_IN)}",
+        help=f"check this controller: package.module:Class, or one of {', '.join(BUILT_IN)}",
     )
     subject.add_argument(
         "--node", metavar="NAME",
-        help="name of a running node, with its namespace if it has one: /site1/controller",
+        help="check the running node of this name, with its namespace if it has one: "
+        "/site1/controller",
     )
     node = parser.add_argument_group("options with --node")
     node.add_argument(
         "--horizon", type=make_number_type(0.0, MAX_HORIZON), default=0.0, metavar="H",
-        help="how far the forecasts reach (h), as for 'greenroof run --controller external' "
+        help="send forecasts that reach this far (h), as for 'greenroof run --controller external' "
         "(default: 0, the next M ticks)",
     )
     add_site(parser, "site with which it is checked")

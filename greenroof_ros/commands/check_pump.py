@@ -13,23 +13,23 @@ from greenroof_ros.graph.domain import require_ros
 from greenroof_ros.model.site import read_site
 
 _INVENTED = (
-    "THE PUMP WILL RUN. The levels and weather that the check sends are invented: it would let the "
-    "pump run a cistern dry, or pump into a frozen pipe. With a real pump, make sure yourself that "
-    "there is water in the cistern, room on the roof and no frost, and set --period to the site's "
-    "tau (1): at 0.1 the minimum on and off times pass ten times as fast for the motor, which is "
-    "started ten times."
+    "THE PUMP WILL RUN. The levels and the weather that the check sends are invented, so it would "
+    "let the pump run a cistern dry, or pump into a frozen pipe. With a real pump, make sure "
+    "that there is water in the cistern, room on the roof and no frost, and set --period to the "
+    "site's tau (1): at 0.1, the minimum on and off times pass ten times as fast for the motor, "
+    "which is started ten times."
 )
 _SUBJECT = (
     "Check a running pump driver, this package's or your own in any language, against the "
-    "interface, using topics only: off at start, one flow for each command, refused values, "
-    "watchdog, a second publisher, frost, unknown levels and frost, a cistern at the suction "
-    "level, and that it runs again after each. The check replaces plant, weather and controller, "
-    "so start no run. Give --live for a driver of a live graph, such as this package's pump node: "
-    "it publishes its flow every tau by itself."
+    "interface, using topics only. The check covers: off at start, one flow for each command, "
+    "rejected values, watchdog, a second publisher, frost, unknown levels and frost, a cistern at "
+    "the suction level, and that the pump runs again after each of these. The check replaces "
+    "plant, weather and controller, so start no run. Use --live for a driver of a live graph, such "
+    "as this package's pump node, which publishes its flow every tau by itself."
 )
 _LIMIT = (
     "The flows in the answers are the only evidence: topics do not show whether the pump's shaft "
-    "is really stopped, so watch the pump."
+    "has really stopped, so watch the pump."
 )
 
 
@@ -41,25 +41,25 @@ def make_parser() -> Parser:
         epilog="example:\n  python my_driver.py &\n"
         "  greenroof check-pump --node pump\n"
         "  greenroof check-pump --node pump --live --period 1    # the package's pump node\n\n"
-        "exit codes: 0 all is right, 1 a check failed, 2 there is no such driver, 3 a graph is "
-        "running",
+        "exit codes: 0 all checks passed, 1 a check failed, 2 there is no such driver, 3 a graph "
+        "is running",
     )
     parser.add_argument(
         "--node", required=True, metavar="NAME",
-        help="name of the driver's node, with its namespace if it has one: /site1/pump",
+        help="check the node of this name, with its namespace if it has one: /site1/pump",
     )
     parser.add_argument(
         "--command", type=make_number_type(0.001, 1.0), default=0.5, metavar="SHARE",
-        help="command at which the pump runs, a share of its maximum flow (default: 0.5)",
+        help="run the pump at this command, a share of its maximum flow (default: 0.5)",
     )
     parser.add_argument(
         "--live", action="store_true",
-        help="the driver publishes its flow by its own clock, not one for each command",
+        help="expect the driver to publish its flow on its own clock, not once for each command",
     )
     parser.add_argument(
         "--period", type=make_number_type(0.001, 3600.0), default=0.1, metavar="S",
-        help="minimum time between two commands, each a tick of the site; with --live and with a "
-        "real pump the site's tau, 1 (default: 0.1)",
+        help="wait at least this long between two commands (s), each a tick of the site; with "
+        "--live and with a real pump, use the site's tau, 1 (default: 0.1)",
     )
     add_site(parser, "site whose levels and ticks it is sent")
     return parser

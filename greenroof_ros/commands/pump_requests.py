@@ -25,16 +25,16 @@ from greenroof_ros.watch import wire
 from greenroof_ros.watch.graph_client import DIAGNOSTICS, GraphClient, PumpRequestError
 from greenroof_ros.watch.registry import Registry
 
-# Longest wait for the pump node (s): to discover it takes seconds.
+# Longest wait for the pump node (s), as its discovery takes seconds.
 _PATIENCE_S = 20.0
-# How long its reports are awaited (s): before the question of a reset, and while a dose is given.
+# How long its reports are awaited (s), before a reset asks for confirmation and during a dose.
 _REPORT_S = 5.0
 _POLL_S = 0.1
-# Maximum hold with an end (h): ten years.
+# Longest hold with an end (h): ten years.
 _MAX_HOLD_H = 87_600
 _QUESTION = (
-    "The pump may start as soon as the fault is cleared. Is its cause remedied, and is no one "
-    "working on the pump? [y/N] "
+    "The pump may start as soon as the fault is cleared. Has its cause been remedied, and is no "
+    "one working on the pump? [y/N] "
 )
 
 
@@ -43,13 +43,13 @@ class PumpRequest:
     """A command that makes one request to the pump node, and prints how it ended.
 
     Attributes:
-        name: of the command.
-        done: what the pump is when the request was granted, for the list of exit codes.
-        description: for the help.
-        request: makes the request, with the command line and the nodes' reports, and returns how
-            it ended.
-        add_options: adds the command's own options.
-        examples: for the help.
+        name: name of the command.
+        done: state of the pump once the request was granted, for the list of exit codes.
+        description: description for the help.
+        request: function that makes the request, given the command line and the nodes' reports, and
+            returns how it ended.
+        add_options: function that adds the command's own options.
+        examples: examples for the help.
     """
 
     name: str
@@ -95,21 +95,21 @@ def _add_hold_options(parser: Parser) -> None:
     end = parser.add_mutually_exclusive_group()
     end.add_argument(
         "--until", type=_parse_future_time, metavar="TIME",
-        help="its end, a future time (ISO 8601), by this machine's clock unless it has an offset "
-        "from UTC: 2026-12-24T08:00-05:00 (default: no end)",
+        help="end the hold at this future time (ISO 8601), on this machine's clock unless it has "
+        "an offset from UTC: 2026-12-24T08:00-05:00 (default: no end)",
     )
     end.add_argument(
         "--for", dest="hours", type=make_number_type(0.001, _MAX_HOLD_H), metavar="HOURS",
-        help="its length (h; default: no end)",
+        help="end the hold after this time (h; default: no end)",
     )
     parser.add_argument(
         "--reason", default="", metavar="TEXT",
-        help="why; shown with the hold (default: none)",
+        help="show this reason with the hold (default: none)",
     )
 
 
 def _parse_future_time(text: str) -> float:
-    """Return a future time (s since 1970); of a wall clock's hour that comes twice, the later."""
+    """Return a future time (s since 1970); in an hour that a clock repeats, the later one."""
     try:
         end = max(parse_time(text).replace(fold=fold).astimezone() for fold in (0, 1))
     except ValueError:
@@ -142,7 +142,7 @@ def _release(client: GraphClient, _: argparse.Namespace, __: Registry) -> str:
 def _add_dose_options(parser: Parser) -> None:
     parser.add_argument(
         "--volume", type=make_number_type(0.001, 1e6), required=True, metavar="M3",
-        help="volume to deliver (m3)",
+        help="deliver this volume (m3)",
     )
 
 
@@ -151,7 +151,7 @@ def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Registry)
     requested_at, said = time.time(), ""
     client.request("dose", _PATIENCE_S, volume=arguments.volume, asked_at=requested_at)
     accepted = time.monotonic()
-    print(f"dose {requested_at:.6f} of {arguments.volume:g} m3 is accepted", flush=True)
+    print(f"dose {requested_at:.6f} of {arguments.volume:g} m3 was accepted", flush=True)
     while True:
         client.receive(_POLL_S)
         now, pump = time.monotonic(), reports.node(PUMP)
@@ -171,7 +171,9 @@ def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Registry)
 
 
 def _add_reset_options(parser: Parser) -> None:
-    parser.add_argument("--yes", action="store_true", help="do not ask, for scripts")
+    parser.add_argument(
+        "--yes", action="store_true", help="do not ask for confirmation, for use in scripts"
+    )
 
 
 def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Registry) -> str:
@@ -187,7 +189,7 @@ def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Registry
 
 
 def _ask_to_confirm() -> bool:
-    """Ask on the terminal; no answer is a no."""
+    """Ask on the terminal; no answer counts as no."""
     try:
         return input(_QUESTION).strip().lower() in ("y", "yes")
     except EOFError:
@@ -197,9 +199,9 @@ def _ask_to_confirm() -> bool:
 
 HOLD = PumpRequest(
     "hold", "held",
-    "Keep the pump off, regardless of the command, even after a restart: until 'greenroof "
-    "release', or until a time. There is one hold at a time: this one replaces the owner and the "
-    "reason of an earlier one, and never ends sooner than that.",
+    "Keep the pump off, regardless of the command and even after a restart, until 'greenroof "
+    "release' or until a time. There is one hold at a time: this one replaces the owner and the "
+    "reason of an earlier one, and never ends sooner than that one.",
     _hold, _add_hold_options,
     "examples:\n  greenroof hold --reason 'the roof is being repaired'\n"
     "  greenroof hold --until 2026-12-24T08:00\n  greenroof hold --for 48\n\n",
@@ -207,22 +209,22 @@ HOLD = PumpRequest(
 RELEASE = PumpRequest(
     "release", "released",
     "End the hold of the pump, whoever made it. The pump then starts automatically when the "
-    "controller asks for it and nothing else keeps it off. A fault remains.",
+    "controller requires it and nothing else keeps it off. A fault remains.",
     _release,
 )
 RESET = PumpRequest(
     "reset", "cleared",
     "Clear a latched fault of the pump, in the pump node and in its drive, once its cause is "
-    "remedied. For the person at the pump: it asks first. A hold remains, until 'greenroof "
-    "release'. Afterwards the pump starts when the controller asks for it and nothing else keeps "
-    "it off.",
+    "remedied. This is for the person at the pump, and asks for confirmation first. A hold remains "
+    "until 'greenroof release'. The pump then starts when the controller requires it and nothing "
+    "else keeps it off.",
     _reset, _add_reset_options,
 )
 DOSE = PumpRequest(
     "dose", "delivered",
-    "Deliver a given volume now, regardless of the controller's command, if the site file allows "
+    "Deliver a volume now, regardless of the controller's command, if the site file allows "
     "it (max_dose) and no interlock is active, but never above the roof's target. An interlock "
-    "ends a dose for good; a dose that cannot begin within a minute ends, too. Ctrl-C ends this "
-    "command but not the dose: to end that, stop the pump.",
+    "ends a dose for good, and so does a start that is not possible within a minute. Ctrl-C ends "
+    "this command but not the dose: to end that, stop the pump.",
     _dose, _add_dose_options, "example:\n  greenroof dose --volume 0.2\n\n",
 )

@@ -27,12 +27,12 @@ from greenroof_ros.recording.whole_chunks import read_whole_chunks
 
 
 class Recovered(NamedTuple):
-    """What was recovered of a bag.
+    """What was recovered from a bag.
 
     Attributes:
         bag: the new bag.
         messages: number of messages in it.
-        losses: what was lost, each in a sentence.
+        losses: what was lost, in one sentence each.
     """
 
     bag: Path
@@ -48,13 +48,14 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
         output: the new bag, which must not exist; by default it is next to the old one.
 
     Raises:
-        ConfigurationError: if no bag, nothing whole in it, or the output exists or is unwritable.
+        ConfigurationError: if there is no bag, or nothing whole in it, or the output exists or
+            cannot be written.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
     files = find_files(bag) or sorted(bag.glob("*.mcap"))  # other recorders may not number them
     if not files:
         raise ConfigurationError(
-            "must be the directory of a run or its bag, but has no .mcap file", file=directory
+            "must be the directory of a run or its bag, but contains no .mcap file", file=directory
         )
     target = output or name_recovered_bag(bag)
     if target.exists():
@@ -80,7 +81,7 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
         ) from error
     if not copies:
         target.rmdir()
-        raise ConfigurationError("does not hold a single whole chunk of messages", file=bag)
+        raise ConfigurationError("does not contain a single whole chunk of messages", file=bag)
     for name, had in _count_recorded(bag).items():
         if (missing := had - counts.get(name, 0)) > 0:
             losses.append(f"{name}: {missing} of its {had} messages are lost")
@@ -88,7 +89,7 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
 
 
 def _count_recorded(bag: Path) -> dict[str, int]:
-    """Return the number of messages of each closed file, by the bag's metadata if it is whole."""
+    """Return the number of messages in each closed file, from the bag's metadata if it is whole."""
     with suppress(ConfigurationError, KeyError, TypeError, ValueError):
         about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
         return {str(file["path"]): int(file["message_count"]) for file in about["files"]}
@@ -96,7 +97,7 @@ def _count_recorded(bag: Path) -> dict[str, int]:
 
 
 def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
-    """Write a file's whole chunks to another; return their number of messages and what was lost."""
+    """Write a file's whole chunks to another; return the number of messages, and the losses."""
     try:
         stream = file.open("rb")
     except OSError as error:
@@ -119,10 +120,10 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
                 elif isinstance(record, Channel) and record.id not in channels:
                     channels.add(record.id)
                     if record.schema_id not in schemas:
-                        record.schema_id = 0  # its type was defined in what is lost
+                        record.schema_id = 0  # its type was defined in the lost part
                     writer.add_channel(record)
                 elif isinstance(record, Message) and record.channel_id not in channels:
-                    lost += len(record.data)  # its topic was defined in what is lost
+                    lost += len(record.data)  # its topic was defined in the lost part
                 elif isinstance(record, Message):
                     if lost:
                         losses.append(_describe_loss(file, lost, last, record.log_time))
@@ -138,10 +139,10 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
 
 
 def _describe_loss(file: Path, size: int, before: int | None, after: int | None) -> str:
-    """Return a loss in words, by the times of the messages around it (ns)."""
+    """Return a loss in words, given the times of the messages around it (ns)."""
     start = "the beginning" if before is None else to_people(from_epoch_ns(before))
     end = "the end" if after is None else to_people(from_epoch_ns(after))
-    return f"{file.name}: {size} bytes are lost, between {start} and {end}"
+    return f"{file.name}: {size} bytes are lost between {start} and {end}"
 
 
 def make_parser() -> Parser:
@@ -149,14 +150,17 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof recover",
         description="Repair a damaged bag, or the bag of a run that was killed or ran out of disk: "
-        "what is whole is copied into a new bag next to the old one, which stays unchanged. A "
-        "report of the run then uses the new one.",
-        epilog="exit codes: 0 the new bag has all that was recorded, 1 some of it was lost, as the "
+        "everything that is whole is copied into a new bag next to the old one, which stays "
+        "intact. A report of the run then uses the new one.",
+        epilog="exit codes: 0 the new bag contains all that was recorded, 1 some was lost, as the "
         "messages state, 2 nothing could be recovered, or bad usage",
     )
-    parser.add_argument("directory", type=Path, metavar="DIR", help="a run directory, or its bag")
     parser.add_argument(
-        "--output", type=Path, metavar="BAG", help="the new bag (default: next to the old one)"
+        "directory", type=Path, metavar="DIR", help="repair this bag, or that of this run directory"
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="BAG",
+        help="write the new bag here (default: next to the old one)",
     )
     return parser
 

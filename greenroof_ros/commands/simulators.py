@@ -34,42 +34,42 @@ def make_parser() -> Parser:
         usage="%(prog)s [options]",
         description="Simulate the devices of a live site in real time: cistern and roof with their "
         "sensors on Modbus or MQTT, and the pump with its drive on Modbus or its relay on MQTT. "
-        "Registers, control word, ramp, fault codes and communication timeout are of the make that "
-        "the drive file describes. The air is at 15 degC.",
+        "Registers, control word, ramp, fault codes and communication timeout are those of the "
+        "make that the drive file describes. The air is at 15 degC.",
         epilog="examples:\n"
         "  greenroof simulators site\n"
         "  greenroof simulators site --drive abb_acs880 --at tcp://127.0.0.1:5020\n"
         "  greenroof simulators site --drive tasmota --at mqtt://127.0.0.1/roof-pump\n\n"
-        "Its first line states when it is ready, and where. Ctrl-C ends it.\n\n"
+        "The first line states when it is ready, and at which addresses. Ctrl-C ends it.\n\n"
         "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
     )
     devices = parser.add_argument_group(
-        "devices", "Anyone who reaches their addresses can operate them.",
+        "devices", "Anyone who can reach their addresses can operate them.",
     )
     devices.add_argument(
         "--drive", default="danfoss_fc202", metavar="NAME",
-        help="make of the drive or relay: a name in config/drives/, or your own file "
+        help="simulate this make of drive or relay: a name in config/drives/, or your own file "
         "(default: %(default)s)",
     )
     devices.add_argument(
         "--at", default="gateway://127.0.0.1:5020", metavar="ADDRESS",
-        help="where it answers: tcp://HOST:PORT, gateway://HOST:PORT for its serial port, a serial "
-        "line, or mqtt://HOST/TOPIC for a relay (default: %(default)s)",
+        help="answer at this address: tcp://HOST:PORT, gateway://HOST:PORT for its serial port, a "
+        "serial line, or mqtt://HOST/TOPIC for a relay (default: %(default)s)",
     )
     devices.add_argument(
         "--sensors", type=Path, metavar="FILE",
-        help="file of the sensors (default: config/sensors.yaml)",
+        help="simulate the sensors in this file (default: config/sensors.yaml)",
     )
     add_site_arguments(parser.add_argument_group(
         "the site",
-        "After --hours the weather keeps its last values; the simulator continues.",
+        "After --hours, the weather keeps its last values, and the simulator continues.",
     ))
     return parser
 
 
 @command
 def main() -> None:
-    """Simulate the site that the command line asks for."""
+    """Simulate the site that the command line specifies."""
     arguments = make_parser().parse_args()
     check_installed()
     endpoint = read_endpoint(find_drive_file(arguments.drive), arguments.at, "--at")

@@ -15,24 +15,24 @@ from greenroof_ros.watch.words import SPACE
 
 WARNING, ALARM, NOTHING = 1, 2, 3
 
-# How long it subscribes at least, once it has found a node, and how long in all (s). Each node
-# reports at least once a second, but the middleware may take seconds to find it.
+# Shortest time for which it subscribes once it has found a node, and longest time in all (s). Every
+# node reports at least once a second, but the middleware may take seconds to find it.
 _SETTLED_S, _MAX_S = 2.0, 5.0
 _POLL_S = 0.1
 _MAX_LINES = 15
 _TILES = "roof", "cistern", "pump", "rain", "controller"
-# For a pump that should be off. Its drive reports standstill, or its timeout must have stopped it.
+# For a pump that should be off: its drive reports standstill, or its timeout must have stopped it.
 _STANDS = {
     True: "stopped, according to the drive",
-    False: "it may still turn: if it should be off, stop it at the drive or the main switch",
+    False: "it may still turn; if it should be off, stop it at the drive or the main switch",
     None: "",
 }
 _LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not responding"}
 
 _DESCRIPTION = """\
 Print the present state of the run or the site in this ROS domain: levels, pump, rain and forecast,
-controller and alarms, in at most 15 lines, in the words of the page of 'greenroof watch'. It only
-subscribes: for 2 s once it has found a node, and for 5 s if values are missing or nothing runs.
+controller and alarms, in at most 15 lines, in the same words as the page of 'greenroof watch'. It
+only subscribes, for 2 s once it has found a node, or for 5 s if values are missing or nothing runs.
 """
 _EPILOG = """\
 examples:
@@ -40,7 +40,7 @@ examples:
   ssh pi@roof greenroof status          from another machine
   greenroof status --namespace site1
 
-exit codes, as monitoring plug-ins have them: 0 well, 1 warning, 2 alarm, 3 nothing is running, or
+exit codes, as for monitoring plug-ins: 0 all is well, 1 warning, 2 alarm, 3 nothing is running, or
 the command failed or was used wrongly
 """
 
@@ -71,7 +71,7 @@ def main() -> int:
 
 
 def _read_status(store: GraphStore) -> dict[str, Any]:
-    """Return the document when everything is known, or after the longest time."""
+    """Return the document once everything is known, or after the longest time."""
     began, first = time.monotonic(), None
     while True:
         time.sleep(_POLL_S)
@@ -90,11 +90,11 @@ def _find_unknown(shown: Mapping[str, Any]) -> set[str]:
 
 
 def _judge(shown: Mapping[str, Any]) -> int:
-    """Return the exit code: by the alarms, and by what is unknown although no one reports it.
+    """Return the exit code, based on the alarms and on what is unknown although no one reports it.
 
-    On a site that is an alarm: a node that died before this command began sends nothing, and a
-    pump about which nothing is known may run. A level out of its range alone is no alarm: a
-    controller that waits for rain lets the roof dry.
+    At a live site, the latter is an alarm, since a node that died before this command began sends
+    nothing, and a pump about which nothing is known may be running. A level out of its range is not
+    in itself an alarm, since a controller that waits for rain lets the roof dry.
     """
     mode, tiles = shown["mode"], shown["tiles"]
     unknown = _find_unknown(shown) - {"rain"}

@@ -23,19 +23,19 @@ from greenroof_ros.watch.foxglove_server import FoxgloveServer
 from greenroof_ros.watch.listening import LOOPBACK, PORTS, is_loopback, new_token, read_token
 from greenroof_ros.watch.store import GraphStore
 
-# Niceness: a watcher must not slow down others; on a busy core it gets a tenth of the time.
+# Niceness, as a watcher must not slow down others: on a busy core, it gets a tenth of the time.
 _NICENESS = 10
 
 _DESCRIPTION = """\
-Show what the roof does, on a page in a browser: levels, pump, rain, what the controller intends,
-alarms and what to do. It shows any graph that runs in this ROS domain, simulated at up to 60 times
-real time, or live. Any number of watchers may start and stop at any time:
-no run waits for them. The pump can be stopped on the page, and released if that was allowed. With
---foxglove there is no page: Foxglove or Lichtblick shows the graph.
+Show what the roof does on a page in a browser: levels, pump, rain, what the controller intends,
+alarms and what to do. It shows any graph that runs in this ROS domain, either live or simulated at
+up to 60 times real time. Any number of watchers may start and stop at any time, as no run
+waits for them. The pump can be stopped on the page, and released if that was allowed. With
+--foxglove there is no page: Foxglove or Lichtblick shows the graph instead.
 
-It shows what it has received itself, for a week. The past of a live site is saved every 10 minutes
-and at the end, in $XDG_STATE_HOME/greenroof_ros or ~/.local/state/greenroof_ros, for the next
-start. The bags of a run or a site are shown by greenroof report.
+It shows the last week of what it has itself received. The past of a live site is saved for the next
+start, every 10 minutes and at the end, in $XDG_STATE_HOME/greenroof_ros or
+~/.local/state/greenroof_ros. The bags of a run or a site are shown by greenroof report.
 
 The address is printed. Only this machine can reach it; from another machine, use an ssh tunnel:
   ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE
@@ -47,13 +47,13 @@ examples:
   greenroof watch --namespace site1 --port 8081
   greenroof watch --host 0.0.0.0        for other machines: with a token
   greenroof watch --allow-release --port 8080 --token-file token
-                                        with an address that can be a bookmark
+                                        with an address that can be bookmarked
   greenroof run --speed 60 --watch      a run, and its page alongside it
   greenroof watch --foxglove            for Foxglove, at ws://127.0.0.1:8765
 
-When a run ends, it waits for the next one and shows it. Ctrl-C ends it.
+When a run ends, the page waits for the next one and shows it. Ctrl-C ends the command.
 
-exit codes: 0 asked to end, 1 failed, 2 bad usage or configuration
+exit codes: 0 ended on request, 1 failed, 2 bad usage or configuration
 """
 
 
@@ -73,32 +73,32 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--allow-release", action="store_true",
         help="allow the page to release the pump, whoever holds it, and to clear the "
-        "fault speed_not_followed; if the site file allows it, also to ask for a dose. "
+        "fault speed_not_followed; if the site file allows it, also to request a dose. "
         "The page then needs its token on this machine, too",
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",
-        help="address of this machine on which other machines reach the page, to look and to stop "
-        "the pump; 0.0.0.0 means all addresses. An address that others can reach needs a token, "
+        help="serve the page at this address, where other machines can view it and stop the pump; "
+        "0.0.0.0 stands for all addresses. An address that others can reach needs a token, "
         "which is printed with it; the connection is not encrypted "
         f"(default: {LOOPBACK})",
     )
     parser.add_argument(
         "--port", type=make_number_type(1, 65535, int), metavar="N",
-        help=f"TCP port of the page (default: {PORTS[0]}, and if it is in use, the next free "
-             "port)",
+        help=f"serve the page on this TCP port (default: {PORTS[0]} or, if that is in use, the "
+        "next free port)",
     )
     parser.add_argument(
         "--token-file", type=Path, metavar="FILE",
-        help="file with the token that the page then always needs, so that its address stays the "
-        "same; if it is missing, it is made with a new token. Only its owner may have access "
+        help="read from this file the token that the page then always needs, so its address stays "
+        "the same; a missing file is made with a new token. Only its owner may have access "
         "(default: a new token at each start, if the page needs one)",
     )
     return parser
 
 
 def _refuse_wrong(arguments: argparse.Namespace) -> None:
-    """Refuse wrong options.
+    """Reject wrong options.
 
     Raises:
         ConfigurationError: if an option is wrong.
@@ -111,23 +111,23 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
 
 
 def _find_past_file(namespace: str) -> Path:
-    """Return the file that keeps the past of this domain and namespace; no name has a dot."""
+    """Return the file with the past of this domain and namespace, whose names have no dot."""
     place = [os.environ.get("ROS_DOMAIN_ID") or "0", *filter(None, namespace.split("/"))]
     return state_directory() / f"watch_{'.'.join(place)}.npz"
 
 
 def _print_address(url: str, host: str, port: int | None, *, release: bool) -> None:
-    """Print the page's address, and what other people may do with it."""
+    """Print the page's address, and what other people can do with it."""
     if port is None and f":{PORTS[0]}/" not in url:
         print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
     if not is_loopback(host):
         print(
-            "anyone who has the address with its token may look, and stop the pump; the "
+            "anyone who has the address with its token can view the page and stop the pump; the "
             "connection is not encrypted", file=sys.stderr,
         )
     if release:
         print(
-            "anyone who has the address with its token may release the pump, and ask for a dose "
+            "anyone who has the address with its token can release the pump, and request a dose "
             "if the site file allows it", file=sys.stderr,
         )
     print(url, flush=True)
@@ -152,7 +152,7 @@ def main() -> None:
     except ModuleNotFoundError as error:
         raise ConfigurationError(f"needs {error.name}: {describe_extra('watch')}") from error
     host, port = arguments.host or LOOPBACK, arguments.port
-    # Releasing always needs a token: behind a proxy each request comes from this machine.
+    # Releasing always needs a token, since behind a proxy every request comes from this machine.
     needed = store.allow_release or not is_loopback(host)
     token = new_token() if needed else None
     if arguments.token_file is not None:

@@ -100,7 +100,7 @@ class Levels:
         return cistern.displacement, roof.displacement
 
     def expect(self, flow: float, rain: float = 0.0) -> None:
-        """Expect the levels to move as pump flow (m3/s) and rain (m/s) do in a tick."""
+        """Expect the levels to move as a tick's pump flow (m3/s) and rain (m/s) require."""
         tau = self._site.tau
         movements = expected_movement(
             self._site, flow, rain, self._wetting.excess(rain, tau), self.cistern.value,

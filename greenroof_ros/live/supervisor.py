@@ -66,8 +66,8 @@ _NOT_REQUIRED = {
     RECORDER, *(quantity.node for section, quantity in QUANTITIES.items() if section not in TANKS)
 }
 
-# A full disk is not an error of logging: lines that do not fit are lost. There is no flush at exit,
-# which would block on a hung disk, and every line is flushed when it is written.
+# A full disk does not count as a logging error: lines that do not fit are lost. There is no flush
+# at exit, which would block on a hung disk, and every line is flushed when it is written.
 logging.raiseExceptions = False
 atexit.unregister(logging.shutdown)
 

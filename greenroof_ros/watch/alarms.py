@@ -1,6 +1,7 @@
-"""Alarms and events of a graph, as page, status and bridge show them.
+"""Alarms and events of a graph, as shown by the page, the status command and the bridge.
 
-:mod:`greenroof_ros.common.alarms` judges what is an alarm, also for the supervisor of a live site.
+:mod:`greenroof_ros.common.alarms` judges what is an alarm, as it does for the supervisor of a live
+site.
 """
 
 from __future__ import annotations
@@ -18,17 +19,18 @@ _SEVERITY = {"error": 0, "stale": 1, "warn": 2}
 
 
 def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
-    """Return the alarms: causes, what follows from them, other devices, and last what is over.
+    """Return the alarms: causes, then what follows from them, other devices, and what is over.
 
-    Within each group the order is: the pump's state, alarms that are not acknowledged, the worst,
+    The order within each group is: the pump's state, alarms that are not acknowledged, the worst,
     the newest. Older and acknowledged alarms are already known.
 
-    ``plain`` is whether ``do`` is written for its code: an operator then reads ``do`` instead of
-    the node's own words in ``what``.
+    ``plain`` states whether ``do`` is written for the alarm's code; if so, an operator reads ``do``
+    instead of the node's own words in ``what``.
     """
 
     def order(alarm: Alarm) -> tuple[bool, bool, int, bool, int, float]:
-        # First the pump node (without it no one knows whether the pump runs), then its state.
+        # The pump node comes first (without it, no one knows whether the pump runs), then its
+        # state.
         rank = {(PUMP, ""): 0, (PUMP, PUMP): 1}.get((alarm.role, alarm.part), 2)
         return (
             not alarm.role, bool(alarm.follows), rank, store.is_acknowledged(alarm),
@@ -61,7 +63,7 @@ def list_events(store: GraphStore) -> list[dict[str, Any]]:
 def count_alarms(store: GraphStore) -> tuple[int, int, int]:
     """Return how many causes are alarms, how many are warnings, and how many alarms follow.
 
-    A cause counts by the worst of itself and what follows from it.
+    A cause counts with the worst level among itself and what follows from it.
     """
     present = store.judge.present.values()
     following = sum(bool(alarm.follows) for alarm in present)
@@ -70,9 +72,9 @@ def count_alarms(store: GraphStore) -> tuple[int, int, int]:
 
 
 def choose_advice(present: Sequence[Mapping[str, Any]]) -> str:
-    """Return what to do now: about the cause of the first alarm that is not acknowledged.
+    """Return what to do now about the cause of the first alarm that is not acknowledged.
 
-    If it is only a hold, that is intended: what to do about a second alarm is added.
+    If the cause is only a hold, which is intended, what to do about a second alarm is added.
 
     Args:
         present: the present alarms as they are listed, at least one.
@@ -83,5 +85,5 @@ def choose_advice(present: Sequence[Mapping[str, Any]]) -> str:
         row["do"] for row in rows
         if row is not first and row["level"] != "warn" and not row["follows"]
     ), "")
-    more = f" Besides: {second}" if first["code"] == "hold" and second else ""
+    more = f" In addition: {second}" if first["code"] == "hold" and second else ""
     return f"{first['do']}{more}"

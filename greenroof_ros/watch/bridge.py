@@ -1,4 +1,4 @@
-"""A site on MQTT: what the page shows, and a stop; see :class:`Bridge`."""
+"""A site on MQTT, with what the page shows and a stop; see :class:`Bridge`."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from greenroof_ros.watch.parts import Parts
 from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import UNKNOWN, find_display
 
-# How often the state is checked, and how often it is sent even if unchanged (s): three times before
-# it expires in Home Assistant.
+# Interval at which the state is checked, and at which it is sent even if unchanged (s): three times
+# before it expires in Home Assistant.
 _POLL_S, _RENEW_S = 1.0, 10.0
 # Home Assistant accepts 255 characters as a state, and records 16 kB of attributes.
 _MAX_TEXT, _MAX_ALARMS = 255, 10
-# How long the last message may take (s).
+# Longest time that the last message may take (s).
 _LAST_S = 1.0
-# How many of the newest messages are known as its own when the broker sends them back.
+# How many of its newest messages the bridge recognises as its own when the broker returns them.
 _MAX_RECENT = 20
-# How long a stop is tried again (s): a pump node that died is back by then.
+# For how long a stop is tried again (s): a pump node that has died is back by then.
 _STOP_S = 60.0
 
 
@@ -49,23 +49,24 @@ class Bridge:
     """Publishes a site, and stops its pump on request; no other request is accepted.
 
     It publishes ``state``, ``alarms`` and ``availability``, and subscribes to ``stop``, all under
-    ``greenroof/SITE/``. State and alarms are not retained: a later reader would mistake an old
-    value for a present one. They are sent on each change, and at least every 10 s. A stop
-    that the broker has kept (retained) is ignored, since it would stop the pump at each connection.
+    ``greenroof/SITE/``. State and alarms are not retained, since a later reader would mistake an
+    old value for a present one. They are sent on every change, and at least every 10 s. A stop that
+    the broker has kept (retained) is ignored, since it would stop the pump at every connection.
     While connected, the bridge obeys every stop: MQTT 3.1.1 does not tell a subscriber whether the
-    sender asked to retain it, and a person's stop must count. No stop is queued for this client.
+    sender wanted the message to be retained, and a person's stop must count. No stop is queued for
+    this client.
 
-    It receives what it publishes: if someone else has published there, it says so, publishes its
-    own message again, and clears what the broker would keep of state and alarms.
+    The bridge receives what it publishes. If someone else has published there, it reports this,
+    publishes its own message again, and clears any state and alarms that the broker would keep.
     """
 
     def __init__(self, store: GraphStore, feed: Feed, broker: Broker) -> None:
         """Start without a connection.
 
         Args:
-            store: state of the graph, to publish.
-            feed: stops the pump.
-            broker: where to publish.
+            store: state of the graph, which is published.
+            feed: feed of the store, which stops the pump.
+            broker: broker at which to publish.
 
         Raises:
             ConfigurationError: if the MQTT library is missing, or the login or certificate file is
@@ -75,30 +76,30 @@ class Bridge:
         self._store, self._feed, self._broker = store, feed, broker
         self._base, self._status = make_prefix(site), f"{PREFIX}/status"
         self._stops_on = f"{self._base}/stop"
-        self._kept = make_discovery(site)  # what the broker keeps, by topic
+        self._kept = make_discovery(site)  # messages that the broker keeps, by topic
         self._kept[f"{self._base}/availability"] = ONLINE
         self._stop, self._again = threading.Event(), threading.Event()
         self._why, self._ending = "", False  # why there is no connection
-        self._availability = threading.Lock()  # in the order in which it is published
+        self._availability = threading.Lock()  # keeps messages about it in order
         self._sent: dict[str, str] = {}
         self._sent_at = self._restored_at = 0.0
         self._recent: tuple[bytes, ...] = ()
-        # Topics on which someone else has published, and whether the broker keeps it.
+        # Topics on which someone else has published, and whether the broker keeps that message.
         self._foreign: dict[str, bool] = {}
-        self._stop_until = -math.inf  # until when a stop is tried (steady clock, s)
+        self._stop_until = -math.inf  # time until which a stop is tried (steady clock, s)
         self._client = make_client(
             broker, f"greenroof_{site}", self._on_connect, self._on_message, self._on_disconnect,
             will=(f"{self._base}/availability", OFFLINE),
         )
 
     def run(self, signals: Signals) -> None:
-        """Publish the site until a signal comes.
+        """Publish the site until a signal arrives.
 
         Args:
             signals: the signals that end it.
 
         Raises:
-            InterruptedRun: if a signal came.
+            InterruptedRun: if a signal arrived.
         """
         self._client.loop_start()
         try:
@@ -128,7 +129,7 @@ class Bridge:
             print_seldom("no stop", f"stop, over MQTT: {failure}")
             if failure.answered:
                 self._stop_until = -math.inf
-        except Exception as error:  # it is tried again: a stop ends with no error of another kind
+        except Exception as error:  # tried again: no other error ends a stop
             what = type(error).__name__
             print_seldom(what, f"stop, over MQTT: {what}: {error}; trying again")
 
@@ -145,7 +146,7 @@ class Bridge:
             self._again.clear()
             self._sent, self._sent_at = {}, now
         for name, content in messages.items():
-            if content is None:  # Home Assistant shows what is not renewed as unavailable
+            if content is None:  # Home Assistant shows it as unavailable if it is not renewed
                 continue
             text = json.dumps(content, allow_nan=False)
             if self._sent.get(name) != text:
@@ -154,7 +155,7 @@ class Bridge:
                 self._client.publish(f"{self._base}/{name}", text)
 
     def _restore_topics(self) -> None:
-        """Publish again where someone else has published; two programs that do it take turns."""
+        """Publish again where someone else has published; two programs that do so take turns."""
         now = time.monotonic()
         if not self._foreign or now - self._restored_at < _RENEW_S:
             return
@@ -165,7 +166,7 @@ class Bridge:
             elif is_kept:
                 self._client.publish(topic, "", retain=True)  # the broker forgets it
             else:
-                self._client.subscribe(topic)  # the broker sends what it keeps of it, if anything
+                self._client.subscribe(topic)  # the broker sends what it keeps there, if anything
         self._again.set()
 
     # --- in the client's thread -----------------------------------------------------------------
@@ -178,17 +179,17 @@ class Bridge:
         self._publish_all()
 
     def _publish_all(self) -> None:
-        """Publish everything: the broker is there again, or Home Assistant has started."""
+        """Publish everything, since the broker is back or Home Assistant has started."""
         for topic, text in self._kept.items():
             self._client.publish(topic, text, retain=True)
         self._publish_availability()
         self._again.set()
 
     def _publish_availability(self) -> Any:
-        """Publish whether this bridge runs; return the message, to wait for.
+        """Publish whether this bridge runs, and return the message so that one can wait for it.
 
-        A bridge that connects while it ends is offline. It disconnects in an orderly way, so that
-        the broker would not publish its will.
+        A bridge that connects while it is ending is offline. It then disconnects normally, so the
+        broker would not publish its will.
         """
         with self._availability:
             word = OFFLINE if self._ending else ONLINE
@@ -219,11 +220,11 @@ class Bridge:
         """Note a message on a topic of this bridge that is not its own."""
         kept = self._kept.get(topic, "").encode()
         if self._ending or payload == kept or payload in self._recent or (kept and retained):
-            return  # what the broker kept was replaced when this bridge connected
+            return  # what the broker had kept was replaced when this bridge connected
         self._foreign[topic] = retained
         print_seldom("foreign", (
             f"{topic}: someone else has published here, perhaps another bridge with the same "
-            "namespace; it is published again: let the broker allow it to this bridge alone"
+            "namespace; it is published again: let the broker allow this only to this bridge"
         ))
 
 
@@ -232,7 +233,7 @@ def make_state(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
 
     Args:
         store: state of the graph; the caller holds its lock.
-        shown: the document of that store.
+        shown: document of that store.
     """
     tiles, pump = shown["tiles"], shown["tiles"]["pump"]
     here, now, plan = store.mode not in ("none", "ended"), store.now, store.plan
@@ -256,7 +257,7 @@ def make_state(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
         "pump": pump["value"] if here else UNKNOWN,
         "plan": tiles["controller"]["sentence"][:_MAX_TEXT] if here else UNKNOWN,
         "planned_volume": None if volume is None else round(volume * 1e3),
-        "planned_start": None if begin is None or begin == now  # it pumps now
+        "planned_start": None if begin is None or begin == now  # it is pumping now
         else datetime.fromtimestamp(begin, timezone.utc).isoformat(timespec="seconds"),
         "frost": None if frost is None or not here else ON if frost else OFF,
         "condition": (present[0]["code"] or UNKNOWN) if present else "none" if here else UNKNOWN,

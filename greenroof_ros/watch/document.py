@@ -1,4 +1,4 @@
-"""What page and status show, as data for JSON: the document, and the series of the charts.
+"""What the page and the status command show, as data for JSON: the document and the charts' series.
 
 One function makes each of them from a store.
 
@@ -25,14 +25,14 @@ from greenroof_ros.watch.stopping import describe_stop, make_bare_stop
 from greenroof_ros.watch.store import EXPECTED, INTERVALS, LINES, GraphStore
 from greenroof_ros.watch.tiles import Tile, find_band
 
-_LEVELS = "roof", "cistern", EXPECTED  # change slowly, all other lines in steps
-# A value of a line holds at most for this time (s), as in a report.
+_LEVELS = "roof", "cistern", EXPECTED  # change slowly; all other lines change in steps
+# Longest time for which a value of a line holds (s), as in a report.
 _HOLDS_S = 600.0
 
-# How much of the past a series may show (h), and about how many points a line has.
+# How much of the past a series may show (h), and the approximate number of points in a line.
 HOURS, _POINTS = Range(0.1, 168.0), 400
-# The maximum number of characters of all alarms, and of all events: the document must stay
-# below 100 kB.
+# Maximum number of characters of all alarms, and of all events, since the document must stay below
+# 100 kB.
 _MAX_ALARMS, _MAX_EVENTS = 55_000, 25_000
 
 _HEADINGS = {
@@ -42,9 +42,9 @@ _HEADINGS = {
 
 
 def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
-    """Return everything that page and status show, below 100 kB, as plain texts.
+    """Return everything that the page and the status command show, as plain text below 100 kB.
 
-    Each part is made on its own: one that cannot be made is replaced, and a note states this.
+    Each part is made separately: one that cannot be made is replaced, and a note states this.
 
     Args:
         store: state of the graph.
@@ -56,8 +56,8 @@ def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
 
 def _make_document(store: GraphStore, wall: float) -> dict[str, Any]:
     parts, bare = Parts(), make_bare_stop()
-    parts.make("What is overdue", lambda: store.update(wall), None)
-    stop = parts.make("What may be done to the pump", lambda: describe_stop(store), bare)
+    parts.make("The list of overdue values", lambda: store.update(wall), None)
+    stop = parts.make("The list of actions on the pump", lambda: describe_stop(store), bare)
     rows = parts.make("Alarms", lambda: alarms.list_alarms(store), [])
     listed, present = _trim(rows, _MAX_ALARMS), [row for row in rows if row["over"] is None]
     shown = {
@@ -73,10 +73,10 @@ def _make_document(store: GraphStore, wall: float) -> dict[str, Any]:
         )
     }
     waits = parts.make(
-        "What is waited for", lambda: tiles.describe_wait(store, shown["pump"]["idle"]), ""
+        "The rain that is awaited", lambda: tiles.describe_wait(store, shown["pump"]["idle"]), ""
     )
     serious, warnings, following = parts.make(
-        "Numbers of alarms", lambda: alarms.count_alarms(store), (0, 0, 0)
+        "The number of alarms", lambda: alarms.count_alarms(store), (0, 0, 0)
     )
     summary = parts.make("The summary", lambda: {
         "word": "Nothing received yet:" if store.mode == "none"
@@ -127,14 +127,14 @@ def _write_heading(store: GraphStore) -> str:
     if factor is None or store.mode != "simulated":
         return heading
     times = words.write_number(factor, 0 if factor >= 9.95 else 1).removesuffix(".0")
-    return f"{heading}, " + ("at real time" if times == "1" else f"{times} times real time")
+    return f"{heading}, " + ("in real time" if times == "1" else f"{times} times real time")
 
 
 def _list_notes(store: GraphStore, hidden: int) -> list[str]:
     notes = [*store.notes]
     if missing := store.judge.missing:
         listed = [f"{name}: {diagnosis.sentence}." for name, diagnosis in missing.items()]
-        notes[:0] = ["The site is starting. Not there yet:", *map(clean_text, listed)]
+        notes[:0] = ["The site is starting. Still missing:", *map(clean_text, listed)]
     if hidden:
         notes.append(f"{hidden} more alarms are not shown.")
     weather = store.graph.node("weather")
@@ -156,9 +156,9 @@ def _write_counts(alarms: int, warnings: int, following: int) -> str:
 
 
 def _judge_level(shown: dict[str, Tile]) -> str:
-    """Return the level without alarms: ``ok`` or ``warn``.
+    """Return the level to show if there are no alarms: ``ok`` or ``warn``.
 
-    It is never ``ok`` next to a tile that reports otherwise, even if there is nothing to do.
+    It is never ``ok`` above a tile that shows otherwise, even if there is nothing to do.
     """
     attention = (
         any(shown[tank]["state"] != "good" for tank in ("roof", "cistern"))
@@ -168,9 +168,9 @@ def _judge_level(shown: dict[str, Tile]) -> str:
 
 
 def _write_sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
-    """Return how roof and pump are, and what is expected."""
+    """Return the condition of roof and pump, and what is expected."""
     if store.mode == "none":
-        return "no run or site is found."
+        return "no run or site has been found."
     if store.ended:
         doubt = f"; {_write_pump_clause(shown['pump'])}" if shown["pump"]["alarm"] else ""
         return f"The run has ended: this is its last state{doubt}."
@@ -203,17 +203,17 @@ def _write_pump_clause(pump: Tile) -> str:
 
 
 def _advise(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
-    """Return what to do if there is no alarm; if something is not as wanted, what happens next."""
+    """Return what to do if there is no alarm, or what happens next if something is not right."""
     if store.judge.missing:
-        return "Nothing to do: the site is starting. What is still missing is listed below."
+        return "Nothing to do: the site is starting. Whatever is still missing is listed below."
     roof, pump = shown["roof"]["state"], shown["pump"]
     if store.mode == "none":
         return (
-            "Start a run or a site; if one is running, check that this watcher has its "
+            "Start a run or a site; if one is running, check that this watcher uses the same "
             "ROS_DOMAIN_ID and --namespace."
         )
     if store.mode == "ended":
-        return "The run is over: this is not the present."
+        return "The run is over, so this is not the present state."
     if {shown[name]["state"] for name in ("roof", "cistern", "pump")} & {"unknown", "alarm"}:
         return (
             "Nothing is reported as wrong, but some values are unknown: check whether sensors and "
@@ -221,7 +221,7 @@ def _advise(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
         )
     runs = pump["state"] in ("starting", "running")
     if roof == "high" and runs:
-        return "The roof has enough water, and the pump runs: check whether it should."
+        return "The roof has enough water, but the pump is running: check whether it should."
     if roof != "low" or runs or waits:
         return "Nothing to do."
     if pump["idle"]:
@@ -242,14 +242,14 @@ def _trim(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
 def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
     """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
 
-    A row covers a ``stretch`` (s), which is a share of the time with values: a run that has just
-    begun has many rows. A line ends with the newest value, which the tiles show as well. It has a
-    gap between two rows that are further apart than ``gap`` (s); no value holds for longer. It also
-    has a gap from a row of None to the next row.
+    A row covers a ``stretch`` (s), which is a share of the time for which there are values, so a
+    run that has just begun has many rows, too. A line ends with the newest value, which the tiles
+    show as well. It has a gap between two rows that are further apart than ``gap`` (s), as no value
+    holds for longer. It also has a gap from a row of None to the next row.
 
     Args:
         store: state of the graph.
-        hours: how far back, in :data:`HOURS`.
+        hours: how far to go back (h), within :data:`HOURS`.
     """
     with store.lock:
         now, site = store.now, store.site

@@ -1,8 +1,8 @@
-"""Feeds the store with the messages of the graph that runs, and makes requests of its pump.
+"""Feeds the store with the messages of a running graph, and makes requests to its pump node.
 
-A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. But each of its
-subscriptions costs the publisher time in every tick, so it receives the numbers of a run only up to
-a certain speed. Above that it receives only /diagnostics.
+A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. Each of its
+subscriptions nevertheless costs the publisher time in every tick, so the watcher receives the
+numbers of a run only up to a certain speed. Above that, it receives only /diagnostics.
 """
 
 from __future__ import annotations
@@ -27,19 +27,21 @@ from greenroof_ros.watch.history import read_histories, write_histories
 from greenroof_ros.watch.message_times import MessageTimes
 from greenroof_ros.watch.store import GraphStore
 
-# The fastest run, in times real time, whose numbers are received: 60 and some jitter.
+# Speed of the fastest run, in multiples of real time, whose numbers are received: 60 and some
+# jitter.
 FASTEST = 66.0
 _CATCHING_UP = 2.0
-# How often the watcher receives new messages, and updates the state of the graph (s).
+# Interval at which the watcher receives new messages, and at which it updates the state of the
+# graph (s).
 _POLL_S = 0.1
 # If this process pauses for longer than this (s), the silence of other nodes means nothing.
 _OWN_PAUSE_S = 0.5
-# How long an error of the watcher itself is shown, and how long it rests after one (s).
+# How long an error of the watcher itself is shown, and how long the watcher rests after one (s).
 _SHOWN_S, _REST_S = 60.0, 1.0
 _STOP_S = 3.0
-# How often the past of a live site is saved (s).
+# Interval at which the past of a live site is saved (s).
 _SAVE_S = 600.0
-# How long the end waits for that at most (s).
+# Longest wait at the end until the past is saved (s).
 _SAVED_S = 10.0
 
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
@@ -53,7 +55,7 @@ class Feed:
 
         Args:
             store: the store to feed.
-            past_file: keeps the past of a live site across restarts; None: it is not kept.
+            past_file: file that keeps the past of a live site across restarts; None to keep none.
         """
         self._store = store
         self._graph = store.graph
@@ -67,7 +69,7 @@ class Feed:
         self._problem, self._problem_until = "", 0.0
         self._requesting = threading.Lock()  # held by the thread that makes a request
         self._requesting.acquire()  # until the graph is joined
-        # The stops that wait or are made, and the last one: another object for each.
+        # The stops that are waiting or in progress, and the last one; each is a separate object.
         self._stops, self._last_stop = set[object](), object()
         self._reported: Collection[str] = ()  # the nodes that report to be the pump node
         self._closing = threading.Event()
@@ -97,11 +99,11 @@ class Feed:
         DISK.wait(_SAVED_S)
 
     def request_action(self, action: str, **request: Any) -> str:
-        """Request a hold, a release, a cleared fault or a dose; callable from any thread.
+        """Request a hold, a release, the clearing of a fault or a dose; callable from any thread.
 
         Args:
-            action: as :meth:`greenroof_ros.watch.graph_client.GraphClient.request` takes it.
-            request: its parameters.
+            action: action as in :meth:`greenroof_ros.watch.graph_client.GraphClient.request`.
+            request: parameters of the action.
 
         Returns:
             The pump node's answer.
@@ -122,9 +124,9 @@ class Feed:
         try:
             assert self._client is not None
             if action != "stop":
-                # It would undo a stop, or keep one waiting.
+                # The action would undo a stop, or keep one waiting.
                 if self._last_stop is not last_stop or self._stops:
-                    raise PumpRequestError("Nothing was done: someone is asking to stop the pump.")
+                    raise PumpRequestError("Nothing was done: someone is stopping the pump.")
                 with self._store.lock:
                     two = self._graph.two_pumps(time.monotonic())
                 if two:  # a stop goes to each of them
@@ -137,10 +139,10 @@ class Feed:
     # --- the graph ------------------------------------------------------------------------------
 
     def _watch_graph(self) -> None:
-        """Receive new messages and show them; if a step fails, the others are done all the same."""
+        """Receive new messages and show them; if a step fails, the others are still carried out."""
         steps = self._receive, self._find_pumps, self._update_graph
         while not self._closing.is_set():
-            if sum(map(self._fails, steps)):  # it may fail again at once
+            if sum(map(self._fails, steps)):  # it may fail again immediately
                 self._closing.wait(_REST_S)
         assert self._client is not None
         self._requesting.acquire()
@@ -150,7 +152,7 @@ class Feed:
         """Do a step; if it fails, show the error and return True."""
         try:
             act()
-        except Exception as error:  # for any error, the others go on
+        except Exception as error:  # whatever the error, the others go on
             self._problem = (
                 f"Something could not be shown; the rest goes on ({type(error).__name__}: {error})."
             )
@@ -167,12 +169,12 @@ class Feed:
         store, was_live, now = self._store, self._times.live, time.monotonic()
         if self._times.update(now):
             store.reset()
-            store.add_event("Another run began.")
+            store.add_event("Another run has begun.")
         if self._times.live and not was_live:
             self._load()
         mode = self._times.mode
         if mode == "ended" and store.mode not in ("none", "ended"):
-            store.add_event("The run ended.")
+            store.add_event("The run has ended.")
         self._set_site()
         # Simulated time per wall time.
         factor = self._graph.factor(store.site.tau) if mode == "simulated" else None
@@ -189,7 +191,7 @@ class Feed:
             self._save()
 
     def _set_site(self) -> None:
-        """Set the site by which levels are judged: the graph's, or the paper's."""
+        """Set the site by whose parameters levels are judged: the graph's or the paper's."""
         path = self._graph.site()
         file = path or default_site_file()
         try:
@@ -199,19 +201,19 @@ class Feed:
         if as_is == self._site:
             return
         self._site = as_is
-        note = "" if path else "Levels are judged by the paper's site, config/site.yaml."
+        note = "" if path else "Levels are judged as at the paper's site, config/site.yaml."
         try:
             site = read_site(file)
         except ConfigurationError as error:
-            note = f"The site file cannot be read, so levels are judged by the paper's: {error}"
+            note = f"The site file cannot be read; levels are judged as at the paper's: {error}"
             site = read_site(default_site_file())
         self._store.set_site(site, note)
 
     def _choose_topics(self, mode: str, factor: float | None) -> None:
-        """Subscribe to as much as a graph of this kind and speed can bear."""
+        """Subscribe to as many topics as a graph of this kind and speed can bear."""
         assert self._client is not None
         live = mode == "live"
-        # The speed of a run that has not begun, or that stands still, is unknown. A run that was
+        # The speed of a run that has not begun, or that is not moving, is unknown. A run that was
         # held up on a busy machine is faster for a while.
         fastest = _CATCHING_UP * FASTEST if self._subscribed else FASTEST
         wanted = live or (
@@ -229,11 +231,11 @@ class Feed:
     # --- incoming messages ----------------------------------------------------------------------
 
     def _on_message(self, *message: Any) -> None:
-        """Receive a message; if that fails, the others are received all the same."""
+        """Receive a message; if that fails, the others are still received."""
         self._fails(lambda: self._receive_message(*message))
 
     def _excuse_own_pause(self) -> None:
-        """Excuse the silence of the nodes while this process stood still."""
+        """Excuse the silence of the nodes while this process was paused."""
         before, self._awake = self._awake, time.monotonic()
         if self._awake - before > _OWN_PAUSE_S:
             with self._store.lock:
@@ -256,7 +258,7 @@ class Feed:
     # --- the past of a live site ----------------------------------------------------------------
 
     def _load(self) -> None:
-        """Load the past of a live site; without it the charts start empty."""
+        """Load the past of a live site; without it, the charts start empty."""
         if self._past_file is None:
             return
         store, file = self._store, self._past_file
@@ -281,7 +283,7 @@ class Feed:
     def _find_pumps(self) -> None:
         assert self._client is not None
         if not self._requesting.acquire(blocking=False):
-            return  # a request finds them itself
+            return  # a request itself finds them
         try:
             pumps = self._client.find_pumps()
         finally:

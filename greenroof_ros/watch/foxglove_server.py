@@ -1,8 +1,9 @@
-"""Serves a running graph to Foxglove and Lichtblick by the Foxglove WebSocket protocol.
+"""Serves a running graph to Foxglove and Lichtblick over the Foxglove WebSocket protocol.
 
-It subscribes to a topic only while a viewer shows it, and as the page does, so that no viewer,
-however slow, delays a node: see :mod:`greenroof_ros.watch.graph_client`. A message has the time
-that it has in a bag: in a simulation the simulated time of its tick, otherwise its time of arrival.
+It subscribes to a topic only while a viewer shows it, in the same way as the page, so no viewer
+delays a node, however slow it is: see :mod:`greenroof_ros.watch.graph_client`. A message has the
+same time as in a bag, which is the simulated time of its tick in a simulation, and otherwise its
+time of arrival.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ from greenroof_ros.watch.listening import LOOPBACK
 from greenroof_ros.watch.message_times import MessageTimes
 from greenroof_ros.watch.registry import Registry
 
-# How often new messages are passed on (s).
+# Interval at which new messages are passed on (s).
 _POLL_S = 0.05
 _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
 
 def refuse_unusable(port: int) -> None:
-    """Refuse a port that is in use, and a missing SDK, before anything is started.
+    """Reject a port that is in use, or a missing SDK, before anything is started.
 
     Raises:
-        ConfigurationError: if it cannot be served at this port.
+        ConfigurationError: if the graph cannot be served at this port.
     """
     with require_extra("foxglove"):
         import foxglove  # noqa: F401
@@ -47,14 +48,14 @@ class FoxgloveServer:
     """Serves all topics of the interface on loopback.
 
     Attributes:
-        url: its address, for a viewer.
+        url: address for a viewer.
     """
 
     def __init__(self, namespace: str, port: int) -> None:
         """Join the graph, and listen.
 
         Args:
-            namespace: the graph's namespace, such as ``/site1``; empty for none.
+            namespace: namespace of the graph, such as ``/site1``; empty for none.
             port: TCP port; 0 for any that is free.
 
         Raises:
@@ -86,10 +87,10 @@ class FoxgloveServer:
         self.url = f"ws://{LOOPBACK}:{self._server.port}"
 
     def run(self, signals: Signals) -> None:
-        """Pass messages on until a signal comes.
+        """Pass messages on until a signal arrives.
 
         Raises:
-            InterruptedRun: if a signal came.
+            InterruptedRun: if a signal arrived.
         """
         try:
             while True:
@@ -103,7 +104,7 @@ class FoxgloveServer:
             self._server.stop()
 
     def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
-        """Receive a message, and find its time; viewers forget the run before."""
+        """Receive a message, and determine its time; viewers forget the previous run."""
         if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
             now = time.monotonic()
             self._registry.receive(now, received[1], stamp_ns=received[0])
@@ -118,7 +119,8 @@ class FoxgloveServer:
     def _pass_on(self) -> None:
         """Pass on what has arrived, in order of time.
 
-        The time goes ahead of the messages: Lichtblick gives each message the time sent last.
+        The time is sent ahead of the messages, since Lichtblick gives each message the last time
+        sent.
         """
         self._waiting.sort(key=lambda each: each[0])
         for time_ns, name, message in self._waiting:

@@ -1,11 +1,12 @@
-"""A client of a graph: receives the topics it is given, and can hold the pump.
+"""A client of a graph, which receives chosen topics and can hold the pump.
 
 It can also release the pump, clear some faults and, if the site allows it, request a dose.
 
-It must not delay any node. So it subscribes best effort and volatile: no publisher stores, repeats
-or waits for anything for it. It uses only UDP: with shared memory, a stopped process can hold a
-lock that others need. Messages do not wake it: it polls, and takes each message with its
-publisher's sequence number, which rclpy's fast executor does not provide.
+It must not delay any node. It therefore subscribes with best effort and volatile durability, so no
+publisher stores, repeats or waits for anything on its behalf. It uses only UDP, since with shared
+memory a stopped process can hold a lock that others need. Messages do not wake it: it polls, and
+takes each message with its publisher's sequence number, which rclpy's fast executor does not
+provide.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ from greenroof_ros.graph.domain import SHUTDOWN_S, join
 from greenroof_ros.graph.rclpy_internals import take_messages
 from greenroof_ros.watch.words import list_names
 
-# How many messages of a topic can wait for the next poll: 1 s at 60 times real time.
+# How many messages on a topic can wait for the next poll: 1 s at 60 times real time.
 _DEPTH = 64
-# How long after it has joined a client still finds nodes that were there before (s), and how often
-# it looks for an answer (s).
+# For how long after joining a client still discovers nodes that were there before (s), and the
+# interval at which it looks for an answer (s).
 _DISCOVERY_S, _SPIN_S = 2.0, 0.02
 
 DIAGNOSTICS = "/diagnostics"
-# The pump node's service for each action.
+# The service of the pump node for each action.
 _SERVICES = {
     "stop": "hold", "release": "stop", "clear": "clear", "reset": "reset", "dose": "dose",
 }
@@ -49,9 +50,9 @@ class PumpRequestError(Exception):
 
 
 class GraphClient:
-    """Two nodes with a separate context: one receives, the other one makes requests.
+    """Two nodes with a separate context: one receives, the other makes requests.
 
-    One thread receives, and one thread at a time makes requests, which may be another one.
+    One thread receives. One thread at a time makes requests, and it may be a different one.
     """
 
     def __init__(
@@ -60,10 +61,10 @@ class GraphClient:
         """Join the graph's domain, and subscribe to /diagnostics.
 
         Args:
-            namespace: the graph's namespace, such as ``/site1``; empty for none.
-            on_message: called with the topic's name in the interface, the serialised message, its
-                number (1 for its publisher's first; None if the middleware does not number) and
-                its time of arrival (ns of the system clock).
+            namespace: namespace of the graph, such as ``/site1``; empty for none.
+            on_message: function called with the topic's name in the interface, the serialised
+                message, its number (1 for its publisher's first; None if the middleware does not
+                number messages) and its time of arrival (ns of the system clock).
 
         Raises:
             ConfigurationError: if ROS 2 is not installed.
@@ -80,7 +81,8 @@ class GraphClient:
                 start_parameter_services=False, enable_rosout=False, use_global_arguments=False,
             )
 
-        # A second node makes the calls: an executor takes the messages of the node that it spins.
+        # A second node makes the calls, since an executor takes the messages of the node that it
+        # spins.
         self._node, self._caller = node("watch"), node("watch_stop")
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._caller)
@@ -117,7 +119,7 @@ class GraphClient:
             )
 
     def receive(self, wait_s: float) -> None:
-        """Wait, and pass on the messages that have arrived; /diagnostics first."""
+        """Wait, then pass on the messages that have arrived, /diagnostics first."""
         time.sleep(wait_s)
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
             subscription = self._subscriptions[name]
@@ -126,9 +128,9 @@ class GraphClient:
                 self._on_message(name, message, number, info["received_timestamp"])
 
     def find_pumps(self) -> Collection[str]:
-        """Find the nodes that offer to hold the pump, whatever is reported; return their names.
+        """Find the nodes that offer to hold the pump, whatever is reported, and return their names.
 
-        A client of that service is opened, so that a later stop finds it.
+        A client of that service is opened, so that a later stop finds the service.
         """
         hold = "rcl_interfaces/srv/SetParametersAtomically"
         pattern = re.compile(re.escape(self._namespace) + "(/[^/]+)/hold")
@@ -136,7 +138,7 @@ class GraphClient:
             self._namespace + offered[1]
             for service, types in self._caller.get_service_names_and_types()
             if hold in types and (offered := pattern.fullmatch(service))
-            and self._caller.count_services(service)  # listed for this client alone, too
+            and self._caller.count_services(service)  # it is also listed for this client alone
         }
         for key in [key for key in self._clients if key[0] not in self._pumps]:
             self._caller.destroy_client(self._clients.pop(key))
@@ -154,23 +156,24 @@ class GraphClient:
         self, action: str, timeout_s: float, reported: Collection[str] = (),
         **parameters: float | str,
     ) -> str:
-        """Make a request of the pump node, and return its answer.
+        """Make a request to the pump node, and return its answer.
 
-        A stop goes to each node that may control the pump, and the answer then warns of those that
-        are only reported; if there are several, anything else goes to none. The answer of one of
-        two nodes of one name says nothing about the other one: it is asked again when only one is
-        left.
+        A stop goes to every node that may control the pump, and the answer then warns of those that
+        are only reported. If there are several such nodes, any other request goes to none of them.
+        If two nodes have the same name, the answer of one reveals nothing about the other, so the
+        request is made again when only one is left.
 
         Args:
             action: ``stop``: hold the pump until someone releases it, or until a time. ``release``:
                 end the hold, whoever made it. ``clear``: clear the latched fault if that may be
-                done from afar. ``reset``: clear any, for a person at the pump. ``dose``: deliver a
-                volume.
+                done remotely. ``reset``: clear any fault, for a person at the pump. ``dose``:
+                deliver a volume.
             timeout_s: longest wait for the answer (s).
             reported: full names of nodes that report to be the pump node.
-            parameters: of a stop: ``owner``, who requests it, ``reason``, which may be empty, and
-                ``until``, its end (s since 1970), unless it has none. Of a dose: ``volume`` (m3),
-                and ``asked_at``, when the user requested it (s since 1970).
+            parameters: parameters of a stop are ``owner``, who requests it, ``reason``, which may
+                be empty, and ``until``, its end (s since 1970), unless it has none. Those of a dose
+                are ``volume`` (m3) and ``asked_at``, the time at which the user requested it (s
+                since 1970).
 
         Raises:
             PumpRequestError: if the pump node did not confirm it.
@@ -208,7 +211,7 @@ class GraphClient:
         silent = {*reported} - self._pumps
         if not self._pumps:
             raise PumpRequestError(
-                f"There is no pump node that could be asked: nothing provides the service {service}"
+                f"There is no pump node to ask: nothing provides the service {service}"
                 + (f" of {list_names(silent)}" if silent else "") + ". Start its graph "
                 "first, in the same ROS_DOMAIN_ID and with the same ROS_AUTOMATIC_DISCOVERY_RANGE "
                 "and --namespace."
@@ -233,7 +236,7 @@ class GraphClient:
                 f"{list_names(silent)}: if the pump turns, stop it at its drive's panel"
             )
         if not all(ok for ok, _ in answers.values()):
-            # A hold with this answer may be in force, but would not survive a restart.
+            # A hold with this answer may be in force, but it would not survive a restart.
             answered = any(future.done() for future in sent.values())
             raise PumpRequestError("; ".join(said), answered=answered)
         return "; ".join(said)
@@ -258,20 +261,20 @@ def _make_parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
 
 
 def _explain(name: str, future: Any, timeout_s: float) -> tuple[bool, str]:
-    """Return whether a node did what it was asked, and its answer.
+    """Return whether a node did what it was asked to do, and its answer.
 
     Args:
-        name: of the node.
-        future: of the answer; None if its service could not be reached.
-        timeout_s: how long it was waited for.
+        name: name of the node.
+        future: future of the answer; None if its service could not be reached.
+        timeout_s: time for which the answer was awaited (s).
     """
     if future is None:
         return False, f"{name} could not be reached within {timeout_s:g} s."
     if not future.done():
         return False, (
-            f"{name} did not answer within {timeout_s:g} s: it may or may not have done that."
+            f"{name} did not answer within {timeout_s:g} s: it may or may not have done this."
         )
     result = future.result()
-    if hasattr(result, "result"):  # of parameters that are set
+    if hasattr(result, "result"):  # of a request that sets parameters
         return bool(result.result.successful), str(result.result.reason)
     return bool(result.success), str(result.message)

@@ -1,6 +1,6 @@
-"""The past of each line of the charts, in stretches of 20 s for a week, and the file that keeps it.
+"""The past week of each line of the charts, in stretches of 20 s, and the file that keeps it.
 
-A value that is unknown is NaN: the line has a gap from there to the next known value.
+An unknown value is NaN: the line has a gap from there to the next known value.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from greenroof_ros.common.processes import LockedError, acquire_file_lock
 
 Values = NDArray[np.float64]
 
-# Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept: a week.
+# Length of a stretch (ns), short enough for 400 points in 12 h; how many are kept, which is a week.
 STRETCH_NS = 20_000_000_000
 MAX_STRETCHES = 7 * 24 * 3600 * 1_000_000_000 // STRETCH_NS
 
-# Of a stretch: when its greatest change happened, and when its last value came (ns since 1970); its
-# minimum, maximum and last value, and how great that change was.
+# The fields of a stretch: when its greatest change happened and when its last value arrived (ns
+# since 1970), its minimum, maximum and last value, and the size of that change.
 ROW = np.dtype([
     ("changed", "<i8"), ("ended", "<i8"), ("low", "<f8"), ("high", "<f8"), ("last", "<f8"),
     ("change", "<f8"),
@@ -35,13 +35,13 @@ _VERSION = 1
 
 
 class History:
-    """One value over the past week; its memory is bounded."""
+    """One value over the past week, in bounded memory."""
 
     def __init__(self, rows: NDArray[np.void] | None = None) -> None:
         """Start with the rows of an earlier history, or with none.
 
         Args:
-            rows: as in :attr:`rows`.
+            rows: rows as in :attr:`rows`.
         """
         kept = np.empty(0, ROW) if rows is None else rows[-MAX_STRETCHES:]
         self._rows = np.empty(2 * MAX_STRETCHES, ROW)
@@ -50,7 +50,7 @@ class History:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """The stretches, the oldest first: a view, for the next :meth:`add` to change."""
+        """The stretches, the oldest first, as a view that the next :meth:`add` changes."""
         return self._rows[max(0, self._count - MAX_STRETCHES):self._count]
 
     @property
@@ -62,8 +62,8 @@ class History:
         """Add a value that is newer than those already there.
 
         Args:
-            time_ns: since 1970.
-            value: NaN if it is unknown from now on.
+            time_ns: time of the value (ns since 1970).
+            value: the value; NaN if it is unknown from now on.
         """
         row = self._rows[self._count - 1] if self._count else None
         before = math.nan if row is None else float(row["last"])
@@ -88,23 +88,24 @@ class History:
         """Return the values from ``first`` to ``last`` (both included).
 
         Args:
-            first: begin (ns).
+            first: beginning (ns).
             last: end (ns).
-            stretch_ns: the time that a row covers, from :func:`choose_stretch`.
-            steps: whether the value changes in steps, rather than slowly.
+            stretch_ns: time that a row covers (ns), from :func:`choose_stretch`.
+            steps: whether the value changes in steps rather than slowly.
 
         Returns:
-            Rows of a time (s), and the minimum, the maximum, and the last value of a stretch; all
-            three are None if the value is then unknown. It is the time of the last value; for
-            steps, of the maximum change, and the last value before a stretch without values, or of
-            all, has another row: a step is where it happened.
+            Rows of a time (s) and the minimum, the maximum and the last value of a stretch; all
+            three are None if the value is then unknown. The time is that of the last value. For
+            steps, it is that of the greatest change, so that a step is shown where it happened, and
+            the last value before a stretch without values, as well as the very last one, has a row
+            of its own.
         """
         rows = self.rows
         rows = rows[slice(*np.searchsorted(rows["ended"], (first, last + 1)))]
         if not len(rows):
             return []
-        # Whole stretches, which begin at the same times in each call: a line that is redrawn does
-        # not jitter.
+        # Whole stretches, which begin at the same times in every call, so a redrawn line does not
+        # jitter.
         rows = _condense(rows, stretch_ns)
         ended, value = rows["ended"], rows["last"]
         at = rows["changed"] if steps else ended
@@ -119,7 +120,7 @@ class History:
 
 
 def _condense(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:
-    """Return the rows of longer stretches; of equal changes, the first counts."""
+    """Return the rows of longer stretches; among equal changes, the first counts."""
     begins = np.flatnonzero(np.diff(rows["ended"] // stretch_ns, prepend=-1))
     ends = np.append(begins[1:], len(rows)) - 1
     condensed: NDArray[np.void] = rows[ends].copy()
@@ -137,9 +138,9 @@ def choose_stretch(first: int, last: int, points: int) -> int:
     """Return the time that a row of such a window covers (ns).
 
     Args:
-        first: begin (ns).
+        first: beginning (ns).
         last: end (ns).
-        points: about how many rows there are at most.
+        points: approximate maximum number of rows.
     """
     return STRETCH_NS * max(1, -(-(last - first) // (STRETCH_NS * points)))
 
@@ -151,15 +152,15 @@ def write_histories(file: Path, rows: Mapping[str, NDArray[np.void]]) -> None:
     """Write the rows of histories to a file, which is replaced as a whole.
 
     Args:
-        file: a file of NumPy (``.npz``); its directory is made.
-        rows: of each history, by its name.
+        file: NumPy file (``.npz``), whose directory is made if needed.
+        rows: rows of each history, by its name.
 
     Raises:
-        OSError: if it cannot be written.
+        OSError: if the file cannot be written.
     """
     content: dict[str, Any] = {_FORMAT: np.array(_VERSION), **rows}
     file.parent.mkdir(parents=True, exist_ok=True)
-    # If another watcher writes it just now, its rows are as good.
+    # If another watcher is just writing the file, its rows are as good.
     with suppress(LockedError), acquire_file_lock(file.with_suffix(".lock")):
         replace_file(file, lambda stream: np.savez(stream, **content))
 
@@ -168,13 +169,14 @@ def read_histories(file: Path, names: Iterable[str], until_ns: int) -> dict[str,
     """Return the histories in a file; none if there is no such file.
 
     Args:
-        file: as :func:`write_histories` writes it.
-        names: of the histories; others in the file are left out.
-        until_ns: now (ns since 1970): what is later is left out, since the clock was set back.
+        file: file that :func:`write_histories` wrote.
+        names: names of the histories; others in the file are left out.
+        until_ns: present time (ns since 1970); later values are left out, as the clock was set
+            back.
 
     Raises:
-        OSError: if it cannot be read.
-        ValueError: if it is damaged, or of another program.
+        OSError: if the file cannot be read.
+        ValueError: if it is damaged or from another program.
     """
     histories = {}
     try:
@@ -188,14 +190,14 @@ def read_histories(file: Path, names: Iterable[str], until_ns: int) -> dict[str,
             for name in content.keys() & set(names):
                 rows = _check_rows(content[name])
                 histories[name] = History(rows[rows["ended"] <= until_ns])
-    except Exception as error:  # NumPy's errors depend on what the file holds in its place
+    except Exception as error:  # NumPy's errors depend on what the file contains instead
         raise ValueError(str(error) or "it is damaged") from error
     return histories
 
 
 def _check_rows(rows: NDArray[Any]) -> NDArray[np.void]:
     if rows.dtype != ROW or rows.ndim != 1:
-        raise ValueError("it has no such rows")
+        raise ValueError("it contains no such rows")
     times, values = rows["ended"], np.array([rows[name] for name in ("low", "high", "last")])
     good = np.all(np.diff(times) > 0) and np.all((rows["changed"] <= times) & (times > 0))
     if not good or np.isinf(values).any() or np.isnan(rows["change"]).any():

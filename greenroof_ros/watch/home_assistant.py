@@ -1,7 +1,7 @@
 """What Home Assistant must know to show a site: a discovery message for each entity.
 
-Each entity takes its value from a field of one message, ``greenroof/SITE/state``. Each entity has
-its own discovery message: releases before 2024.11 do not know discovery of a whole device.
+Every entity takes its value from a field of one message, ``greenroof/SITE/state``. Each has its own
+discovery message, since releases before 2024.11 do not support the discovery of a whole device.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NUMBERS = {
     "flow": ("/pump/flow", "volume_flow_rate"),
     "command": ("/pump/command", None),
 }
-"""Fields with a number: the topic that gives label and unit, and Home Assistant's device class."""
+"""Fields with a number: the topic with label and unit, and Home Assistant's device class."""
 
 
 def make_prefix(site: str) -> str:
@@ -42,7 +42,7 @@ def make_discovery(site: str) -> dict[str, str]:
     """Return the discovery messages by their topics.
 
     Args:
-        site: its name in topics and ids: letters, digits and _.
+        site: name of the site in topics and ids, which consists of letters, digits and _.
     """
     base, node = make_prefix(site), f"greenroof_{site}"
     bridge = {"topic": f"{base}/availability"}
@@ -59,7 +59,7 @@ def make_discovery(site: str) -> dict[str, str]:
             **own,
         }
         if component == "button":
-            # Without a pump node the button cannot be pressed.
+            # Without a pump node, the button cannot be pressed.
             template = "{{ 'online' if value_json.can_stop else 'offline' }}"
             config["availability"] = [
                 bridge, {"topic": f"{base}/state", "value_template": template}

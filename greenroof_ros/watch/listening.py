@@ -1,4 +1,4 @@
-"""Where the page is served: the socket, the host names that requests may use, and its token."""
+"""Where the page is served: the socket, the host names that requests may use, and the token."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.files import check_private
 
 LOOPBACK = "127.0.0.1"
-# The ports to try unless one is asked for: the first free one is used.
+# The ports to try unless one is specified; the first free one is used.
 PORTS = range(8080, 8100)
-# How much the kernel may hold for a slow reader (bytes): it would be old when it arrives. And how
-# much may arrive before it is read: a request has at most 10 kB. And how long it sends to someone
-# who takes nothing, also after the connection was closed (ms).
+# How much the kernel may hold for a slow reader (bytes), as data that waits would be old when it
+# arrives; how much may arrive before it is read, as a request has at most 10 kB; and for how long
+# the kernel sends to someone who takes nothing, even after the connection was closed (ms).
 _SENDING, _RECEIVING, _UNREAD_MS = 65_536, 16_384, 30_000
 # How many connections may wait to be accepted.
 _WAITING = 4096
-# An address for documentation (RFC 5737): the route to it shows this machine's own address.
+# An address for documentation (RFC 5737), the route to which reveals this machine's own address.
 _ELSEWHERE = ("192.0.2.1", 9)
-# Characters of a token that need no escape in an address, and the fewest of them.
+# Characters of a token that need no escape in an address, and the minimum number of them.
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{32,}")
 
 
 @dataclass(frozen=True)
 class Listener:
-    """A socket that listens, and how it is reached.
+    """A socket that listens, and how to reach it.
 
     Attributes:
         socket: the listening socket.
-        url: for a browser.
-        names: hosts that a request may name; None if any is allowed, as with a wildcard address.
+        url: address for a browser.
+        names: hosts that a request may name; None if all are allowed, as with a wildcard address.
     """
 
     socket: socket.socket
@@ -49,7 +49,7 @@ def _resolve(host: str) -> list[tuple[socket.AddressFamily, str]]:
     """Return the addresses of a host, in the order in which to try them.
 
     Raises:
-        ConfigurationError: if it has none.
+        ConfigurationError: if the host has none.
     """
     try:
         known = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
@@ -65,7 +65,7 @@ def is_loopback(host: str) -> bool:
     """Return whether only this machine can reach a host's addresses.
 
     Raises:
-        ConfigurationError: if it has none.
+        ConfigurationError: if the host has none.
     """
     return all(ipaddress.ip_address(text.split("%")[0]).is_loopback for _, text in _resolve(host))
 
@@ -74,7 +74,7 @@ def listen(host: str, port: int | None) -> Listener:
     """Listen on an address of this machine, and on no other.
 
     Args:
-        host: address or name; 0.0.0.0 is every address.
+        host: address or name; 0.0.0.0 stands for every address.
         port: TCP port; 0 for any that is free, None for the first free one from 8080 on.
 
     Raises:
@@ -97,7 +97,7 @@ def listen(host: str, port: int | None) -> Listener:
             ) from error
         break
     listening.setblocking(False)
-    for level, option, setting in (  # connections inherit them
+    for level, option, setting in (  # which connections inherit
         (socket.SOL_SOCKET, socket.SO_SNDBUF, _SENDING),
         (socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVING),
         (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNREAD_MS),
@@ -111,12 +111,12 @@ def listen(host: str, port: int | None) -> Listener:
 
 
 def new_token() -> str:
-    """Return a token that no one can guess: 192 random bits."""
+    """Return a token that no one can guess, with 192 random bits."""
     return secrets.token_urlsafe(24)
 
 
 def read_token(file: Path) -> str:
-    """Return the token in a file; if the file is missing, it is made, with a new token.
+    """Return the token in a file; a missing file is made with a new token.
 
     Raises:
         ConfigurationError: if the file is unusable, or other users may read or change it.
@@ -138,14 +138,14 @@ def read_token(file: Path) -> str:
         raise refuse(f"cannot be used: {error.strerror}") from error
     if not _TOKEN.fullmatch(token):
         raise refuse(
-            "must hold a token of at least 32 letters, digits, - or _; remove it, and the next "
-            "start makes one"
+            "must contain a token of at least 32 letters, digits, - or _; remove the file, and the "
+            "next start makes one"
         )
     return token
 
 
 def _find_own_address(wildcard: str) -> str:
-    """Return this machine's address for others, or its name if that is unknown; sends nothing."""
+    """Return this machine's address for others, or its name if unknown, without sending data."""
     if ":" in wildcard:
         return socket.gethostname()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

@@ -6,21 +6,21 @@ from greenroof_ros.common.interface import Topic
 from greenroof_ros.common.states import PLANT
 from greenroof_ros.watch.registry import Registry
 
-# A message further than this from the clock (ticks) is of a publisher that was restarted: the plant
-# is at most 32 ticks ahead of the recorder, and messages received together are closer.
+# A message further than this from the clock (ticks) comes from a publisher that was restarted: the
+# plant is at most 32 ticks ahead of the recorder, and messages received together are closer.
 _FAR = 64
 
 
 class MessageTimes:
-    """Which graph is there, and the time of each message: of its tick, or of arrival if it is live.
+    """Which graph is present, and the time of each message: of its tick or, if live, of arrival.
 
-    In lockstep the j-th message of a topic belongs to tick j - 1, by the number that its publisher
-    gave it. The order of arrival is less reliable: the plant's next clock may arrive before the
-    messages of the tick before it.
+    In lockstep, the j-th message on a topic belongs to tick j - 1, where j is the number that its
+    publisher gave it. The order of arrival is less reliable, since the plant's next clock may
+    arrive before the messages of the previous tick.
 
     Attributes:
-        mode: the kind of graph, as in a registry.
-        live: whether the graph, now or last, is live; None before the first.
+        mode: kind of graph, as in a registry.
+        live: whether the present or last graph is live; None before the first.
     """
 
     def __init__(self, registry: Registry) -> None:
@@ -32,9 +32,9 @@ class MessageTimes:
         self.forget_clock()
 
     def forget_clock(self) -> None:
-        """Start again before the first clock."""
+        """Start again as before the first clock message."""
         self._newest_ns = 0  # time of the newest clock message (since 1970)
-        self._clock = 0  # its number
+        self._clock = 0  # number of that message
         self._period = 0  # ns
 
     def update(self, wall: float) -> bool:
@@ -58,9 +58,9 @@ class MessageTimes:
         """Return the time of a message (ns since 1970); None if it cannot be known yet.
 
         Args:
-            topic: its topic.
-            number: which of its publisher's messages it is, from 1 on; None if that is unknown.
-            arrived_ns: when it arrived (ns since 1970).
+            topic: topic of the message.
+            number: number of the message, counted by its publisher from 1; None if unknown.
+            arrived_ns: time of arrival (ns since 1970).
         """
         if self.mode == "live":
             return arrived_ns
@@ -68,7 +68,7 @@ class MessageTimes:
             return self._newest_ns or None
         if not self._period:
             return None  # fewer than two clocks were received
-        # A pump driver from another package may have begun at any tick: it has the newest time.
+        # A pump driver from another package may have begun at any tick, so the newest time applies.
         # There is no other plant, and its status may arrive after its first messages.
         own = topic.publishers == (PLANT,) or any(map(self._registry.node, topic.publishers))
         ahead = number - self._clock if own and number is not None else 0

@@ -1,4 +1,4 @@
-"""The hours to come: the forecast of rain, and the controller's plan."""
+"""The hours ahead: the forecast of rain and the controller's plan."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from greenroof_ros.watch.history import Values
 AHEAD_S = 12 * 3600.0
 """How far ahead is shown (s)."""
 
-# Fewer members than this have no tenth: their range is from the minimum to the maximum.
+# With fewer members than this there is no tenth: their range is from the minimum to the maximum.
 _TENTHS = 10
-# A smaller flow is rounding of the solver (m3/s): 6 mL/min.
+# A smaller flow is a rounding error of the solver (m3/s): 6 mL/min.
 _PUMPS = 1e-7
 
 
@@ -25,9 +25,9 @@ class RainAmount(NamedTuple):
     low: float
     high: float
     reach_s: float
-    """How far ahead of now it reaches (s)."""
+    """How far ahead it reaches (s)."""
     fallen_at: float
-    """When nine tenths of the mean have fallen (s since 1970)."""
+    """When nine tenths of the mean will have fallen (s since 1970)."""
     members: int
 
 
@@ -35,9 +35,9 @@ class PlannedPumping(NamedTuple):
     """Planned pumping."""
 
     volume: float
-    """m3"""
+    """volume to be pumped (m3)"""
     begin: float
-    """s since 1970"""
+    """when pumping begins (s since 1970)"""
     level: float
     """Highest roof level that is expected at the end of a step with pumping (m)."""
 
@@ -47,7 +47,7 @@ class _Steps:
     """A forecast or a plan, in steps.
 
     Attributes:
-        at: when the first step begins (s since 1970).
+        at: beginning of the first step (s since 1970).
         ends: ends of the steps (s since 1970), shape (steps,).
     """
 
@@ -56,7 +56,7 @@ class _Steps:
 
     @property
     def begins(self) -> Values:
-        """Begins of the steps (s since 1970), shape (steps,)."""
+        """When the steps begin (s since 1970), shape (steps,)."""
         return np.append(self.at, self.ends[:-1])
 
     def lengths(self, now: float) -> Values:
@@ -70,8 +70,8 @@ class Forecast(_Steps):
     """The newest forecast of rain.
 
     Attributes:
-        rain: mean of each step (m/s), shape (members, steps).
-        issued: when it was issued (s since 1970); None if unknown.
+        rain: mean rain in each step (m/s), shape (members, steps).
+        issued: time of issue (s since 1970); None if unknown.
     """
 
     rain: Values
@@ -91,14 +91,14 @@ class Forecast(_Steps):
         return RainAmount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
 
     def rows(self) -> list[list[float]]:
-        """Return begin and end (s since 1970), mean, low and high (m/s) of each step."""
+        """Return beginning and end (s since 1970), mean, low and high (m/s) of each step."""
         columns = (self.begins, self.ends, self.rain.mean(axis=0), *_compute_ranges(self.rain))
         rows: list[list[float]] = np.column_stack(columns).tolist()
         return rows
 
 
 def _compute_ranges(values: Values) -> tuple[Values, Values]:
-    """Return the range of the members: 10 to 90 %; if they are few, the minimum to the maximum."""
+    """Return the range of the members: 10 to 90 %, or minimum to maximum if they are few."""
     if len(values) < _TENTHS:
         return values.min(axis=0), values.max(axis=0)
     low, high = np.percentile(values, (10, 90), axis=0)
@@ -110,7 +110,7 @@ class Plan(_Steps):
     """The controller's plan of pumping.
 
     Attributes:
-        flow: mean of each step (m3/s).
+        flow: mean flow in each step (m3/s).
         level: expected roof level at the end of each step (m).
     """
 
@@ -127,7 +127,7 @@ class Plan(_Steps):
         return PlannedPumping(float(self.flow @ lengths), begin, float(self.level[pumps].max()))
 
     def rows(self, now: float) -> list[list[float]]:
-        """Return begin and end (s since 1970), flow, and level at the end of each coming step."""
+        """Return begin and end (s since 1970), flow, and final level of each coming step."""
         columns = np.column_stack((self.begins, self.ends, self.flow, self.level))
         rows: list[list[float]] = columns[self.ends > now].tolist()
         return rows

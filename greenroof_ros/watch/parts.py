@@ -1,4 +1,4 @@
-"""The parts of what is shown, each made on its own; see :class:`Parts`."""
+"""The parts of what is shown, each of which is made separately; see :class:`Parts`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from greenroof_ros.common.text import clean_text
 
 _Part = TypeVar("_Part")
-# Failures that were printed: each place in the code once, since it fails again twice a second.
+# Failures that were printed, once for each place in the code, since it fails again twice a second.
 _PRINTED: set[str] = set()
 
 
@@ -18,7 +18,7 @@ class Parts:
     """Makes the parts of a document: one that fails is replaced, and the others are shown.
 
     Attributes:
-        failed: the names of the parts that failed, each with the reason.
+        failed: names of the parts that failed, each with the reason.
     """
 
     def __init__(self) -> None:
@@ -26,19 +26,19 @@ class Parts:
         self.failed: dict[str, str] = {}
 
     def make(self, name: str, make: Callable[[], _Part], instead: Any) -> _Part:
-        """Return a part, or what is shown in its place if it cannot be made or sent as JSON.
+        """Return a part, or its replacement if it cannot be made or sent as JSON.
 
         The traceback of a failure is printed, once for each place in the code.
 
         Args:
-            name: of the part, as it begins a sentence.
-            make: makes it.
-            instead: what is shown in its place.
+            name: name of the part, as it begins a sentence.
+            make: function that makes the part.
+            instead: replacement if that fails.
         """
         try:
             part = make()
             json.dumps(part, allow_nan=False)
-        except Exception as error:  # for any error, the stop and the other parts are shown
+        except Exception as error:  # whatever the error, the stop and the other parts are shown
             self.failed[name] = clean_text(f"{type(error).__name__}: {error}", 200)
             text = traceback.format_exc()
             if text not in _PRINTED and len(_PRINTED) < 100:
@@ -50,5 +50,5 @@ class Parts:
 
     @property
     def notes(self) -> list[str]:
-        """For each part that failed, a sentence."""
+        """One sentence for each part that failed."""
         return [f"{name} cannot be shown ({why})." for name, why in self.failed.items()]

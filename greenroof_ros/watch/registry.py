@@ -1,7 +1,7 @@
-"""Which nodes are in a graph, and their last reports on /diagnostics, which only this file reads.
+"""The nodes of a graph and their last reports on /diagnostics, which only this module reads.
 
-A node is identified by its name; another process under the same name is a restart. Alarms, tiles
-and subscriptions all follow from this registry.
+A node is identified by its name; another process under the same name counts as a restart. Alarms,
+tiles and subscriptions all follow from this registry.
 """
 
 from __future__ import annotations
@@ -35,28 +35,29 @@ from greenroof_ros.common.text import clean_text
 from greenroof_ros.watch.wire import WireStatus
 from greenroof_ros.watch.words import clean_sentence, list_names
 
-# Other devices may be slower than this package's nodes: after this silence (s) they are lost.
+# Other devices may be slower than this package's nodes: they are lost after this silence (s).
 _FOREIGN_SILENT_S = 5.0
-# A silent node may be replaced by another process; after this time (s) it is gone.
+# A silent node may be replaced by another process; after this time (s), it is gone.
 _GONE_S = 10.0
-# The time over which the speed of a simulation is measured, at least and at most (s).
+# Shortest and longest time over which the speed of a simulation is measured (s).
 _SPEED_S, _SPEED_MAX_S = 1.0, 3.0
-# Limits to what a hostile sender can fill, besides the limits of :mod:`.wire`: nodes of a role, so
-# that it takes no other role's room, parts of each, statuses of other devices, and characters of a
-# name. A graph has at most two nodes of a role.
+# Limits to what a hostile sender can fill, in addition to those of :mod:`.wire`: nodes of a role,
+# so that it does not take another role's room, parts of each node, statuses of other devices, and
+# characters of a name. A graph has at most two nodes of a role.
 _NODES, _PARTS, _FOREIGN, _NAME = 8, 24, 200, 160
-_NEWEST = 50  # changes of parameters, and warnings, that are reported at a time
-# The maximum tick of a run, and the end of the times of a run (ns since 1970): the year 2116.
+_NEWEST = 50  # how many changes of parameters, and warnings, are reported at a time
+# Maximum tick of a run, and the latest time of a run (ns since 1970), which is in the year 2116.
 _LAST_TICK, _LAST_NS = 2**40, 2**62
-# A name that ROS allows for a node; the name becomes part of commands that are advised.
+# A name that ROS allows for a node, since the name becomes part of commands that users are advised
+# to run.
 _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 class Node(NodeReport):
-    """A process of this package, with what the page reads in its values.
+    """A process of this package, with what the page reads from its values.
 
     Attributes:
-        number: of its last message; a publisher counts its messages.
+        number: number of its last message, as counted by its publisher.
         copied_at: when another publisher last reported as this process (steady clock, s).
     """
 
@@ -64,7 +65,7 @@ class Node(NodeReport):
     copied_at = -math.inf
 
     def count_message(self, wall: float, number: int) -> None:
-        """Compare the number of a message with the last: those of one publisher only rise."""
+        """Compare the number of a message with the last one: those of one publisher only rise."""
         if number <= self.number:
             self.copied_at = wall
         self.number = number
@@ -81,7 +82,7 @@ class Node(NodeReport):
 
     @property
     def may_turn(self) -> bool:
-        """For a pump: whether it knows neither that the pump stands nor at what speed it turns."""
+        """Whether a pump node knows neither that the pump is stopped nor at what speed it turns."""
         values = self.values
         return values.get("stands") is not True and "speed" in values and values["speed"] is None
 
@@ -94,17 +95,17 @@ class Node(NodeReport):
         return self.parts[part].diagnosis.code if part in self.parts else ""
 
     def text(self, key: str) -> str:
-        """Return a text that it reports; empty if it does not."""
+        """Return a text that it reports; empty if it reports none."""
         value = self.values.get(key)
         return clean_sentence(value) if isinstance(value, str) else ""
 
 
 class Registry:
-    """What is received of one namespace on /diagnostics.
+    """What is received from one namespace on /diagnostics.
 
     Attributes:
         runs: how often another run began, because the plant was started again.
-        time_ns: the time of the plant's newest tick (ns since 1970); 0 before the first.
+        time_ns: time of the plant's newest tick (ns since 1970); 0 before the first.
         offered: the nodes that offer to hold the pump, whatever is reported.
     """
 
@@ -112,8 +113,8 @@ class Registry:
         """Start without nodes.
 
         Args:
-            namespace: such as ``/site1``; nodes in other namespaces are treated as other devices.
-            on_event: called with each event, in a sentence.
+            namespace: namespace such as ``/site1``; nodes in others are treated as other devices.
+            on_event: function called with every event, as a sentence.
         """
         self.runs = 0
         self.time_ns = 0
@@ -121,7 +122,7 @@ class Registry:
         self._namespace = "/" + namespace.strip("/")
         self._on_event = on_event or (lambda _: None)
         self._nodes: dict[tuple[str, str], Node] = {}  # by name and process
-        self._latest: dict[str, Node] = {}  # by name: the process received last
+        self._latest: dict[str, Node] = {}  # by name: the process heard last
         self._by_role: dict[str, Node] = {}  # by role: the node that has it
         self._foreign: dict[str, PartReport] = {}
         self._ticks: deque[tuple[float, int]] = deque()
@@ -129,7 +130,7 @@ class Registry:
     # --- receiving ------------------------------------------------------------------------------
 
     def is_own(self, status: WireStatus) -> bool:
-        """Return whether a status has the name of a node in this namespace, or of its part."""
+        """Return whether a status is that of a node in this namespace, or of a part of one."""
         name = status.name.partition(": ")[0]
         return (
             len(name) <= _NAME and _NODE_NAME.fullmatch(name) is not None
@@ -143,18 +144,18 @@ class Registry:
         """Receive the statuses of one or more messages; no content raises an exception.
 
         Args:
-            wall: now (steady clock, s).
+            wall: present time (steady clock, s).
             statuses: the statuses.
-            now: the graph's time, by which alarms are dated (s since 1970).
+            now: time of the graph, by which alarms are dated (s since 1970).
             stamp_ns: time stamp of the message, in a simulation the tick's time (ns since 1970).
-            number: of the message, by its publisher; None if it is unknown.
+            number: number of the message, as counted by its publisher; None if unknown.
         """
         if len(self._foreign) >= _FOREIGN:
             self._foreign = {
                 name: part for name, part in self._foreign.items()
                 if wall - part.received_at <= _FOREIGN_SILENT_S
             }
-        # A node before its parts.
+        # A node comes before its parts.
         for status in sorted(statuses, key=lambda status: ": " in status.name):
             name = clean_text(status.name, _NAME)
             values = self._values_of(name, status)
@@ -210,7 +211,7 @@ class Registry:
                 del self._foreign[part]
         elif node.role != role:
             return None
-        # With a run that is over, its nodes finish and then end; that is one event.
+        # When a run is over, its nodes finish and then end, which is one event.
         elif state == ENDED and not node.has_ended:
             self._on_event(f"{name} ended")
         before = node.values
@@ -221,7 +222,7 @@ class Registry:
         return node
 
     def _make_room(self, wall: float, role: str) -> bool:
-        """Forget the longest silent node of a role if there are many; return if there is room."""
+        """Forget a role's longest silent node if it has many; return whether there is room."""
         same = [node for node in self._nodes.values() if node.role == role]
         if len(same) < _NODES:
             return True
@@ -238,7 +239,7 @@ class Registry:
                 del table[key]
 
     def _assign_role(self, wall: float, node: Node) -> None:
-        """Assign a node its role, unless another online node, or a newer process, has it."""
+        """Assign a node its role, unless another online node or a newer process has it."""
         before = self._by_role.get(node.role)
         if before is not None:
             again = before.name == node.name
@@ -249,13 +250,13 @@ class Registry:
             self.runs += 1
             self.time_ns = 0
             self._ticks.clear()
-            # Reports of silent nodes are about the run before.
+            # Reports of silent nodes are about the previous run.
             for other in list(self._nodes.values()):
                 if not other.is_online(wall):
                     self._remove(other)
 
     def _report_changes(self, node: Node, before: Mapping[str, Any]) -> None:
-        """Report changes in a node's values as events."""
+        """Report the changes in a node's values as events."""
         values, name = node.values, node.name
         changes, left_out = _find_changes(before, values)
         if left_out:
@@ -282,7 +283,7 @@ class Registry:
     def _receive_plant(self, wall: float, node: Node, stamp_ns: int) -> None:
         tick = node.values.get("tick")
         if type(tick) is not int or not 0 < tick <= _LAST_TICK:
-            return  # before the first tick the stamp is not the run's
+            return  # before the first tick, the stamp is not the run's
         self._ticks.append((wall, tick))
         while wall - self._ticks[0][0] > _SPEED_MAX_S:
             self._ticks.popleft()
@@ -290,7 +291,7 @@ class Registry:
             self.time_ns = stamp_ns
 
     def excuse_silence(self, seconds: float) -> None:
-        """Excuse the silence of all in a time in which nothing could be received (s)."""
+        """Excuse the silence of all nodes for a time in which nothing could be received (s)."""
         for node in self._nodes.values():
             node.received_at += seconds
         for parts in (self._foreign, *(node.parts for node in self._nodes.values())):
@@ -304,7 +305,7 @@ class Registry:
         return self._by_role.get(role)
 
     def starting(self, wall: float) -> bool:
-        """Return whether the site starts."""
+        """Return whether the site is starting."""
         return is_starting([*self._latest.values()], wall)
 
     def factor(self, tau: float) -> float | None:
@@ -324,26 +325,26 @@ class Registry:
         if any(not node.lockstep for node in here):
             return "live"
         if here and plant is None:
-            return "none"  # they wait for their plant
-        # A node that fell silent without reporting its end may still run, and so may a pump.
+            return "none"  # they are waiting for their plant
+        # A node that fell silent without reporting its end may still be running, and so may a pump.
         if any(not node.lockstep and not node.has_ended for node in nodes):
             return "live"
         return "ended" if nodes else "none"
 
     def pump(self, wall: float) -> Node | None:
-        """Return the pump node that is there; None if there is none."""
+        """Return the pump node that is present; None if there is none."""
         node = self._by_role.get(PUMP)
         return node if node is not None and node.is_present(wall) else None
 
     def pumps(self, wall: float) -> list[str]:
-        """Return the names of all nodes that may be the pump node, and are there."""
+        """Return the names of all nodes that may be the pump node and are present."""
         return sorted({*self.offered} | {
             node.name for node in self._latest.values()
             if node.role == PUMP and node.is_present(wall)
         })
 
     def _claimants(self, wall: float) -> list[str]:
-        """Return the names of the nodes that are the pump node by a service or by a report now."""
+        """Return the names of the nodes that claim by service or report to be the pump node now."""
         return sorted({*self.offered} | {
             node.name for node in self._latest.values()
             if node.role == PUMP and node.is_online(wall)
@@ -355,17 +356,17 @@ class Registry:
         if len(names) < 2 and (pump is None or self._find_twins(pump.name, wall) is None):
             return ""
         return (
-            f"Two nodes claim to be the pump node, {list_names(names)}; which one controls the "
-            "pump is unknown. A stop goes to all; nothing else is done from here. End the node "
+            f"Two nodes claim to be the pump node, {list_names(names)}, so it is unknown which one "
+            "controls the pump. A stop goes to all; nothing else is done from here. End the node "
             "that should not run."
         )
 
     def _find_twins(self, name: str, wall: float) -> tuple[Node, Node] | None:
         """Return two processes that report alternately under a name, the older one first.
 
-        They are the same if another publisher copies the process. None if there are none. A
-        process that replaced another one is no twin: the earlier process did not report after the
-        later one began.
+        They are the same if another publisher copies the process. The result is None if there are
+        none. A process that replaced another one is not a twin: the earlier process did not report
+        after the later one began.
         """
         online = [
             node for node in self._nodes.values() if node.name == name and node.is_online(wall)
@@ -376,7 +377,7 @@ class Registry:
         return next(((node, node) for node in online if wall - node.copied_at <= SILENT_S), None)
 
     def site(self) -> Path | None:
-        """Return the site file of the graph, if it is on this machine."""
+        """Return the site file of the graph; None if it is not on this machine."""
         return self._path(PLANT, "site") or self._path("controller", "site")
 
     def _path(self, role: str, key: str) -> Path | None:
@@ -395,11 +396,11 @@ class Registry:
     # --- what is wrong ----------------------------------------------------------------------------
 
     def diagnoses(self, wall: float) -> dict[str, StatusDiagnosis]:
-        """Return all that is wrong now, each by the name of its status."""
+        """Return everything that is wrong now, by the names of the statuses."""
         diagnoses: dict[str, StatusDiagnosis] = {}
         for name, part in self._foreign.items():
             silent = wall - part.received_at > _FOREIGN_SILENT_S
-            # A device that reported only once may never have meant to report regularly.
+            # A device that has reported only once may not be meant to report regularly.
             if silent and part.again and not self._has_ended(name, part):
                 silence = make_diagnosis(STALE, "", "not_heard", "silent", time=_FOREIGN_SILENT_S)
                 diagnoses[name] = replace(silence, code="")
@@ -410,7 +411,7 @@ class Registry:
             if other is not node and other.is_online(wall) and (
                 wall - node.received_at > _GONE_S
             ):
-                continue  # another node has its role, or no such node was ever there
+                continue  # another node has its role, or there was never such a node
             diagnoses.update(node.diagnoses(wall))
             if (twins := self._find_twins(node.name, wall)) is not None:
                 older, newer = twins
@@ -425,7 +426,7 @@ class Registry:
         return diagnoses
 
     def _has_ended(self, name: str, part: PartReport) -> bool:
-        """Return whether a node outside this graph, or a node with this part, reported its end."""
+        """Return whether a node outside this graph, or the node of this part, reported its end."""
         node = self._foreign.get(name.partition(": ")[0])
         if node is None or node.diagnosis.sentence not in (FINISHED, ENDED):
             return False
@@ -442,8 +443,8 @@ def _read_hold(values: Mapping[str, Any]) -> str:
 def _read_value(text: str) -> Any:
     """Return a value, a JSON text, from a status of this package's nodes.
 
-    A number that is not finite, or a whole number of 20 characters or more, is None: no quantity is
-    like that, and computing with it would fail.
+    A number that is not finite, or a whole number of 20 characters or more, is None: no quantity
+    has such a value, and computing with it would fail.
     """
     return json.loads(
         text, parse_int=lambda digits: int(digits) if len(digits) < 20 else None,
@@ -455,7 +456,7 @@ def _read_value(text: str) -> Any:
 def _find_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[list[Any], int]:
     """Return the parameter changes since a node's last report, and how many more are not listed.
 
-    The node keeps only the newest, and counts all.
+    The node keeps only the newest changes, but counts all.
     """
     listed = values.get("parameter_changes")
     first, last = (known.get("parameter_change_count") for known in (before, values))

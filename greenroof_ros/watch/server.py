@@ -1,11 +1,11 @@
 """The page over HTTP: its files, what is pushed to it, and the actions that it can request.
 
-Everybody who reaches the address may look, and may stop the pump; if there is a token, only with
-the token. A hold may be released here if that was allowed, which needs a token. With it, a fault
-that needs no person at the pump may also be cleared, and a dose given if the site file allows
-doses.
+Everybody who reaches the address may view the page and stop the pump; if there is a token, only
+with the token. A hold may be released here if that was allowed, which requires a token. In that
+case, a fault that needs no person at the pump may also be cleared, and a dose may be given if the
+site file allows doses.
 
-Each path is a route, and none leads to a file. Another page in the same browser can do nothing: a
+Every path is a route, and none leads to a file. Another page in the same browser can do nothing: a
 request must name this host (not another name that leads here), and an action needs a header that
 only this page can send. No connection can hold up others: their number is limited, each has a time
 limit, and a browser that does not read is skipped.
@@ -62,22 +62,22 @@ _HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
-# The most connections at a time, and the most streams among them. A browser has up to six.
+# Maximum number of connections at a time, and of streams among them. A browser opens up to six.
 _MAX_CONNECTIONS = 128
 _MAX_STREAMS = 32
-# How long a connection may take to send its request and read the whole answer (s).
+# Longest time in which a connection may send its request and read the whole answer (s).
 _ANSWER_S = 30.0
-# How long the server rests if no connection can be accepted (s).
+# For how long the server rests if no connection can be accepted (s).
 _RETRY_S = 0.5
-# How long a stream's reader may take nothing before it is disconnected (s).
+# For how long a stream's reader may take nothing before it is disconnected (s).
 _UNREAD_S = 30.0
-# How often that is checked (s).
+# Interval at which that is checked (s).
 _DRAIN_S = 0.05
 _BODY_S = 5.0
 _MAX_BODY = 10_000
 _HOURS = "12"
-# How often the document and the series are made, and how often they are sent even if unchanged (s):
-# a page that hears nothing for longer than that has lost its connection.
+# Intervals at which the document and the series are made, and at which they are sent even if
+# unchanged (s): a page that receives nothing for longer than that has lost its connection.
 _STATE_S, _SERIES_S, _RENEW_S = 0.5, 2.0, 5.0
 # The head of a gzip file without name and time (RFC 1952).
 GZIP_HEAD = b"\x1f\x8b\x08\0\0\0\0\0\0\xff"
@@ -91,18 +91,18 @@ _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 class ServerEvent:
     """One server-sent event, plain and compressed.
 
-    Each is compressed once for all readers. Any compressed events can follow a :data:`GZIP_HEAD` in
-    any order: none refers to an earlier one, and each ends with a full flush.
+    It is compressed once for all readers. Compressed events can follow a :data:`GZIP_HEAD` in any
+    order, since none refers to an earlier one, and each ends with a full flush.
 
     Attributes:
-        plain: not compressed.
-        compressed: raw deflate.
+        plain: the event, not compressed.
+        compressed: the event as raw deflate data.
         made_at: when it was made (steady clock, s).
-        checked_at: when it was last made again, and was found unchanged.
+        checked_at: when it was last made again and found unchanged (steady clock, s).
     """
 
     def __init__(self, name: str, content: dict[str, Any]) -> None:
-        # Broken UTF-8 is escaped; a number that JSON does not have is a bug of this package.
+        # Broken UTF-8 is escaped; a number that JSON does not know would be a bug of this package.
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
         self.plain = f"event: {name}\ndata: {text}\n\n".encode()
         press = zlib.compressobj(wbits=-zlib.MAX_WBITS)
@@ -111,13 +111,13 @@ class ServerEvent:
 
 
 class EventStream:
-    """The document and the series, made again while someone reads them.
+    """The document and the series, which are renewed while someone reads them.
 
-    A reader gets the newest event when it has read the one before. Events in between are
-    dropped: a thousand slow readers need no more memory than one.
+    A reader receives the newest event when it has read the previous one. Events in between are
+    dropped, so a thousand slow readers need no more memory than one.
 
     Attributes:
-        readers: how many read.
+        readers: number of readers.
     """
 
     def __init__(self, store: GraphStore) -> None:
@@ -132,14 +132,14 @@ class EventStream:
         self._making = asyncio.Lock()
 
     async def events(self, hours: float) -> AsyncGenerator[ServerEvent, None]:
-        """Yield events as they come, only the newest.
+        """Yield events as they arise, but only the newest.
 
-        Charts that cannot be made are left out, with a reason. If there is no document at all, the
-        error is printed and every stream ends: a page then reports that it is not connected, rather
-        than showing old values as present ones, and keeps its stop.
+        Charts that cannot be made are left out, with a reason. If no document can be made at all,
+        the error is printed and every stream ends. A page then reports that it is not connected,
+        rather than showing old values as present ones, and keeps its stop button.
 
         Args:
-            hours: of the past in the series.
+            hours: length of the past in the series (h).
         """
         wanted: tuple[str | float, ...] = ("state", hours)
         sent: dict[str | float, ServerEvent] = {}
@@ -158,7 +158,7 @@ class EventStream:
             self.readers -= 1
 
     async def _newest_event(self, key: str | float) -> ServerEvent | None:
-        """Return the newest event, which is made once for all readers; None if it cannot be."""
+        """Return the newest event, made once for all readers; None if it cannot be made."""
         async with self._making:
             now, lifetime = time.monotonic(), _STATE_S if isinstance(key, str) else _SERIES_S
             self._newest = {  # events for readers who have gone are dropped
@@ -194,27 +194,27 @@ class EventStream:
 class _Connections:
     """The connections of a server: a new one is always accepted, and ends the oldest if need be.
 
-    So the newest have the time of a hundred others to make their request, and a stop comes through
-    however many connect, and whether or not they send and read.
+    The newest therefore has time to make its request until a hundred others have connected, and a
+    stop gets through however many connect, and whether or not they send and read.
     """
 
     def __init__(self, server: web.Server) -> None:
         self._server = server
-        # When each must have its whole answer (steady clock, s), the oldest first.
+        # Time by which each must have its whole answer (steady clock, s), the oldest first.
         self._until: dict[web.RequestHandler, float] = {}
 
     async def accept(self, listening: socket.socket) -> None:
-        """Accept connections, one after the other, without end."""
+        """Accept connections, one after another, without end."""
         loop = asyncio.get_running_loop()
         while True:
             try:
                 connection, _ = await loop.sock_accept(listening)
-            except OSError as error:  # files or memory run out elsewhere
+            except OSError as error:  # the system has run out of files or memory
                 print_seldom("accept", f"no connection can be accepted: {error.strerror}")
                 await asyncio.sleep(_RETRY_S)
                 continue
             self._make_room()
-            # Until it is made, what came before is answered.
+            # Until it is made, earlier requests are answered.
             with suppress(OSError):
                 _, handler = await loop.connect_accepted_socket(self._server, connection)
                 self._until[handler] = time.monotonic() + _ANSWER_S
@@ -228,7 +228,7 @@ class _Connections:
 
     @contextmanager
     def keep(self, request: web.Request) -> Iterator[None]:
-        """Keep a connection whose answer has another limit, and read nothing more from it."""
+        """Keep a connection whose answer has a different limit, and read nothing more from it."""
         if request.transport is not None:
             request.transport.pause_reading()
         self._until[request.protocol] = math.inf
@@ -238,7 +238,7 @@ class _Connections:
             self._until[request.protocol] = time.monotonic() + _ANSWER_S
 
     async def drop_overdue(self) -> None:
-        """End connections that take too long, again and again."""
+        """Repeatedly end the connections that take too long."""
         while True:
             await asyncio.sleep(1.0)
             now = time.monotonic()
@@ -251,7 +251,7 @@ class _Connections:
             self._drop(handler)
 
     def drop_gone(self) -> bool:
-        """End a kept connection whose reader has gone, or reads nothing, if there is one."""
+        """End a kept connection whose reader has gone or reads nothing, if there is one."""
         for handler, until in self._until.items():
             transport = handler.transport
             if until < math.inf or transport is None:
@@ -307,9 +307,9 @@ class _PageApplication:
     async def _check_origin(
         self, request: web.Request, handler: _Handler
     ) -> web.StreamResponse:
-        """Refuse a request that names another host than this one, or that another page makes.
+        """Refuse a request that names a host other than this one, or that another page makes.
 
-        If a foreign host name led to this address, a browser would count a page from that host as a
+        If a foreign host name led to this address, a browser would treat a page from that host as a
         page of this server (DNS rebinding).
         """
         if self._names is not None and _read_host(request) not in self._names:
@@ -324,13 +324,13 @@ class _PageApplication:
                 )
             own = request.method == "GET" or request.headers.get("X-Greenroof") == "1"
             if not own or _is_of_another_page(request):
-                raise web.HTTPForbidden(reason="only the page itself may ask for this")
+                raise web.HTTPForbidden(reason="only the page itself may request this")
         return await handler(request)
 
     # --- answers --------------------------------------------------------------------------------
 
     async def _events(self, request: web.Request) -> web.StreamResponse:
-        """Push events to one browser until it disconnects, or does not read."""
+        """Push events to one browser until it disconnects or stops reading."""
         hours = _read_hours(request.query.get("hours", _HOURS))
         if self.event_stream.readers >= _MAX_STREAMS and not self.connections.drop_gone():
             raise web.HTTPServiceUnavailable(reason="too many pages are open; close one")
@@ -338,7 +338,7 @@ class _PageApplication:
         answer = web.StreamResponse(headers={
             **_HEADERS,
             "Content-Type": "text/event-stream; charset=utf-8",
-            "X-Accel-Buffering": "no",  # nginx: pass on at once
+            "X-Accel-Buffering": "no",  # nginx: pass on immediately
             **({"Content-Encoding": "gzip"} if compressed else {}),
         })
         transport, events = request.transport, self.event_stream.events(hours)
@@ -365,9 +365,9 @@ class _PageApplication:
         return _make_response(known, "" if known else "This alarm is no longer listed.")
 
     async def _act(self, request: web.Request) -> web.Response:
-        """Act on the pump; the same request, made again meanwhile, gets the same answer.
+        """Act on the pump; the same request, made again meanwhile, receives the same answer.
 
-        Doses are an exception: of two requests only the first is carried out.
+        Doses are an exception: only the first of two requests is carried out.
         """
         body, action, given = await _read_body(request), request.path[1:], dict[str, float]()
         if action != "stop" and not (self._store.allow_release and self._token):
@@ -380,19 +380,19 @@ class _PageApplication:
                 "asked_at": _read_number(body, "asked_at", "s"),
             }
         task = self._acting.get(action)
-        # A request joins the one under way only if no other action was requested since.
+        # A request joins the one under way only if no other action has been requested since.
         if task is None or task.done() or (task is not self._newest and not given):
             task = asyncio.create_task(self._request_action(action, given, request.remote or ""))
             self._acting[action] = self._newest = task
         elif given:
-            return _make_response(False, "Another dose was asked for a moment ago.")
+            return _make_response(False, "Another dose was requested a moment ago.")
         with self.connections.keep(request):
             return _make_response(*await asyncio.shield(task))
 
     async def _request_action(
         self, action: str, given: dict[str, float], asker: str
     ) -> tuple[bool, str]:
-        """Request an action of the pump node, and return the result; the sender may be gone."""
+        """Request an action from the pump node, and return the result; the sender may be gone."""
         try:
             request = {"owner": "the page"} if action == "stop" else given
             answer = await asyncio.to_thread(self._feed.request_action, action, **request)
@@ -403,7 +403,7 @@ class _PageApplication:
             print_seldom(action, traceback.format_exc())
             ok = False
             sentence = (
-                "It is unknown whether that was done: the watcher failed "
+                "It is unknown whether this was done: the watcher failed "
                 f"({type(error).__name__}: {error})."
             )
         sentence = words.clean_sentence(sentence)
@@ -413,7 +413,7 @@ class _PageApplication:
 
 
 def _make_file_handler(file: Path) -> _Handler:
-    """Return a handler that sends a file of the page, as it is when the server starts."""
+    """Return a handler that sends a file of the page as it is when the server starts."""
     content, kind = file.read_bytes(), _TYPES[file.suffix]
 
     async def send(_: web.Request) -> web.Response:
@@ -429,7 +429,7 @@ def _make_response(ok: bool, sentence: str, status: int = 200) -> web.Response:
 
 
 def _read_host(request: web.Request) -> str | None:
-    """Return the host that a request names, without its port: a tunnel has another port."""
+    """Return the host that a request names, without its port, since a tunnel has another port."""
     headers = request.headers.getall("Host", [])
     with suppress(ValueError):
         return urlsplit(f"//{headers[0]}").hostname if len(headers) == 1 else None
@@ -439,7 +439,7 @@ def _read_host(request: web.Request) -> str | None:
 def _is_of_another_page(request: web.Request) -> bool:
     """Return whether the browser reports that a page of another site makes the request.
 
-    Browsers report it in Sec-Fetch-Site; over plain HTTP to another machine only in Origin.
+    Browsers report this in Sec-Fetch-Site, but over plain HTTP to another machine only in Origin.
     """
     site, origin = (request.headers.get(name) for name in ("Sec-Fetch-Site", "Origin"))
     if site is not None:
@@ -450,7 +450,7 @@ def _is_of_another_page(request: web.Request) -> bool:
 async def _send(
     answer: web.StreamResponse, data: bytes, transport: asyncio.Transport | None
 ) -> None:
-    """Send data, and wait until all of it is on its way: data that waits here becomes old."""
+    """Send data, and wait until all of it is on its way, since data that waits here becomes old."""
     await answer.write(data)
     while transport is not None and transport.get_write_buffer_size():
         await asyncio.sleep(_DRAIN_S)
@@ -465,7 +465,7 @@ def _read_number(body: Mapping[str, object], name: str, unit: str) -> float:
 
 
 def _read_hours(text: str) -> float:
-    """Return how much of the past is requested (h)."""
+    """Return the length of the past that is requested (h)."""
     with suppress(ValueError):
         hours = read_number(text)
         if hours in HOURS:
@@ -529,15 +529,16 @@ def serve(
     on_ready: Callable[[str], None],
     signals: Signals,
 ) -> None:
-    """Serve the page until a signal comes.
+    """Serve the page until a signal arrives.
 
     Args:
         store: state of the graph, to show.
-        feed: stops the pump.
-        host: address or name to listen on.
+        feed: feed of the store, which stops the pump.
+        host: address or name on which to listen.
         port: TCP port; 0 for any that is free, None for the first free one from 8080 on.
         token: the token that a page must send; None for none.
-        on_ready: called with the address for a browser, with the token, once the page is served.
+        on_ready: function called with the address for a browser, including the token, once the page
+            is served.
         signals: the signals that end it.
 
     Raises:

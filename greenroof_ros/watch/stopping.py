@@ -1,6 +1,6 @@
-"""What may be done to the pump from here: stop it, release it, clear a fault, give a dose.
+"""The actions on the pump that are possible from here: stop, release, clear a fault, give a dose.
 
-It needs nothing that tiles or alarms need: even if those cannot be shown, the pump can be stopped.
+They need nothing that tiles or alarms need: even if those cannot be shown, the pump can be stopped.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ LOCK_OUT = (
     "Anyone working on the pump must lock it out at the pump itself; this page does not."
 )
 _THEN = (
-    "The pump then starts automatically when the controller asks for it and nothing else keeps it "
-    "off, but not before its shortest time off has passed. "
+    "The pump then starts automatically when the controller requires it and nothing else keeps it "
+    "off, but not before its minimum time off has passed. "
 )
 
 
 def describe_stop(store: GraphStore) -> dict[str, Any]:
     """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
-    It can be stopped if any node may control the pump, whatever nodes report. It is stopped if
-    someone holds it and it stands; the hold alone only means that it should stand. ``release`` is
-    the command to release it; empty if that would do nothing. Entries in ``_here`` state whether an
-    action is allowed here, entries in ``_then`` what happens then. A request for a dose sends
-    ``asked_at`` back: a delayed request is too old.
+    It can be stopped if any node may control the pump, whatever nodes report. It counts as stopped
+    if someone holds it and it is at rest; the hold alone only means that it should be. ``release``
+    is the command that releases it; empty if that would do nothing. Entries ending in ``_here``
+    state whether an action is allowed here, and those ending in ``_then`` state what happens then.
+    A request for a dose returns ``asked_at``, so a delayed request is too old.
     """
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
@@ -50,7 +50,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
         "possible": possible, "stopped": stopped,
         "label": "The pump is held off: stop again" if stopped
         else "Keep the pump off" if off else "Stop the pump",
-        "sentence": "There is no pump node that could be stopped from here."
+        "sentence": "There is no pump node that can be stopped from here."
         if not possible else ("It was held off at last contact. " if hold and is_silent else "")
         + ("The pump is held" if stopped else "Holds the pump")
         + " off until someone releases it. " + LOCK_OUT,
@@ -64,12 +64,12 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
 
 
 def _allow(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, Any]:
-    """Return what may be done here besides a stop, and what happens then.
+    """Return which actions other than a stop are allowed here, and what happens then.
 
     Args:
         node: the pump node, if it is online and releasing is allowed; otherwise None.
         at_rest: whether the pump is stopped.
-        area: of the roof (m2).
+        area: area of the roof (m2).
     """
     maximum = None if node is None else node.values.get("max_dose")
     hold = "" if node is None else node.hold
@@ -93,27 +93,27 @@ def _allow(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, Any
         "dose_here": doses and not no_dose,
         "asked_at": time.time() if doses and not no_dose else None,
         "dose_then": "The pump then delivers this volume once, regardless of what the controller "
-        "asks for, but not above the roof's target. It ends early if anything keeps the pump off. "
+        "commands, but not above the roof's target. It ends early if anything keeps the pump off. "
         + LOCK_OUT,
         "no_dose": no_dose if doses else "",
     }
 
 
 def _write_limits(minimum: float, maximum: float, area: float) -> str:
-    """Return between which volumes (m3) a dose must be, and how much that is on the roof (m2)."""
+    """Return the range of a dose (m3), and the depth of water that it means on the roof (m2)."""
     volumes = f"from {minimum:.3f} to {maximum:g} m³" if minimum else f"at most {maximum:g} m³"
     depths = [words.write_rain(volume / area) for volume in (minimum, maximum) if volume and area]
     return volumes + (f", which is {' to '.join(depths)} of water on the roof" if depths else "")
 
 
 def _write_then(*others: str) -> str:
-    """Return what the pump does then; the others are what else keeps it off, empty if it is not."""
+    """Return what the pump does then; ``others`` are what else keeps it off (empty: nothing)."""
     remain = "; ".join(filter(None, others))
-    return f"It stays off all the same: {remain}. " if remain else _THEN
+    return f"It nevertheless stays off: {remain}. " if remain else _THEN
 
 
 def make_bare_stop() -> dict[str, Any]:
-    """Return a stop that needs nothing to be known: the pump node is asked, if there is one."""
+    """Return a stop for which nothing needs to be known: the pump node is asked, if any."""
     return {
         "possible": True, "stopped": False, "label": "Stop the pump",
         "sentence": "Holds the pump off until someone releases it. " + LOCK_OUT,

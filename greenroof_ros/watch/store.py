@@ -1,7 +1,7 @@
 """What is known about one graph: newest values, their past, plan and forecast, and the reports.
 
-Each message that :mod:`.feed` receives comes here once, through :meth:`GraphStore.receive` or
-:meth:`GraphStore.add_statuses`. :mod:`.document` makes from it what people see.
+Every message that :mod:`.feed` receives arrives here once, through :meth:`GraphStore.receive` or
+:meth:`GraphStore.add_statuses`. From this, :mod:`.document` makes what people see.
 """
 
 from __future__ import annotations
@@ -39,33 +39,33 @@ LINES = {
 }
 """Lines of the charts, each with its topic."""
 EXPECTED = "roof_expected"
-"""Another line: the roof level as expected an hour before."""
+"""A further line: the roof level as expected an hour before."""
 _NAMES = {topic: name for name, topic in LINES.items()}
 
 _NUMBER = "std_msgs/msg/Float64"
 # No quantity of any site is greater than this in any unit, even if its topic has no limit.
 _MAX_VALUE = 1e9
-# A value is stale after this many of its usual intervals, and at the earliest after the second (s).
-# The usual interval is assumed to be at most the third (s).
+# A value is stale after this many of its usual intervals, but at the earliest after the second
+# number (s). The usual interval is assumed to be at most the third number (s).
 INTERVALS, _STALE_S, _MAX_S = 3, 5.0, 600.0
 # Times of a graph are before this (ns since 1970): the year 2116.
 _LATEST_NS = 2**62
-# How far the system's clock may be set back (s): that much is caught up within a minute.
+# By how much the system's clock may be set back (s), which is made up for within a minute.
 _SET_BACK_S = 60.0
-# How long ahead a level was expected if it is compared with the measured level, and how often such
-# an expectation is kept (s).
+# How far ahead a level that is compared with the measured one was expected, and the interval at
+# which such an expectation is kept (s).
 _LEAD_S, _EXPECTED_EVERY_S = 3600.0, 300.0
-# The maximum number of steps of a forecast or a plan, as the longest look-ahead has.
+# Maximum number of steps of a forecast or a plan, which is that of the longest look-ahead.
 _MAX_STEPS = 1000
 _MAX_EVENTS = 50
 
 
 class TopicValue:
-    """The newest value of a topic, and how often values come, judged at each update.
+    """The newest value on a topic, and how often values arrive, judged at every update.
 
     Attributes:
-        time_ns: its time (ns since 1970).
-        value: None if it is not plausible.
+        time_ns: time of the value (ns since 1970).
+        value: the value; None if it is not plausible.
         stale: whether the next value is overdue.
     """
 
@@ -79,12 +79,12 @@ class TopicValue:
         self._intervals: deque[float] = deque(maxlen=9)
 
     def receive(self, time_ns: int, value: float) -> None:
-        """Receive a value; NaN if it is not plausible."""
+        """Receive a value, which is NaN if it is not plausible."""
         self._received = True
         self.time_ns, self.value = time_ns, None if math.isnan(value) else value
 
     def update(self, wall: float, *, ended: bool) -> None:
-        """Update whether the next value is overdue: never in an ended run."""
+        """Update whether the next value is overdue, which it never is in a run that has ended."""
         if self._received or self._received_at is None:
             if self._received_at is not None:
                 self._intervals.append(min(wall - self._received_at, _MAX_S))
@@ -96,34 +96,34 @@ class TopicValue:
 class GraphStore:
     """The state of one graph; any thread may call any method, and read under ``lock``.
 
-    Times of the graph are its own: simulated, or the system's. ``wall`` is the steady clock's time
-    (s): setting the system's clock makes no value old or new.
+    Times of the graph are its own: simulated, or the system's. ``wall`` is the time of the steady
+    clock (s), so setting the system's clock makes no value old or new.
 
     Attributes:
         lock: to be held while several attributes are read.
-        namespace: of the graph; empty if it has none.
-        site: the site by which levels are judged: the paper's, until another one is known.
+        namespace: namespace of the graph; empty if it has none.
+        site: site by whose parameters levels are judged: the paper's until another one is known.
         wall: when the store was last updated (steady clock, s).
         notes: notes to the operator about the site file, and about the graph that is watched.
-        mode: ``none`` if nothing was received yet, ``simulated``, ``live``, or ``ended`` for a run
-            that is over.
+        mode: ``none`` if nothing has been received yet, ``simulated``, ``live``, or ``ended`` for a
+            run that is over.
         factor: simulated time per wall time; None if there is none.
         allow_release: whether the pump may be released from here.
-        graph: what its nodes report.
-        judge: what is wrong now, and what is only missing while the site starts.
-        events: the newest events, each with its time (s since 1970).
-        newest: the newest value of each topic.
-        past: the past of each line of the charts.
-        forecast: the newest forecast of rain; None if it is unknown.
-        plan: the controller's plan; None if it is unknown, or there is none.
+        graph: registry of what its nodes report.
+        judge: judge of what is wrong now, and what is only missing while the site starts.
+        events: newest events, each with its time (s since 1970).
+        newest: newest value on each topic.
+        past: past of each line of the charts.
+        forecast: newest forecast of rain; None if it is unknown.
+        plan: plan of the controller; None if it is unknown or there is none.
     """
 
     def __init__(self, namespace: str = "") -> None:
         """Start without knowing anything.
 
         Args:
-            namespace: of the graph; empty if it has none. Nodes in other namespaces are treated as
-                other devices.
+            namespace: namespace of the graph; empty if it has none. Nodes in other namespaces are
+                treated as other devices.
         """
         self.lock = threading.RLock()
         self.namespace = namespace
@@ -139,11 +139,11 @@ class GraphStore:
         self.reset()
 
     def reset(self) -> None:
-        """Reset everything except the nodes and how they are watched: another run began."""
+        """Reset everything except the nodes and how they are watched, as another run has begun."""
         with self.lock:
             self.judge = Judge()
             self.events: deque[tuple[float, str]] = deque(maxlen=_MAX_EVENTS)
-            # By name: number, level and subjects of the alarm that someone acknowledged.
+            # By name: number, level and subjects of the alarm that someone has acknowledged.
             self._acknowledged: dict[str, tuple[int, str, tuple[str, ...]]] = {}
             self._forget_values()
 
@@ -160,15 +160,15 @@ class GraphStore:
 
     @property
     def pump(self) -> Node | None:
-        """The pump node, as last received; None if there was none."""
+        """The pump node as last received; None if there was none."""
         return self.graph.node(PUMP)
 
     def set_site(self, site: Site, note: str = "") -> None:
-        """Set the site by which levels are judged.
+        """Set the site by whose parameters levels are judged.
 
         Args:
-            site: its parameters.
-            note: what an operator should know about that; empty for nothing.
+            site: parameters of the site.
+            note: what an operator should know about this; empty for nothing.
         """
         with self.lock:
             self.site = site
@@ -178,7 +178,7 @@ class GraphStore:
         """Set how the graph is watched now.
 
         Args:
-            mode: as in the attributes.
+            mode: mode as in the attributes.
             factor: simulated time per wall time; None if there is none.
             note: what an operator should know about that; empty for nothing.
         """
@@ -190,12 +190,12 @@ class GraphStore:
     def update(self, wall: float, system: float | None = None) -> None:
         """Update what is overdue; called often, even if no document is shown.
 
-        If the clock of a live site is set back, the charts start again: new values would be older
-        than those already there.
+        If the clock of a live site is set back, the charts start again, since new values would be
+        older than those already there.
 
         Args:
-            wall: now.
-            system: the system's time, which a live site has (s since 1970); None if unchanged.
+            wall: present time (steady clock, s).
+            system: time of the system, which a live site follows (s since 1970); None if unchanged.
         """
         with self.lock:
             before, self._system = self._system, self._system if system is None else system
@@ -214,18 +214,18 @@ class GraphStore:
 
     @property
     def ended(self) -> bool:
-        """Whether the run is over: nothing more will come."""
+        """Whether the run is over, so that nothing more will arrive."""
         return self.mode == "ended"
 
     def is_lost(self, node: Node | None) -> bool:
-        """Return whether a node was there and is silent now; False if the run is over."""
+        """Return whether a node was present and is now silent; False if the run is over."""
         return node is not None and not self.ended and not node.is_online(self.wall)
 
     @property
     def pump_report(self) -> PumpState | None:
-        """The pump's state and why, as its node last reported; None if it has not.
+        """The pump's state and its reason, as its node last reported them; None if it has not.
 
-        It is unknown if it is unclear which node that is.
+        The state is unknown if it is unclear which node that is.
         """
         if two := self.graph.two_pumps(self.wall):
             return PumpState("unknown", two)
@@ -235,18 +235,18 @@ class GraphStore:
 
     @property
     def flow_known(self) -> bool:
-        """Whether the pump node knows the flow: while it does not, the flow's topic reports 0."""
+        """Whether the pump node knows the flow; while it does not, the flow's topic reports 0."""
         return self.pump is None or self.pump.values.get("flow", 0.0) is not None
 
     # --- messages -------------------------------------------------------------------------------
 
     def receive(self, topic: str, time_ns: int, message: bytes) -> None:
-        """Receive a message of any topic that is shown, except /diagnostics and /clock.
+        """Receive a message on any topic that is shown, except /diagnostics and /clock.
 
         Args:
-            topic: its name in the interface, without a namespace.
-            time_ns: since 1970.
-            message: in CDR; an incomplete message is left out.
+            topic: name of the topic in the interface, without a namespace.
+            time_ns: time of the message (ns since 1970).
+            message: message in CDR; an incomplete one is left out.
         """
         if topic in (PLAN, RAIN_FORECAST):
             if (rows := wire.read_rows(message)) is not None:
@@ -260,15 +260,15 @@ class GraphStore:
                 self.add(topic, time_ns, value)
 
     def add(self, topic: str, time_ns: int, value: float) -> None:
-        """Add a value of a topic of single numbers.
+        """Add a value from a topic of single numbers.
 
-        A value that is not newer than the last one is left out. One out of the topic's range is
+        A value that is not newer than the last one is left out. One outside the topic's range is
         shown as not plausible, and is a gap in its line.
 
         Args:
-            topic: its name in the interface, without a namespace.
-            time_ns: since 1970.
-            value: in the topic's unit.
+            topic: name of the topic in the interface, without a namespace.
+            time_ns: time of the value (ns since 1970).
+            value: value in the topic's unit.
         """
         entry = self._interface[topic]
         low, high = max(entry.low, -_MAX_VALUE), min(entry.high, _MAX_VALUE)
@@ -284,18 +284,18 @@ class GraphStore:
                 self.past[_NAMES[topic]].add(time_ns, value if is_known else math.nan)
 
     def present_value(self, topic: str) -> float | None:
-        """Return the present value of a topic; None if there is none, or it is stale."""
+        """Return the present value on a topic; None if there is none or it is stale."""
         newest = self.newest.get(topic)
         return None if newest is None or newest.stale else newest.value
 
     def add_forecast(self, time_ns: int, values: Values, front: Values) -> None:
-        """Add a forecast of rain; after one that is not valid, no forecast is known.
+        """Add a forecast of rain; after an invalid one, no forecast is known.
 
         Args:
-            time_ns: when its first step begins, since 1970.
-            values: m/s, shape (steps,), or (members, steps) for an ensemble.
-            front: when it was issued (s since 1970, NaN if unknown), and the end of each step (s
-                from ``time_ns``), shape (1 + steps,).
+            time_ns: beginning of its first step (ns since 1970).
+            values: rain in each step (m/s), shape (steps,), or (members, steps) for an ensemble.
+            front: time of issue (s since 1970, NaN if unknown), and the end of each step (s from
+                ``time_ns``), shape (1 + steps,).
         """
         if not 0 < time_ns < _LATEST_NS:
             return
@@ -319,10 +319,11 @@ class GraphStore:
         """Add a plan of the controller.
 
         Args:
-            time_ns: when it was planned, since 1970; if there is a newer plan, this is left out.
-            rows: of each step its end (s from then), mean flow (m3/s), expected roof level at its
-                end (m), and a level that is not shown, shape (steps, 4). Empty: nothing has
-                changed. With an impossible number: there is no plan now.
+            time_ns: time of planning (ns since 1970); if there is a newer plan, this one is left
+                out.
+            rows: end of each step (s from then), its mean flow (m3/s), the expected roof level at
+                its end (m), and a level that is not shown, shape (steps, 4). If empty, nothing has
+                changed; with an impossible number, there is now no plan.
         """
         at = time_ns / 1e9
         if not 0 < time_ns < _LATEST_NS:
@@ -341,13 +342,13 @@ class GraphStore:
         self, wall: float, statuses: Sequence[WireStatus], stamp_ns: int = 0,
         number: int | None = None,
     ) -> None:
-        """Add the statuses of a message on /diagnostics.
+        """Add the statuses in a message on /diagnostics.
 
         Args:
-            wall: now.
-            statuses: of one message.
-            stamp_ns: time stamp of the message (ns since 1970), in a simulation by its clock.
-            number: of the message, by its publisher; None if it is unknown.
+            wall: present time (steady clock, s).
+            statuses: statuses of one message.
+            stamp_ns: time stamp of the message (ns since 1970), in a simulation of its clock.
+            number: number of the message, as counted by its publisher; None if unknown.
         """
         with self.lock:
             self.graph.receive(
@@ -358,7 +359,7 @@ class GraphStore:
             if node is None:
                 return
             # The plan of a controller that another controller or process has replaced is dropped.
-            # The first plan of the new one may have come before its first status, and stays.
+            # The first plan of the new one may have arrived before its first status, and is kept.
             controller = node.name, node.process
             if self._controller not in (None, controller) and self.plan is not None and (
                 self.plan.at <= self._controller_at
@@ -373,15 +374,15 @@ class GraphStore:
             if what == "ends":
                 ended[alarm.name] = alarm
             elif what == "begins" and (before := ended.get(alarm.name)):
-                self.add_event(f"{alarm.name}: {alarm.sentence}; before: {before.sentence}")
+                self.add_event(f"{alarm.name}: {alarm.sentence}; previously: {before.sentence}")
 
     def add_event(self, text: str) -> None:
-        """Add an event that happens now."""
+        """Add an event that has just happened."""
         with self.lock:
             self.events.append((self._event_time, clean_text(text)))
 
     def acknowledge(self, alarm_id: str) -> bool:
-        """Acknowledge an alarm, until it changes; return False if there is no such alarm."""
+        """Acknowledge an alarm until it changes; return False if there is no such alarm."""
         with self.lock:
             alarm = self.judge.alarms.get(alarm_id)
             if alarm is not None:
@@ -392,7 +393,7 @@ class GraphStore:
             return alarm is not None
 
     def is_acknowledged(self, alarm: Alarm) -> bool:
-        """Return whether it is acknowledged: as bad as it is now, and about the same."""
+        """Return whether an alarm is acknowledged, with its present level and subjects."""
         return self._acknowledged.get(alarm.name) == (alarm.number, alarm.level, alarm.about)
 
     # --- time -----------------------------------------------------------------------------------
@@ -401,8 +402,8 @@ class GraphStore:
     def now(self) -> float | None:
         """The graph's time (s since 1970); None if no time is known yet.
 
-        On a live site it is the system's time, otherwise the time of the newest value, or of the
-        plant's last report.
+        On a live site, it is the system's time; otherwise it is the time of the newest value or of
+        the plant's last report.
         """
         if self.mode == "live" and self._system is not None:
             return self._system
@@ -411,14 +412,14 @@ class GraphStore:
 
     @property
     def _event_time(self) -> float:
-        """The time of an event that happens now (s since 1970)."""
+        """Time of an event that happens now (s since 1970)."""
         return (self._system or 0.0) if self.now is None else self.now
 
     def clock(self) -> dict[str, Any]:
         """Return the time in words, and the clock for the page's charts.
 
-        The clock is a list of times (s since 1970), each with the offset from UTC (h) from then
-        on. It covers the longest chart.
+        The clock is a list of times (s since 1970), each with the offset from UTC (h) that holds
+        from then on. It covers the longest chart.
         """
         now, zone = self.now, self.site.zone
         if now is None or words.convert_time(now, zone) is None:
@@ -429,14 +430,15 @@ class GraphStore:
     def time_of_day(self, at: float) -> str:
         """Write a time of the graph (s since 1970).
 
-        In a simulation, what happened before the first tick has the system's time, which is later.
+        In a simulation, what happened before the first tick bears the system's time, which is
+        later.
         """
         if self.now is not None and self.mode != "live" and at > self.now:
             return "the start"
         return words.write_clock_time(at, self.site.zone, at if self.now is None else self.now)
 
     def hour(self, at: float) -> str:
-        """Write a time to come (s since 1970)."""
+        """Write a future time (s since 1970)."""
         return words.write_coming_time(at, self.site.zone, self.now or at)
 
 

@@ -1,7 +1,7 @@
 """The five things to see at a glance: both levels, pump, rain and controller, each in a tile.
 
-Each tile has a ``label``, its ``value`` in words and as a ``number``, a ``state`` that judges it, a
-``sentence`` with details, and whether its value is ``stale``: then it is unknown.
+Every tile has a ``label``, its ``value`` in words and as a ``number``, a ``state`` that judges it,
+a ``sentence`` with details, and a flag for whether its value is ``stale`` and thus unknown.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from greenroof_ros.watch import words
 from greenroof_ros.watch.outlook import Plan, RainAmount
 from greenroof_ros.watch.store import GraphStore
 
-# Most controllers look hours ahead; a shorter forecast contains nothing about the rain to come (s).
+# Most controllers look hours ahead; a shorter forecast (s) contains nothing about the rain to come.
 SOON_S = 600.0
-# Weather services renew their forecasts hourly, each from a model run that comes every 6 h: an
-# older forecast has missed such a run (s).
+# Weather services renew their forecasts hourly, from model runs that are made every 6 h; an older
+# forecast (s) has missed such a run.
 _RENEWED_S, OLD_S = 3600.0, 6 * 3600.0
 
 _FLOW, _COMMAND, _RAIN = "/pump/flow", "/pump/command", "/weather/precipitation"
@@ -41,9 +41,9 @@ def _make_tile(
     store: GraphStore, label: str, topic: str, judged: Callable[[float], tuple[str, str]],
     **more: Any,
 ) -> Tile:
-    """Return the tile of a topic; ``judged`` gives state and sentence for its value.
+    """Return the tile of a topic; ``judged`` returns state and sentence for its value.
 
-    A missing or stale value is unknown; for a stale value the sentence states what was last
+    A missing or stale value is unknown; for a stale value, the sentence states what was last
     received, and when. ``why`` is the reason if one is reported. A value that is not plausible is
     an alarm.
     """
@@ -68,9 +68,9 @@ def _make_tile(
 
 
 def _find_reason(store: GraphStore, topic: str) -> str:
-    """Return why no values of a topic arrive, as its publisher reports it, or else its readers.
+    """Return why no values of a topic arrive, as reported by its publisher, or else its readers.
 
-    It is empty if no one reports a fault: then the first value may still come.
+    The result is empty if no one reports a fault, as the first value may still arrive.
     """
     diagnoses = store.judge.diagnoses
     own = {name: found for name, found in diagnoses.items() if found.role and found.level != WARN}
@@ -87,7 +87,7 @@ def _find_reason(store: GraphStore, topic: str) -> str:
 
 
 def make_unknown_tile(label: str) -> Tile:
-    """Return a tile that cannot be made."""
+    """Return the replacement of a tile that cannot be made."""
     return {
         "label": label, "value": words.UNKNOWN, "number": None, "state": "unknown",
         "sentence": "cannot be shown", "stale": True, "why": "", "alarm": False, "idle": False,
@@ -122,7 +122,7 @@ def make_roof_tile(store: GraphStore) -> Tile:
 
 
 def _write_difference(difference: float) -> str:
-    """Write how far the roof's level is from its target (m): ``0.4 mm below its target``."""
+    """Write how far the roof's level is from its target (m), as ``0.4 mm below its target``."""
     text = write_level(abs(difference))
     if text == write_level(0.0):
         return "at its target"
@@ -143,9 +143,9 @@ def make_cistern_tile(store: GraphStore) -> Tile:
     def judged(level: float) -> tuple[str, str]:
         usable = site.cistern_volume(level - site.suction_level)
         if usable <= 0:
-            return "low", "too low for the pump: not above the suction level"
+            return "low", "too low for the pump, as it is not above the suction level"
         if level > site.z_o:
-            return "high", "above its outlet: it overflows to the sewer"
+            return "high", "above its outlet, so it overflows to the sewer"
         usable_text = words.write_quantity(usable, "m³", 1)
         text = f"{usable_text} above the suction level can be pumped"
         if site.low_outlet_valve:
@@ -171,10 +171,10 @@ def _write_opened(share: float | None) -> str:
 
 
 def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
-    """Return the tile of the pump: its state, and below it the flow, the command, and why.
+    """Return the tile of the pump: its state and, below it, the flow, the command and the reason.
 
-    ``alarm`` is whether the pump may turn and no one knows it; ``idle`` whether it is off only
-    because the controller commands nothing.
+    ``alarm`` states whether the pump may be turning without anyone knowing it, and ``idle`` whether
+    it is off only because the controller commands nothing.
 
     Args:
         store: state of the graph.
@@ -186,7 +186,7 @@ def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Til
     may_turn = node is not None and (
         node.may_turn or (is_silent and values.get("stands") is False)
     )
-    speed_known = values.get("speed", 0.0) is not None  # also if its node never reports a speed
+    speed_known = values.get("speed", 0.0) is not None  # even if its node never reports a speed
     pumped = store.newest.get(_FLOW) if flow_known and (speed_known or may_turn) else None
     command = store.newest.get(_COMMAND)
     state, why = _read_pump_state(store, report)
@@ -204,7 +204,7 @@ def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Til
         parts.append(_write_commanded(command.value))
     newest = pumped if pumped is not None else command
     old = newest is not None and newest.stale
-    # The node reports its state by another way than the flow.
+    # The node reports its state in a different way from the flow.
     stale = not may_turn and (is_silent or (old and report is None))
     if old and not stale:
         place = -1 if pumped is None or command is None else -2
@@ -236,7 +236,7 @@ def _write_commanded(share: float | None) -> str:
 
 
 def _read_pump_state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
-    """Return the pump's state and the reason; in a simulation, by its flow and command."""
+    """Return the pump's state and the reason; in a simulation, based on its flow and command."""
     if report is not None:
         return report.state, report.why
     if store.mode == "live":
@@ -258,7 +258,7 @@ def _is_quiet(store: GraphStore) -> bool:
 
 
 def make_rain_tile(store: GraphStore) -> Tile:
-    """Return the tile of the rain: the present rain, and the rain to come."""
+    """Return the tile of the rain: the present rain and the forecast rain."""
     topic = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
     tile = _make_tile(store, "Rain", topic, lambda _: ("good", ""))
     return tile if tile["stale"] else {**tile, "sentence": _write_coming_rain(store)}
@@ -268,19 +268,20 @@ def _write_coming_rain(store: GraphStore) -> str:
     forecast, now = store.forecast, store.now
     if forecast is None or now is None:
         return "no forecast is known"
-    # A forecast is as old as its issue, if known; it is too old only if it is no longer published.
+    # The age of a forecast counts from its issue, if known; it is too old only if it is no longer
+    # published.
     made_at = forecast.at if forecast.issued is None else forecast.issued
     age, made = now - made_at, store.hour(made_at)
     amount = forecast.amount(now)
     if amount is None:
-        return f"no forecast is known: the one of {made} has ended"
+        return f"no forecast is known: the one from {made} has ended"
     reach = words.write_horizon(amount.reach_s)
     if amount.reach_s < SOON_S:
         return f"no forecast for the next hours: it reaches only {reach} ahead"
     if now - forecast.at > OLD_S:
-        return f"the forecast of {made} is too old"
+        return f"the forecast from {made} is too old"
     sentence = f"{words.write_rain(amount.mean)} expected in the next {reach}{_write_range(amount)}"
-    return sentence if age <= _RENEWED_S else f"{sentence}, by the forecast of {made}"
+    return sentence if age <= _RENEWED_S else f"{sentence}, according to the forecast from {made}"
 
 
 def _write_range(amount: RainAmount) -> str:
@@ -331,7 +332,7 @@ def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) 
 
 
 def _has_forecast(store: GraphStore) -> bool:
-    """Return whether there is a forecast for the present, and not an old one."""
+    """Return whether there is a forecast for the present that is not too old."""
     forecast, now = store.forecast, store.now
     return (
         forecast is not None and now is not None and forecast.amount(now) is not None
@@ -355,9 +356,9 @@ def _write_plan(store: GraphStore, plan: Plan, now: float) -> str:
 
 
 def describe_wait(store: GraphStore, idle: bool) -> str:
-    """Return for which rain the controller waits; empty if it does not wait.
+    """Return for which rain the controller is waiting; empty if it is not waiting.
 
-    It waits if the roof is too dry, only the controller keeps the pump off, and at least the
+    It is waiting if the roof is too dry, only the controller keeps the pump off, and at least the
     missing water is forecast to fall before the controller plans to pump any.
 
     Args:

@@ -1,4 +1,4 @@
-"""Messages of a graph, read from their bytes; one that is not whole, or far too large, is None."""
+"""Reads messages of a graph from bytes; an incomplete or far too large one is read as None."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ if TYPE_CHECKING:
     from greenroof_ros.graph.messages import WithFront
 
 _NS = 1_000_000_000
-# The largest message that is read (bytes): an ensemble of forecasts has some hundred thousand.
+# Largest message that is read (bytes): an ensemble of forecasts has some hundred thousand.
 _MAX_BYTES = 8_000_000
-# Of one array of /diagnostics: statuses, values of each, and characters of each text. An array of
-# this package has under ten statuses; its longest value is a list of a hundred numbers.
+# Limits to one array on /diagnostics: statuses, values of each, and characters of each text. An
+# array from this package has fewer than ten statuses; its longest value is a list of a hundred
+# numbers.
 _STATUSES, _VALUES, _TEXT = 1000, 100, 20_000
 
 
@@ -25,8 +26,9 @@ class WireStatus:
     Attributes:
         name: fully qualified name of a node; for a part of it, followed by ``": "`` and the part.
         level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
-        message: a sentence.
-        values: as on the wire: JSON texts from this package's nodes, plain texts from their parts.
+        message: the status, as a sentence.
+        values: values as on the wire: JSON texts from this package's nodes, plain texts from their
+            parts.
     """
 
     name: str
@@ -36,17 +38,17 @@ class WireStatus:
 
 
 def _read(message: bytes, decode: Callable[[bytes], Any]) -> Any:
-    """Return what a message holds; None if it is not whole, or too large."""
+    """Return the content of a message; None if it is incomplete or too large."""
     if len(message) > _MAX_BYTES:
         return None
-    with suppress(Exception):  # of the middleware, or a text that is not UTF-8
+    with suppress(Exception):  # from the middleware, or because a text is not UTF-8
         return decode(message)
     return None
 
 
 def read_value(type_name: str, message: bytes) -> Any:
-    """Return the value of a message of a type, as :func:`greenroof_ros.graph.messages.decoder`."""
-    from greenroof_ros.graph.messages import decoder  # only who joins a graph has ROS
+    """Return the value of a message of a type; see :func:`greenroof_ros.graph.messages.decoder`."""
+    from greenroof_ros.graph.messages import decoder  # only processes that join a graph need ROS
 
     return _read(message, decoder(type_name))
 
@@ -62,7 +64,7 @@ def read_rows(message: bytes) -> WithFront | None:
 def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
     """Return the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``.
 
-    Texts and lists that are longer than the limits above are cut: no honest sender has such.
+    Texts and lists that exceed the limits above are cut, since no honest sender sends such.
     """
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.serialization import deserialize_message
@@ -72,7 +74,7 @@ def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
         return None
     stamp = read.header.stamp
     return int(stamp.sec) * _NS + int(stamp.nanosec), [
-        # An unknown level is treated as ERROR, the worst that someone can do something about.
+        # An unknown level is treated as ERROR, the worst one that someone can do something about.
         WireStatus(
             status.name[:_TEXT], level if (level := status.level[0]) <= 3 else 2,
             status.message[:_TEXT],

@@ -1,4 +1,4 @@
-"""Numbers, times and sentences as an operator reads them: one place for page and status."""
+"""Numbers, times and sentences as an operator reads them, on the page and in the status."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from greenroof_ros.common.times import duration
 
 NOT_PLAUSIBLE = "not a plausible value"
 UNKNOWN = "unknown"
-# Brackets with the name of a parameter, behind what they explain, and the unit as logs have it.
+# Brackets with the name of a parameter after what it explains, and the unit as written in logs.
 _PARAMETERS = re.compile(r" \([^()]*\b[a-z]+_[a-z][^()]*\)")
 _CUBIC = re.compile(r"\bm3\b")
 SPACE = "\N{NO-BREAK SPACE}"
-"""Between a number and its unit: no line ends there."""
+"""Space between a number and its unit, where no line may end."""
 _HOUR = timedelta(hours=1)
-# How many names of nodes are listed.
+# Maximum number of names of nodes that are listed.
 _MAX_NAMES = 3
 
 
 def write_number(value: float, decimals: int) -> str:
-    """Write a number with this many decimals; never minus zero; *unknown* if not below 1e12."""
+    """Write a number with this many decimals: never minus zero, and *unknown* from 1e12 on."""
     if not math.isfinite(value) or abs(value) >= 1e12:
         return UNKNOWN
     text = f"{value:.{decimals}f}"
@@ -37,21 +37,21 @@ def write_quantity(value: float, unit: str, decimals: int, factor: float = 1.0) 
     """Write a number with its unit, such as ``45.3 mm``.
 
     Args:
-        value: in its SI unit.
-        unit: as it is shown.
-        decimals: of the shown number.
-        factor: from the SI unit to the shown unit.
+        value: value in its SI unit.
+        unit: unit to show.
+        decimals: number of decimals to show.
+        factor: factor from the SI unit to the unit to show.
     """
     text = write_number(value * factor, decimals)
     return text if text == UNKNOWN or not unit else f"{text}{SPACE}{unit}"
 
 
 def write_value(topic: str, value: float) -> str:
-    """Write a value of a topic, or a difference of values, as the interface reports: ``45.3 mm``.
+    """Write a value of a topic, or a difference of values, as the interface states: ``45.3 mm``.
 
     Args:
-        topic: its name in the interface.
-        value: in the topic's unit.
+        topic: name of the topic in the interface.
+        value: value in the topic's unit.
     """
     display = find_display(topic)
     return write_quantity(value, display.unit, display.decimals, display.factor)
@@ -59,7 +59,7 @@ def write_value(topic: str, value: float) -> str:
 
 @cache
 def find_display(topic: str) -> Display:
-    """Return how the values of a topic are shown, from the interface."""
+    """Return how the interface shows the values of a topic."""
     display = read_topics()[topic].display
     if display is None:
         raise KeyError(topic)
@@ -72,21 +72,21 @@ def write_rain(metres: float) -> str:
 
 
 def write_command(share: float) -> str:
-    """Write a command: ``40 %``; a small one is not written as 0 %."""
+    """Write a command, such as ``40 %``; a small one is not written as 0 %."""
     if 0 < share < 0.005:
         return f"less than 1{SPACE}%"
     return write_value("/pump/command", share)
 
 
 def write_horizon(seconds: float) -> str:
-    """Write how far ahead a forecast or plan reaches, from 90 min on in whole hours: ``12 h``."""
+    """Write how far ahead a forecast or plan reaches, in whole hours from 90 min on: ``12 h``."""
     if seconds >= 5400:
         return write_quantity(seconds / 3600, "h", 0)
     return duration(round(seconds)).replace(" ", SPACE)
 
 
 def convert_time(seconds: float, zone: tzinfo) -> datetime | None:
-    """Return a time since 1970 (s) in a zone; None if it is in no calendar."""
+    """Return a time since 1970 (s) in a zone; None if no calendar contains it."""
     try:
         return datetime.fromtimestamp(seconds, zone)
     except (ValueError, OverflowError, OSError):
@@ -105,17 +105,17 @@ def name_clock(seconds: float, zone: tzinfo) -> str:
     name = "" if at is None else at.strftime("%Z")
     if not isinstance(zone, ZoneInfo) or zone.key == name:
         return name
-    offset = "" if at is None else at.isoformat()[-6:]  # some zones have a number for a name
+    offset = "" if at is None else at.isoformat()[-6:]  # some zones have a number as their name
     return f"{name if name.isalpha() else f'UTC{offset}'}, {zone.key}"
 
 
 @lru_cache(maxsize=8)
 def list_offsets(zone: tzinfo, day: int) -> list[tuple[int, float]]:
-    """Return when (s since 1970) a clock's offset from UTC (h) changes, from its first on.
+    """Return when (s since 1970) a clock's offset from UTC (h) changes, beginning with its first.
 
     Args:
-        zone: of the clock.
-        day: number of days since 1970. The changes are of eight days before it and two after it.
+        zone: time zone of the clock.
+        day: number of days since 1970. The changes cover eight days before it and two after it.
     """
     changes: list[tuple[int, float]] = []
     for at in range((day - 8) * 86400, (day + 3) * 86400, 900):
@@ -136,7 +136,7 @@ def write_clock_time(seconds: float, zone: tzinfo, now: float) -> str:
 
 
 def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
-    """Write a time to come (s since 1970): ``06:20``, ``tomorrow 06:20``, later with its date."""
+    """Write a future time (s since 1970): ``06:20``, ``tomorrow 06:20``, later with its date."""
     at, today = convert_time(seconds, zone), convert_time(now, zone)
     if at is None or today is None:
         return UNKNOWN
@@ -146,12 +146,12 @@ def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
 
 
 def clean_sentence(text: str) -> str:
-    """Return a node's sentence for a page that laymen read: no names of parameters, and m³."""
+    """Return a node's sentence for a page that laymen read: without parameters, and with m³."""
     return _CUBIC.sub("m³", _PARAMETERS.sub("", clean_text(text)))
 
 
 def list_names(names: Iterable[str]) -> str:
-    """List names of nodes; not all, since anyone can report any number of them."""
+    """List names of nodes, but not all, since anyone can report any number of them."""
     listed = sorted({*names})
     more = len(listed) - _MAX_NAMES
     return " and ".join(listed[:_MAX_NAMES] + ([f"{more} more"] if more > 0 else []))

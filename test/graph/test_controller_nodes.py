@@ -42,11 +42,11 @@ BROKEN: dict[str, tuple[list[tuple[str, str]], dict[str, str]]] = {
             ("        raise SystemExit\n", "        pass\n"),
         ],
         {
-            "before the first tick": "1 commands came before any input",
+            "before the first tick": "1 commands arrived before any input",
             "finite and not negative": r"the command is -0\.\d+ with .* on /roof/level",
             "while frost is not finite": r"the command is 0\.9\d+ with nan on /weather/frost",
-            "awaits each input": "answers before /cistern/level of the tick has come",
-            "ends when": "still there 10 s after /clock has lost its publisher",
+            "awaits each input": "answers before /cistern/level of the tick has arrived",
+            "ends when": "still running 10 s after /clock lost its publisher",
         },
     ),
     "by_arrival": (  # takes the first message of a tick for the level of the cistern, and so on

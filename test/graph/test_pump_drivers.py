@@ -24,7 +24,7 @@ BROKEN = {
     "obeys_too_much": [
         (
             "else 0.0  # not a NaN", "else last[0]\n    last[0] = command",
-            "refuses what is not finite", r"the flow is 0\.00\d+ m3/s 3 s after command nan",
+            "rejects commands that", r"the flow is 0\.00\d+ m3/s 3 s after command nan",
         ),
         (
             "    flow.data = 0.0\n", "    pass\n",
@@ -32,7 +32,7 @@ BROKEN = {
         ),
         (
             "node.commanders > 1 or", "node.commanders > 9 or",
-            "second publisher", r"m3/s 3 s after a second publisher came",
+            "second publisher", r"m3/s 3 s after a second publisher appeared",
         ),
         (
             'not state["cistern/level"] > SUCTION', 'math.isnan(state["cistern/level"])',

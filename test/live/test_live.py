@@ -82,7 +82,7 @@ def test_a_bad_input_stops_the_pump(site: Site) -> None:
         site.until(lambda: newest(commands) == 0.5, LATE, "a command")
         assert site.watcher.values("/onoff")["site"] == str(site.cwd / "site.yaml")
         for change, level, *words in (
-            ({"/roof/level": math.nan}, ERROR, "/roof/level was refused", "0 to 100 m"),
+            ({"/roof/level": math.nan}, ERROR, "/roof/level was rejected", "0 to 100 m"),
             ({"/cistern/level": None}, ERROR, "/cistern/level is older than 1.5 s (level_limit)"),
             # 0.5 of the pumps' flow is 0.16 mm/s of the cistern: 0.3 mm in 1.8 s.
             ({"/cistern/level": cistern(time.monotonic())}, ERROR, "/cistern/level is frozen"),
@@ -172,8 +172,8 @@ def test_nothing_that_is_published_ends_a_node(site: Site) -> None:
 
 # Bad rain forecasts, and what is reported: too long, an impossible value far ahead, none.
 BAD_FORECASTS: dict[str, tuple[list[float] | None, str]] = {
-    "long": ([0.0] * 2000, "was refused"),
-    "not finite": ([*[0.0] * 9, math.nan], "was refused: nan"),
+    "long": ([0.0] * 2000, "was rejected"),
+    "not finite": ([*[0.0] * 9, math.nan], "was rejected: nan"),
     "none": (None, "is older than 1 s (forecast_limit)"),
 }
 
@@ -194,7 +194,8 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
             without = {name: value for name, value in good.items() if name != rain}
             site.values = without if bad is None else {**without, rain: bad}
             site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {case}")
-            degraded = site.shows("/mpc: forecast", WARN, "on/off commands since ", f"{rain} {why}")
+            words = "on/off has commanded since ", f"{rain} {why}"
+            degraded = site.shows("/mpc: forecast", WARN, *words)
             site.until(degraded, LATE, case)
             since = re.search(r"since (\S+ \S+), ", site.diagnoses["/mpc: forecast"].message)
             assert since and began <= datetime.fromisoformat(since[1]) <= datetime.now(UTC)
@@ -277,7 +278,7 @@ def test_quiet_hours_are_of_the_system_clock(site: Site) -> None:
         f"quiet_hours: ['{begin:%H:%M}-{end:%H:%M}']\n"
     )
     with site.live("controller --controller mine:Counting", site_file=file, recovery_time=0.2):
-        for part, *words in (("forecast", WARN, "on/off commands since"), ("forecast", OK)):
+        for part, *words in (("forecast", WARN, "on/off has commanded since"), ("forecast", OK)):
             site.until(site.shows(f"/counting: {part}", *words), LATE, "good inputs")
             site.until(site.shows("/counting: inputs", OK), LATE, "good inputs")
             before = len(commands)
@@ -309,7 +310,7 @@ def test_classes_of_a_users_own(site: Site) -> None:
     with site.live("controller --controller mine:Waiting", recovery_time=2.0):
         site.until(site.shows("/waiting: forecast", OK), LATE, "a forecast")
         site.values = {**good, "/forecast/precipitation": [math.nan] * 10}
-        site.until(site.shows("/waiting: forecast", WARN, "was refused"), LATE, "the refusal")
+        site.until(site.shows("/waiting: forecast", WARN, "was rejected"), LATE, "the refusal")
         site.values = good
         site.until(site.shows("/waiting: forecast", OK), LATE, "a forecast again")
         assert {value for _, value in commands} == {0.0}
@@ -426,7 +427,7 @@ def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
                 number for number, words in enumerate(BROKEN.splitlines(), 1) if text in words
             )
             place = site.shows(
-                "/broken: command", WARN, "on/off commands", f"{file}, line {line}", why
+                "/broken: command", WARN, "on/off has commanded", f"{file}, line {line}", why
             )
             site.until(place, LATE, f"{what}: {why}")
             site.until(lambda: newest(commands) == 1.0, LATE, f"{what}: on/off")
@@ -633,7 +634,7 @@ def test_live_weather(site: Site) -> None:
             LATE, "their rain forecast",
         )
         site.values = {"/gauge/precipitation": math.nan, "/gauge/temperature": 500.0}
-        refused = (WARN, "was refused")
+        refused = (WARN, "was rejected")
         expect(2e-6, 1.0, ("rain gauge", *refused), ("thermometer", *refused))
         site.values = {}
         expect(2e-6, 1.0, ("thermometer", WARN, "older than 1 s", "gauge_limit"))

@@ -172,7 +172,7 @@ def test_a_live_site_with_drive_and_sensors(
     with live(domain, tmp_path, *options, code=1) as process:
         for reason in (
             "/roof_sensor: sensor: tcp://127.0.0.1:", ", device 1: cannot connect. The sensor",
-            "is older than 2 h. There is no forecast for now, so the roof is watered by its level",
+            "is older than 2 h. There is no forecast for the present, so the roof is watered",
         ):
             process.until_printed(reason)
         # It lists neither consequences of these nor a drive that is there.
@@ -392,7 +392,7 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
             "site.yaml",
         )
         with live(domain, tmp_path, *options) as process:
-            process.until_printed("has room for 0 MB of it, less than --bag-limit 10000", 60)
+            process.until_printed("for 0 MB of it, which is less than --bag-limit 10000", 60)
             process.until_printed("the configuration of this start is not kept", 60)
             process.until_printed("/recorder: recording: nothing is recorded: ", 60)
             for restart in (True, False):

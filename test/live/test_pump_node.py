@@ -84,7 +84,7 @@ GUARDS = DriveSnapshot(timeout_known=True, timeout_s=3.0)
         ("abb_acs880", "tcp://127.0.0.1", DriveSnapshot(timeout_note="no timeout.tcp"), False,
          "could not be read (no timeout.tcp)"),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, False,
-         "and confirm that (local_settings_stop_the_pump: true); to set it: "),
+         "and confirm this (local_settings_stop_the_pump: true); to set it: "),
         ("grundfos_cim500", "tcp://127.0.0.1", GUARDS, True, None),
     ],
 )
@@ -151,7 +151,7 @@ def test_malformed_messages_stop_the_motor_and_not_the_node(rig: PumpRig) -> Non
             return bool(rig.observer.values("/pump")["refused"].get(topic) == 3)
 
         rig.tick_until(0.5, is_counted, LATE, "its count")
-    assert any("/pump/command was refused: 8 bytes are " in it for it in rig.observer.messages)
+    assert any("/pump/command was rejected: 8 bytes are " in it for it in rig.observer.messages)
     assert node.poll() is None
 
 
@@ -234,7 +234,7 @@ def test_commands_that_must_not_pump(rig: PumpRig) -> None:
     for command in (math.nan, math.inf, -1.0):
         rig.until_at_rest(command)
         rig.run()
-    rig.until_reported("command", ERROR, "refused", command=-1.0)
+    rig.until_reported("command", ERROR, "rejected", command=-1.0)
     rig.until_code("pump", "command_unknown", -1.0)
     assert rig.observer.values("/pump: pump")["cause"] == rig.code("command") == "input_refused"
     rig.run()
@@ -477,7 +477,7 @@ def test_commands_without_a_graph_say_what_to_do(domain: int, tmp_path: Path) ->
     assert (past.wait(300), "must be in the future" in past.stderr()) == (2, True)
     for process in (dose, reset):
         assert process.wait(300) == 1
-        assert process.stderr().startswith("error: There is no pump node that could be asked: ")
+        assert process.stderr().startswith("error: There is no pump node to ask: ")
         assert (
             "Start its graph first, in the same ROS_DOMAIN_ID and with the same "
             "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -496,7 +496,7 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     with forged(rig, dose='{"id": 1, "over": "expired", "said": 7}'):
         code, output = command(rig, "dose", "--volume", "0.05")
     assert (code, output.splitlines()[-1]) == (0, "the dose of 0.05 m3 was delivered")
-    assert " of 0.05 m3 is accepted" in output and " a dose of " not in rig.state
+    assert " of 0.05 m3 was accepted" in output and " a dose of " not in rig.state
     rig.until_at_rest(0.0)
     assert rig.pumped() - before == pytest.approx(0.05, rel=0.1)
     assert any(state.startswith("running: a dose of 0.05 m3: ") for state in rig.states)

@@ -68,4 +68,4 @@ def test_garbage_between_true_values_is_an_alarm(
 
         observer.until(lambda: is_reported(next(messages)), 60, "an alarm")
         message = observer.diagnoses["/cistern_sensor: sensor"].message
-        assert re.match(r"\d+ of \d+ readings within a minute were refused; the last: ", message)
+        assert re.match(r"\d+ of \d+ readings within a minute were rejected; the last: ", message)

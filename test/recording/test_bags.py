@@ -109,7 +109,7 @@ def test_a_bag_that_was_cut_keeps_its_whole_chunks(tmp_path: Path, size: int) ->
     new, messages, [loss] = recover(tmp_path)
     restored = messages_of(new / "bag-recovered_0.mcap")
     assert restored == written[:messages] and 30 < messages < len(written)
-    lost = int(loss.removeprefix("bag_0.mcap: ").split(" bytes are lost, between ")[0])
+    lost = int(loss.removeprefix("bag_0.mcap: ").split(" bytes are lost between ")[0])
     assert cut - min(end for end in ends if end > cut) < 0 < lost < cut - max(
         end for end in ends if end < cut
     ) + 1
@@ -216,7 +216,7 @@ def test_what_is_whole_is_recovered_after_any_damage(
     if not closed:
         damaged(tmp_path / "bag", -30, bytes(20))
     if lost[not closed] == list(range(361)):
-        assert "does not hold a single whole chunk" in refusal(recover, tmp_path)
+        assert "does not contain a single whole chunk" in refusal(recover, tmp_path)
         return
     new, messages, losses = recover(tmp_path)
     assert messages == 6 * (361 - len(lost[not closed]))
@@ -225,7 +225,7 @@ def test_what_is_whole_is_recovered_after_any_damage(
     if lost[not closed] == SECOND:
         [by_size, by_number] = losses
         assert by_size == (
-            f"bag_0.mcap: {parts[1].chunk_length} bytes are lost, between {utc(15)} and {utc(32)}"
+            f"bag_0.mcap: {parts[1].chunk_length} bytes are lost between {utc(15)} and {utc(32)}"
         )
         assert by_number == "bag_0.mcap: 96 of its 2166 messages are lost"
 
@@ -453,7 +453,7 @@ def test_every_file_of_a_split_bag_is_checked(tmp_path: Path, what: str) -> None
     lost = {message[:2] for message in sent} - there
     assert lost and lost <= had
     assert losses[-1] == f"bag_1.mcap: {len(lost)} of its {len(had)} messages are lost"
-    assert ("bytes are lost, between 2026-11-21 23:" in losses[0]) == (
+    assert ("bytes are lost between 2026-11-21 23:" in losses[0]) == (
         what in ("a chunk", "half a file")
     )
 

@@ -123,8 +123,8 @@ LOW_OUTLET = replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02)
     ("roof", SITE, 0.55, "high",
      "504.3 mm above its target; the soil is full, and water drains off"),
     ("roof", SITE, -0.0, "low", "45.7 mm below its target"),
-    ("cistern", SITE, 0.75, "low", "too low for the pump: not above the suction level"),
-    ("cistern", SITE, 3.01, "high", "above its outlet: it overflows to the sewer"),
+    ("cistern", SITE, 0.75, "low", "too low for the pump, as it is not above the suction level"),
+    ("cistern", SITE, 3.01, "high", "above its outlet, so it overflows to the sewer"),
     ("cistern", LOW_OUTLET, 2.5, "good",
      "43.8 m³ above the suction level can be pumped; its low outlet drains it"),
 ])
@@ -323,7 +323,7 @@ SENDS_NOTHING = f"{read_conditions()['sensor_lost'].meaning}: no answer"
 
 @pytest.mark.parametrize(("reports", "sentence", "why"), [
     ([], "nothing received from it yet", ""),
-    ([node("/pump", "pump", ("levels", ERROR, "/roof/level has not come yet", "input_waiting",
+    ([node("/pump", "pump", ("levels", ERROR, "/roof/level has not arrived yet", "input_waiting",
                              {"topics": "/roof/level"}))], "nothing received from it yet", ""),
     ([node("/roof_sensor", "roof_sensor", DEAD)], "no values arrive", SENDS_NOTHING),
     ([node("/cistern_sensor", "cistern_sensor", DEAD)], "nothing received from it yet", ""),
@@ -394,7 +394,7 @@ def test_what_a_watcher_knows_before_during_and_after_a_run() -> None:
     document = shown(graph, 5.0)
     assert (document["namespace"], document["heading"]) == ("/site1", "Nothing received yet")
     assert document["time"] == {"now": None, "text": "unknown", "clock": []}
-    assert document["tiles"].pop("summary")["sentence"] == "no run or site is found."
+    assert document["tiles"].pop("summary")["sentence"] == "no run or site has been found."
     assert {tile["state"] for tile in document["tiles"].values()} == {"unknown"}
     assert not any(read_series(graph, 12)["lines"].values())
     for factor, heading in (
@@ -412,7 +412,7 @@ def test_what_a_watcher_knows_before_during_and_after_a_run() -> None:
     graph.set_present(mode="ended", factor=None, note="")
     document = shown(graph, 9999.0)
     assert (document["heading"], document["tiles"]["roof"]["state"]) == ("Ended run", "good")
-    assert document["advice"] == "The run is over: this is not the present."
+    assert document["advice"] == "The run is over, so this is not the present state."
     graph.reset()
     assert tile_of(graph, "roof")["state"] == "unknown"
     add_values(graph, -86_400, -86_300, QUIET)
@@ -474,7 +474,7 @@ def test_no_report_switches_the_stop_off(forged: dict[str, Any]) -> None:
         assert {row["code"] for row in document["alarms"]} & {"two_pump_nodes", "two_processes"}
 
 
-STARTS, STAYS = "The pump then starts automatically", "It stays off all the same"
+STARTS, STAYS = "The pump then starts automatically", "It nevertheless stays off"
 SLOW = {"fault": "slow", "no_clear": ""}
 LEAK = {"fault": "a leak", "no_clear": "someone has to look"}
 LOST = {"unknown": "the file cannot be read"}
@@ -696,9 +696,9 @@ def test_a_plan_goes_with_its_controller() -> None:
 
 @pytest.mark.parametrize(("hours", "sentence"), [
     (0.9, "4.3 mm expected in the next 12 h"),
-    (2.0, "4.3 mm expected in the next 12 h, by the forecast of 00:00"),
-    (7.0, "the forecast of 00:00 is too old"),
-    (49.0, "no forecast is known: the one of 20 Jul 00:00 has ended"),
+    (2.0, "4.3 mm expected in the next 12 h, according to the forecast from 00:00"),
+    (7.0, "the forecast from 00:00 is too old"),
+    (49.0, "no forecast is known: the one from 20 Jul 00:00 has ended"),
 ])
 def test_a_forecast_has_an_age(hours: float, sentence: str) -> None:
     """While it is published, it is as old as its issue, and the weather node withholds old ones."""
@@ -710,7 +710,7 @@ def test_a_forecast_has_an_age(hours: float, sentence: str) -> None:
     if hours >= 2:
         forecast(graph, START + now * SECOND, rain, 48, issued=START / 1e9)
         assert tile_of(graph, "rain")["sentence"].startswith(
-            "4.3 mm expected in the next 12 h, by the forecast of "
+            "4.3 mm expected in the next 12 h, according to the forecast from "
         )
 
 

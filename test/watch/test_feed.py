@@ -286,7 +286,7 @@ def test_a_stop_goes_before_all_else(monkeypatch: Any) -> None:
     wait_for(lambda: len(answers) == 6, 60, "the answers")
     assert client.done[:3] == ["clear", "stop", "stop"]  # then perhaps the last release
     del answers["release 5"]
-    refused = "Nothing was done: someone is asking to stop the pump."
+    refused = "Nothing was done: someone is stopping the pump."
     assert answers == {
         "clear 0": "clear", "release 1": refused, "stop 2": "stop", "dose 3": refused,
         "stop 4": "stop",

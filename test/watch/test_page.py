@@ -626,7 +626,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         until_shown(page, "#release", "must lock it out at the pump itself")
         assert not page.locator("#release-by-hand").is_visible()
         page.locator("#release-button").click()
-        until_shown(page, "#ask", "starts automatically when the controller asks for it")
+        until_shown(page, "#ask", "starts automatically when the controller requires it")
         page.locator("#ask-no").click()
         assert posted(page) == []
         page.locator("#release-button").click()
@@ -638,7 +638,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         until_shown(page, "#answer.failed", "the situation has changed")
         assert not page.locator("#ask").is_visible()
         page.locator("#clear-button").click()
-        until_shown(page, "#ask", "It stays off all the same: a hold by the operator.")
+        until_shown(page, "#ask", "It nevertheless stays off: a hold by the operator.")
         page.locator("#ask-yes").click()
         until_shown(page, "#answer.failed", "was not asked")
         assert posted(page) == ["release", "clear"]
@@ -660,7 +660,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         until_shown(page, "#answer.failed", "was not asked")
         page.locator("#dose-button").click()
         said[:] = pump("held: frost", max_dose=0.5, no_dose="the pump may not run: frost")
-        until_shown(page, "#dose", "No dose now: the pump may not run: frost.")
+        until_shown(page, "#dose", "No dose is possible now: the pump may not run: frost.")
         until_shown(page, "#answer.failed", "the situation has changed")
         assert not page.locator("#dose-button").is_visible()
         assert page.said == []

@@ -140,7 +140,7 @@ def test_what_may_still_come_is_a_note_while_a_site_starts() -> None:
     alarms = heard(*each_quarter(5, pump(WRONG, up_s=9)))
     assert not list_alarms(alarms) and not list_events(alarms)
     notes = make_document(alarms, 5.0)["notes"]
-    assert notes[:2] == ["The site is starting. Not there yet:", "/pump: drive: no connection."]
+    assert notes[:2] == ["The site is starting. Still missing:", "/pump: drive: no connection."]
 
 
 def test_events_of_parameters_and_warnings() -> None:
@@ -217,7 +217,7 @@ def test_the_order_of_alarms() -> None:
 
 def test_advice_is_on_what_is_new() -> None:
     """Acknowledged alarms come after the others; among equals, the newest is first."""
-    file = ("drive file", WARN, "was not verified", "drive_file_unverified")
+    file = ("drive file", WARN, "have not been verified", "drive_file_unverified")
     blind = ("delivery", WARN, "blind for 3 s", "delivery_blind")
     alarms = heard((0.0, pump(file)), (0.1, pump(file, blind)))
     assert present(alarms) == ["/pump: delivery", "/pump: drive file"]
@@ -332,4 +332,4 @@ def test_a_stop_hides_no_other_alarm() -> None:
     wrong = "sensor", ERROR, "wrong", code, {"age_s": "3.0"}
     alarms = heard((0.0, pump(hold, wrong, hold=HOLD, stands=True)))
     (first, second) = (advise(code, "pump", "/pump") for code in ("hold", code))
-    assert advice(alarms) == f"{first} Besides: {second}"
+    assert advice(alarms) == f"{first} In addition: {second}"

@@ -39,7 +39,7 @@ def test_nothing_runs(domain: int, tmp_path: Path) -> None:
         stdin=subprocess.DEVNULL, capture_output=True, timeout=300,
     )
     assert (done.returncode, done.stderr) == (3, b"")
-    assert b"no run or site is found" in done.stdout and b"\x1b" not in done.stdout
+    assert b"no run or site has been found" in done.stdout and b"\x1b" not in done.stdout
     assert not list(tmp_path.iterdir())
     assert status(domain, tmp_path, "--namespace", "site1")[0] == 3
 

@@ -156,8 +156,8 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
     previous = os.umask(0)  # inherited: the file is private all the same
     try:
         for options, warning in (
-            (("--host", "0.0.0.0", "--token-file", file.name), "may look, and stop the pump"),
-            (("--allow-release",), "may release the pump"), (("--token-file", file.name), ""),
+            (("--host", "0.0.0.0", "--token-file", file.name), "view the page and stop the pump"),
+            (("--allow-release",), "can release the pump"), (("--token-file", file.name), ""),
         ):
             process = Process(domain, "watch", *options, "--port", str(port), cwd=tmp_path)
             url = wait_for(process.stdout, 60, "an address")
@@ -181,8 +181,8 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
 
 @pytest.mark.parametrize(("content", "mode", "message"), [
     ("a" * 32, 0o640, "other users may read or change it"),
-    ("a" * 31, 0o600, "must hold a token of at least 32 letters"),
-    ("é" * 40, 0o600, "must hold a token of at least 32 letters"),
+    ("a" * 31, 0o600, "must contain a token of at least 32 letters"),
+    ("é" * 40, 0o600, "must contain a token of at least 32 letters"),
 ])
 def test_a_token_that_others_may_know_is_refused(
     content: str, mode: int, message: str, tmp_path: Path

@@ -1,1 +1,1 @@
-"""Checks of nodes in other packages: whether they keep to the interface."""
+"""Checks of whether nodes in other packages keep to the interface."""

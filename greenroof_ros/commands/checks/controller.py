@@ -1,4 +1,4 @@
-"""Check over topics alone whether a controller's node keeps the rules of a lockstep graph."""
+"""Checks over topics alone whether a controller's node keeps the rules of a lockstep graph."""
 
 from __future__ import annotations
 
@@ -24,20 +24,21 @@ _FORECASTS = ("/forecast/precipitation", "/forecast/evapotranspiration")
 _WEATHER = ("/weather/precipitation", "/weather/evapotranspiration")
 _VALVE = "/outlet/command"
 _NOT_FINITE = (math.nan, math.inf, -math.inf)
-# Values for which the command must be 0.
+# Inputs for which the command must be 0.
 _STOPS = (
     ("in frost", _FROST, (1.0,)),
     ("while frost is not finite", _FROST, _NOT_FINITE),
     ("while the cistern's level is not finite", _LEVELS[0], _NOT_FINITE),
     ("while the roof's level is not finite", _LEVELS[1], _NOT_FINITE),
 )
-# So many ticks in a row the command must be 0.
+# Number of consecutive ticks in which the command must be 0.
 _STOP_TICKS = 3
-# Within this simulated time a controller must water again (s): it may limit the pump's starts.
+# Simulated time within which a controller must water again (s), as it may limit the pump's starts.
 _WATERS_AGAIN_S = 3600.0
-# How long the last input of a tick is kept back (s): a node that does not await it answers by then.
+# How long the last input of a tick is held back (s): a node that does not wait for it answers by
+# then.
 _DELAY_S = 0.1
-# A solver's answers to equal inputs may differ by this much.
+# By how much a solver's answers to equal inputs may differ.
 _EQUAL = 1e-6
 # How long a node may take to end when the plant has gone (s).
 _END_S = 10.0
@@ -62,12 +63,12 @@ class ControllerCheck(NodeCheck):
         Args:
             node: the node that plays the controller's peers.
             controller: name of the controller's node, without namespace.
-            site: the site that sets the levels.
+            site: site that sets the levels.
             horizon: how far the forecasts reach (h), in growing steps; 0 for the next M ticks.
         """
         super().__init__(node, controller, site.tau, 0.0)
         self._site = site
-        # In front of a forecast: no time of issue, and the ends of the steps.
+        # The numbers in front of a forecast: no time of issue, and the ends of the steps.
         self._front = array("d", [math.nan, *look_ahead_ends(site, horizon)[1:]])
         # The values of a tick, by topic; once they are known, those in which the controller waters.
         self._usual = dict.fromkeys(self.played[1:], 0.0)
@@ -78,12 +79,12 @@ class ControllerCheck(NodeCheck):
         self._wrong_share = ""
 
     def run_checks(self) -> None:
-        """Run all checks in turn; after each stop the controller must water again."""
+        """Run all checks in turn; after each stop, the controller must water again."""
         with self.check("publishes nothing before the first tick"):
             early = len(self.answers) + len(self._shares)
             self.answers.clear()
             self._shares.clear()
-            require(not early, f"{early} commands came before any input")
+            require(not early, f"{early} commands arrived before any input")
         with self.check("waters a dry roof"):
             self._find_watering()
         for when, topic, values in _STOPS:
@@ -120,9 +121,9 @@ class ControllerCheck(NodeCheck):
             self._end()
 
     def _find_watering(self) -> None:
-        """Find values at which the controller waters: the driest roof, the fullest cistern first.
+        """Find values at which the controller waters, trying dry roofs and full cisterns first.
 
-        This comes before ticks with rain, since a controller may keep its plan for hours.
+        This precedes ticks with rain, since a controller may keep its plan for hours.
         """
 
         def dryness(trial: dict[str, float]) -> tuple[float, float, float]:
@@ -144,7 +145,7 @@ class ControllerCheck(NodeCheck):
         ]
 
     def _publish_last(self, topic: str) -> None:
-        """Publish an input last in a tick; the command must not change by that.
+        """Publish an input last in a tick, which must not change the command.
 
         The command of a controller with a memory may lie between its neighbours.
         """
@@ -158,15 +159,15 @@ class ControllerCheck(NodeCheck):
         )
 
     def _must_water(self) -> None:
-        """Require a command above 0: otherwise a check of a stop proves nothing."""
+        """Require a command above 0, as a check of a stop proves nothing otherwise."""
         ticks = math.ceil(_WATERS_AGAIN_S / self._site.tau)
         require(
             any(self._valid_command({}) > 0 for _ in range(ticks)),
-            f"the command stays 0 for {ticks} ticks, at levels at which it was above 0",
+            f"the command stays 0 for {ticks} ticks at levels at which it was above 0",
         )
 
     def join(self) -> None:
-        """Also listen to the commands to the valve, at a site with one."""
+        """Listen to the commands to the valve, too, at a site with one."""
         for topic in self.further:
             self.listen(topic, self._shares.append)
         super().join()
@@ -178,7 +179,7 @@ class ControllerCheck(NodeCheck):
         while self.endpoints(self.output):
             require(
                 time.monotonic() <= until,
-                f"it is still there {_END_S:g} s after {CLOCK} has lost its publisher",
+                f"it is still running {_END_S:g} s after {CLOCK} lost its publisher",
             )
             self.spin(0.1)
 
@@ -195,7 +196,7 @@ class ControllerCheck(NodeCheck):
 
         Args:
             overrides: values, by topic, that replace the values of a tick with watering.
-            last: the topic that comes last; empty for the usual order.
+            last: topic that is published last; empty for the usual order.
 
         Raises:
             BrokenRuleError: if there is no answer, or one before the last input.
@@ -229,7 +230,7 @@ class ControllerCheck(NodeCheck):
             if not (share == 0 if unknown else share in SHARE) and not self._wrong_share:
                 self._wrong_share = f"the command to the valve is {share:g}{_with(overrides)}"
         self.count_answers(1)
-        require(not early, f"it answers before {last} of the tick has come")
+        require(not early, f"it answers before {last} of the tick has arrived")
         return command
 
     def answered(self) -> bool:
@@ -237,7 +238,7 @@ class ControllerCheck(NodeCheck):
         return bool(self.answers) and len(self._shares) >= len(self.further)
 
     def count_answers(self, expected: int) -> None:
-        """Also try no more ticks if there are too many commands, the valve's among them."""
+        """Stop trying ticks if there are too many commands, including those to the valve."""
         super().count_answers(expected)
         if len(self._shares) > expected and not self.surplus:
             self.surplus = (
@@ -249,7 +250,7 @@ class ControllerCheck(NodeCheck):
             self.hindered = "not tried: more than one command for a tick"
 
     def _value(self, topic: str, values: Mapping[str, float]) -> Any:
-        """Return a value as it is published: the same rate in all steps of a forecast."""
+        """Return a value as it is published, with the same rate in all steps of a forecast."""
         value = values[topic]
         if topic not in _FORECASTS:
             return value

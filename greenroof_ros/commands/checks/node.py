@@ -1,6 +1,7 @@
-"""Check a running node over topics alone, by playing the other nodes of its lockstep graph.
+"""Checks a running node over topics alone, by playing the other nodes of its lockstep graph.
 
-So a check requires no more of a node than a graph does, and works with a node in any language.
+A check therefore requires no more of a node than a graph does, and works with a node in any
+language.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ from greenroof_ros.graph.spin import make_executor
 
 # More ticks than a check ever takes.
 _LAST_TICK = 1e9
-# The simulated time of the first tick (ns since 1970): a summer's day.
+# Simulated time of the first tick (ns since 1970), on a summer's day.
 _EPOCH_NS = 1_751_371_200_000_000_000
-# Within this time the endpoints of topics discover each other on one machine (s).
+# Time within which the endpoints of topics discover each other on one machine (s).
 _DISCOVERY_S = 2.0
-# A second answer follows the first within this time (s): awaited in the first tick and the last.
+# Time within which a second answer would follow the first (s), awaited in the first and last ticks.
 SETTLE_S = 0.5
 # How long the tested node may take to join the graph (s).
 ARRIVAL_S = 10.0
@@ -61,21 +62,21 @@ class NodeCheck(ABC):
     """Checks one node; a subclass defines the topics, and what the node must do.
 
     Attributes:
-        kind: what the node is, for messages.
-        answer: what it answers, for messages.
-        output: the topic on which it answers a tick, with a number.
-        further: other topics on which it publishes a number in each tick.
-        inputs: the topics that it must subscribe to.
-        optional: the topics that it may subscribe to, and whose quality of service must then fit.
-        played: the topics that the check publishes, in the order of a tick.
-        peers: which nodes the check plays, for messages.
-        answers: the values received on ``output`` and not counted yet.
-        surplus: the first tick that had more answers than it must have, in words; empty if none.
-        results: of the checks so far.
-        result: of the present check, if it is worth showing.
+        kind: kind of node, for messages.
+        answer: name of its answer, for messages.
+        output: topic on which it answers a tick with a number.
+        further: other topics on which it publishes a number in every tick.
+        inputs: topics to which it must subscribe.
+        optional: topics to which it may subscribe, in which case the quality of service must fit.
+        played: topics that the check publishes, in the order of a tick.
+        peers: nodes that the check plays, for messages.
+        answers: values received on ``output`` and not counted yet.
+        surplus: first tick that had more answers than it should, in words; empty if none.
+        results: results of the checks so far.
+        result: result of the present check, if it is worth showing.
         hindered: why no more ticks are tried; empty if they are.
-        ticks: how many ticks were published.
-        live: whether the node is of a live graph.
+        ticks: number of ticks published.
+        live: whether the node belongs to a live graph.
     """
 
     kind: ClassVar[str]
@@ -92,7 +93,7 @@ class NodeCheck(ABC):
         """Prepare a check, in the namespace of the node that plays the peers.
 
         Args:
-            node: plays the peers.
+            node: node that plays the peers.
             tested: name of the node under test, without namespace.
             tau: simulated time of a tick (s).
             speed: simulated time per wall time; 0 for as fast as possible.
@@ -113,7 +114,7 @@ class NodeCheck(ABC):
         self._publishers: dict[str, Callable[[Any], None]] = {}
 
     def run(self) -> list[CheckResult]:
-        """Run all checks, and return a result for each; only the first if the topics do not fit.
+        """Run all checks and return a result for each, or only the first if the topics do not fit.
 
         Raises:
             ConfigurationError: if there is no such node.
@@ -133,7 +134,7 @@ class NodeCheck(ABC):
 
     @contextmanager
     def check(self, title: str) -> Iterator[None]:
-        """Run a check and store its result."""
+        """Run a check, and store its result."""
         self._current_check = f"check {len(self.results) + 1}: {title}"
         problem, self.result = "", ""
         try:
@@ -145,7 +146,7 @@ class NodeCheck(ABC):
     # --- the graph ------------------------------------------------------------------------------
 
     def endpoints(self, name: str) -> list[Any]:
-        """Return the endpoints of the node under test on a topic: publishers of its output."""
+        """Return the tested node's endpoints on a topic, which are publishers for its output."""
         tested = self._tested, self.node.get_namespace()
         return [
             info for info in self._all_endpoints(name)
@@ -163,7 +164,7 @@ class NodeCheck(ABC):
         return self.node.resolve_topic_name(self.interface[topic].graph_name)
 
     def _wait_for_node(self) -> None:
-        """Wait until the node has all its topics; refuse if other nodes publish its inputs."""
+        """Wait until the node has all its topics; raise an error if others publish its inputs."""
         until, needed = time.monotonic() + ARRIVAL_S, (self.output, *self.further, *self.inputs)
         while not any(map(self.endpoints, needed)):
             if time.monotonic() > until:
@@ -203,9 +204,9 @@ class NodeCheck(ABC):
             if not infos and topic not in self.optional:
                 problems.append(f"it has no {end}")
             if self.live and not is_output:
-                continue  # it needs no messages of before it joined
+                continue  # it needs no messages from before it joined
             qos = self.interface[topic].qos
-            if not is_output:  # only a publisher must have a lease
+            if not is_output:  # only publishers must have a lease
                 qos = replace(qos, lease_s=math.inf)
             problems += [
                 f"its {end} {' and '.join(lacking)}; it must be {describe_qos(qos)}"
@@ -218,12 +219,12 @@ class NodeCheck(ABC):
         self.listen(self.output, self.answers.append)
         for name in (RUN, *self.played):
             self._publishers[name] = self.open_publisher(self.node, name)
-        # A fixed identity: a node can be checked twice.
+        # The identity is fixed, so a node can be checked twice.
         self._publishers[RUN](RunIdentity(0.0, _LAST_TICK, self._speed).values)
         self.spin(_DISCOVERY_S)
 
     def listen(self, name: str, callback: Callable[[Any], None]) -> None:
-        """Pass each value of a topic to a callback; a malformed message is none."""
+        """Pass each value on a topic to a callback; a malformed message does not count."""
         topic = self.interface[name]
         decode = decoder(topic.type)
 
@@ -314,8 +315,8 @@ def check_node(
     Args:
         name: name of the node that plays the peers.
         tested: name of the node under test, with its namespace if it has one: ``/site1/pump``.
-        make: returns the check, given the node that plays the peers, in that namespace, and the
-            tested node's name without it.
+        make: function that returns the check, given the node that plays the peers, in that
+            namespace, and the tested node's name without it.
 
     Raises:
         ConfigurationError: if there is no such node.

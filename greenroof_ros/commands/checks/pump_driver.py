@@ -1,4 +1,4 @@
-"""Check over topics alone whether a pump driver conforms to the interface."""
+"""Checks over topics alone whether a pump driver conforms to the interface."""
 
 from __future__ import annotations
 
@@ -19,16 +19,18 @@ from greenroof_ros.model.site import Site
 _COMMAND = "/pump/command"
 # A flow is steady if more than this many answers vary by at most this share of the largest.
 _STEADY_TICKS, _STEADY = 10, 0.01
-# A flow up to this share of the steady one counts as 0: a pump running down, or meter noise.
+# A flow up to this share of the steady one counts as 0, as the pump runs down or the meter is
+# noisy.
 _NONE = 0.01
-# A flow more than this share above the flow at command 1 exceeds the maximum: noise is less.
+# A flow more than this share above the flow at command 1 exceeds the maximum, as noise is smaller.
 _NOISE = 0.05
 # The first flow of a pump that was stopped is at most this share of its steady flow.
 _AT_REST = 0.5
-# Commands that a driver must refuse. NaN comes first, while the pump runs: a driver that keeps the
-# previous command would then go on pumping.
+# Commands that a driver must reject. NaN comes first, while the pump is running: a driver that
+# keeps the previous command would then go on pumping.
 _HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e300)
-# Reasons to stop although the command goes on: topic, value, and the texts for "when" and "after".
+# Reasons to stop although the command continues: topic, value, and the texts for "when" and
+# "after".
 _STOPS = (
     ("/weather/frost", 1.0, "in frost", "the frost is over"),
     ("/weather/frost", math.nan, "while frost is unknown, NaN", "frost is known"),
@@ -41,23 +43,24 @@ _STOPS = (
         "the roof's level is known",
     ),
 )
-# The cistern starts with this much water above the suction level (m3), enough for all checks before
-# the dry-run check. Its level falls as water is pumped, but stays this far above the suction level
-# (m), since a driver may stop 2 cm above it to allow for sensor error. The dry-run check begins
-# there, and lets it fall just below the suction level.
+# The cistern starts with this much water above the suction level (m3), which is enough for all
+# checks before the dry-run check. Its level falls as water is pumped, but stays this far above the
+# suction level (m), since a driver may stop 2 cm above it to allow for sensor error. The dry-run
+# check begins there, and lets the level fall just below the suction level.
 _WATER = 1.5
 _MIN_ABOVE_SUCTION, _DRY = 0.022, -0.001
-# After that, rain refills it to this far above the suction level (m): more than a driver may need.
+# After that, rain refills it to this far above the suction level (m), which is more than a driver
+# may need.
 _REFILLED = 0.5
-# A pump is on in these states of /pump/state.
+# The states of /pump/state in which a pump is on.
 _ON = ("starting", "running")
 _NOT_RUNNING = "not tried: the pump does not run"
-# Longest time from a command to its flow, and until the flow is steady (s).
+# Longest time from a command to its flow, and until that flow is steady (s).
 ANSWER_S, START_S = 5.0, 60.0
 # Longest time from a reason to stop until the flow is 0 (s): the longest ramp of a drive, and the
-# time in which it notices.
+# time that it takes to notice.
 STOP_S = 35.0
-# Time without a command, after which the pump must have stopped (s).
+# Time without a command after which the pump must have stopped (s).
 SILENCE_S = 5.0
 
 
@@ -82,10 +85,10 @@ class PumpCheck(NodeCheck):
         Args:
             node: the node that plays the driver's peers.
             driver: name of the driver's node, without namespace.
-            site: the site that sets the levels.
+            site: site that sets the levels.
             command: command for a running pump, a share of its maximum flow.
             period: minimum time between two commands (s).
-            live: whether it publishes its flow by its own clock, instead of one for each command.
+            live: whether it publishes its flow on its own clock instead of once for each command.
         """
         self._passed = period if live else site.tau  # in a tick (s)
         super().__init__(node, driver, site.tau, max(1.0, self._passed / period))
@@ -104,7 +107,7 @@ class PumpCheck(NodeCheck):
         with self.check("is off at start: no flow before a command, and 0 at command 0"):
             early = next(iter(self.answers), 0.0)
             none = max(self.answers, default=0.0) <= 0 if self.live else not self.answers
-            require(none, f"a flow of {early:g} m3/s came before any command")
+            require(none, f"a flow of {early:g} m3/s arrived before any command")
             self.answers.clear()
             for _ in range(_STEADY_TICKS):
                 flow = self._answer({_COMMAND: 0.0})
@@ -112,31 +115,31 @@ class PumpCheck(NodeCheck):
         self._runs(f"at command {self._usual:g}")
         if not self._steady:
             self.hindered = self.hindered or _NOT_RUNNING
-        with self.check("takes a command above 1 as 1"):
+        with self.check("treats a command above 1 as 1"):
             most, beyond = self._steady_flow(1.0), self._steady_flow(3.0)
             require(
                 beyond <= (1 + _NOISE) * most,
                 f"the flow is {beyond:.3g} m3/s at command 3, and {most:.3g} at command 1",
             )
             self.result = f"{beyond:.3g} m3/s at command 3, {most:.3g} at command 1"
-        with self.check("refuses what is not finite or below 0: the flow falls to 0"):
+        with self.check("rejects commands that are not finite or below 0: the flow falls to 0"):
             for value in _HOSTILE:
                 self._stop(f"command {value:g}", {_COMMAND: value})
-        self._runs("again after refused commands")
+        self._runs("again after rejected commands")
         with self.check(f"has stopped after {SILENCE_S:g} s without a command"):
             self._fall_silent()
-        self._runs("again when commands come again")
+        self._runs("again when commands arrive again")
         with self.check(f"stops while {_COMMAND} has a second publisher"):
             self._must_run()
             with self._intruder():
-                self._stop("a second publisher came", {})
-        self._runs("again when one publisher is left")
+                self._stop("a second publisher appeared", {})
+        self._runs("again when only one publisher is left")
         within = f"the flow is 0 within {STOP_S:g} s, and stays so"
         for topic, value, when, after in _STOPS:
             with self.check(f"stops {when}: {within}"):
                 self._must_run()
                 self._stop(f"{value:g} on {topic}", {topic: value})
-            if topic == "/roof/level":  # the roof is assumed to have dried: it has room again
+            if topic == "/roof/level":  # the roof is assumed to have dried, so it has room again
                 self._volumes[1] = self._empty_roof
             self._runs(f"again when {after}")
         with self.check(f"stops when the cistern falls to the suction level: {within}"):
@@ -145,7 +148,7 @@ class PumpCheck(NodeCheck):
             self._above_suction = _DRY
             dry = (site.suction_level + _DRY) * site.a1
             while self._volumes[0] > dry and self._flowing(self._answer({})):
-                pass  # until the suction level; a driver may stop earlier
+                pass  # down to the suction level, although a driver may stop earlier
             above = max(0.0, self._volumes[0] / site.a1 - site.suction_level)
             self._stop("the cistern fell to the suction level", {})
             self.result += f", {above:.3f} m above the suction level"
@@ -157,7 +160,7 @@ class PumpCheck(NodeCheck):
             self.check_count()
 
     def join(self) -> None:
-        """Also listen to the pump's state."""
+        """Listen to the pump's state, too."""
 
         def receive_state(message: String) -> None:
             self._state = PumpState.read(message.data)
@@ -201,7 +204,7 @@ class PumpCheck(NodeCheck):
         return flow
 
     def _count(self, expected: int) -> None:
-        """Count the flows since the last tick, and forget them; live ones come as they come."""
+        """Count the flows since the last tick, and forget them; live ones arrive at any time."""
         if self.live:
             del self.answers[expected:]
         self.count_answers(expected)
@@ -213,10 +216,10 @@ class PumpCheck(NodeCheck):
         return flow > _NONE * self._steady
 
     def _stop(self, reason: str, overrides: Mapping[str, float]) -> None:
-        """Repeat a tick until the flow is 0, then ten times more; note how long the stop took.
+        """Repeat a tick until the flow is 0, then ten more times, and note how long the stop took.
 
         Raises:
-            BrokenRuleError: if the flow is not 0 within the limit, or does not stay 0.
+            BrokenRuleError: if the flow is not 0 within the limit or does not stay 0.
         """
         began = time.monotonic()
         before = flow = self._answer(overrides)
@@ -233,7 +236,7 @@ class PumpCheck(NodeCheck):
             require(not self._flowing(flow), f"a flow of {flow:g} m3/s answers {reason}")
 
     def _must_run(self) -> None:
-        """Require that the pump runs: otherwise a check of a stop proves nothing."""
+        """Require that the pump runs, as a check of a stop proves nothing otherwise."""
         require(self._answer({}) >= _AT_REST * self._steady, _NOT_RUNNING)
 
     def _steady_flow(self, command: float) -> float:
@@ -264,7 +267,7 @@ class PumpCheck(NodeCheck):
             self.result = f"{flow:.3g} m3/s, steady after {time.monotonic() - began:.1f} s"
 
     def _fall_silent(self) -> None:
-        """Send nothing for a while; the next flow then shows whether the pump had stopped."""
+        """Send nothing for a while; the flow after that shows whether the pump had stopped."""
         before = self._steady_flow(self._usual)
         self.spin(SILENCE_S)
         if self.live:

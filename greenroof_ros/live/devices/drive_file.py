@@ -115,7 +115,7 @@ class Sequences:
     ready: tuple[Step, ...] = entry(
         "from any state but a fault (power-up, reset, local control) to one in which `run` works"
     )
-    run: tuple[Step, ...] = entry("speed and run; written again in every cycle while it runs")
+    run: tuple[Step, ...] = entry("speed, then run; written again in every cycle while it runs")
     stop: tuple[Step, ...] = entry("ramp down, then off; written again in every cycle while off")
     reset: tuple[Step, ...] = entry("acknowledge a fault; leaves the drive off")
 
@@ -377,7 +377,7 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
             full = registers[register.full_scale]
             if full.low <= 0 or math.isinf(full.high) or full.full_scale:
                 yield f"registers.{register.full_scale}", (
-                    f"must have high, low above 0 and no full_scale, since {name} is divided by it"
+                    f"must have low above 0, high, and no full_scale, since {name} is divided by it"
                 )
     for key, part in _parts(drive, ""):
         if isinstance(part, RegisterCondition) and part.value & ~part.mask:

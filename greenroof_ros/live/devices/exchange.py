@@ -40,7 +40,7 @@ UNREAD_S = RUNS_ON_S + MAX_WAIT_S
 REST_LIMIT_S = MAX_RAMP_S + 3.0
 # For how long a drive that failed to start is left off before the next attempt (s).
 PAUSE_S = 2.0
-# The same after the last sign of another writer (s): longer than a slow writer's period.
+# The same after the last sign of another writer (s), which is longer than a slow writer's period.
 SECOND_MASTER_PAUSE_S = 10.0
 # Time in which the drive must acknowledge its fault (s); after that, the fault counts again.
 RESET_S = 5.0
@@ -49,7 +49,7 @@ RESET_S = 5.0
 STATUS_AGE_S = 10.0
 # Interval at which the drive's safety-relevant settings are read again (s).
 SETTINGS_S = 30.0
-# A silence lasts longer than the drive's own communication timeout by this much (s).
+# By how much a silence exceeds the drive's own communication timeout (s).
 SILENCE_MARGIN_S = 1.0
 # Wait before a new attempt to acquire the lock of the drive (s).
 LOCK_WAIT_S = 1.0
@@ -454,7 +454,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         status = self._stop_monitor.check(status, time.monotonic(), self.disbelieved)
         standing = ExchangeState.STOPPED if status.at_rest else ExchangeState.STOPPING
         if not problem and time.monotonic() < self._paused_until:
-            problem = self._snapshot.problem  # the reason of the pause, which still lasts
+            problem = self._snapshot.problem  # the reason for the pause, which still lasts
         self._update(
             state=ExchangeState.RUNNING if runs else standing, status=status, read_at=boot_time(),
             problem=problem, unguarded=self._unguarded(),
@@ -495,7 +495,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         return status
 
     def _write_order(self) -> tuple[bool, str]:
-        """Write the present request; return whether the drive runs, and why it refuses to."""
+        """Write the present request; return whether the drive runs, and why it does not."""
         pause_s = PAUSE_S
         try:
             other = self._drive.second_master()

@@ -405,7 +405,7 @@ class ModbusLine:
         return self.error("connection", f"{action}: no valid answer within {self._timeout_s:.3g} s")
 
     def error(self, kind: str, problem: str) -> DriveError:
-        """Return the error of a problem, with the place of the device."""
+        """Return the error for a problem, with the place of the device."""
         return DriveError(kind, f"{self.where}: {problem}")
 
 

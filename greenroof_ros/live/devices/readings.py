@@ -161,7 +161,7 @@ class Readings:
 
 
 class SensorReader:
-    """What is known about a sensor's quantity; a subclass reads the sensor.
+    """Keeps what is known about a sensor's quantity; a subclass reads the sensor.
 
     A rejected value, a failure or a suspension of the machine empties the filter, so the next value
     comes from new readings only. The rise of a total remains.

@@ -197,7 +197,7 @@ class RelayLine:
         ))
 
     def error(self, kind: str, problem: str) -> DriveError:
-        """Return the error of a problem, with the place of the relay."""
+        """Return the error for a problem, with the place of the relay."""
         return DriveError(kind, f"{self.where}: {problem}")
 
     def _receive(self, until: float) -> tuple[str, bytes] | None:

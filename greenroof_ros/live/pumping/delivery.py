@@ -11,7 +11,7 @@ It keeps three balances of water (m3) that the levels do not explain:
   grows if water leaves while the pump is stopped, because of a leak or a stuck contactor. Rain can
   only lower it. The upper outlet does not matter, since the cistern's volume counts only up to it.
   While the level is above a low outlet, or unknown, any other loss is seen only if it exceeds what
-  that outlet takes. This may be only after the level has fallen and the outlet takes less. A
+  that outlet takes. That may not be so until the level has fallen and the outlet takes less. A
   clogged low outlet is not a fault.
 - *not from the cistern*: a share ``min_delivery`` of the pumped volume, minus the fall of the
   cistern, minus ``max_loss`` for a drifting sensor, minus what the mains may have let in while the

@@ -177,7 +177,7 @@ class Ledger:
             self._load(file, noted)
 
     def acquire(self) -> bool:
-        """Acquire the file if another ledger had it or it could not be made; return the success.
+        """Acquire the file if another ledger had it or it could not be made; return whether it did.
 
         The file's present content counts, plus any hold and fault that arrived here meanwhile. An
         earlier release does not apply to it, even if it is unreadable.
@@ -247,7 +247,7 @@ class Ledger:
         return Diagnosis.of("hold", "owner", *more, owner=owner, **more)
 
     def hold(self, owner: str, reason: str = "", until: float | None = None) -> None:
-        """Keep the pump off until a release, or until a time (s since 1970) if one is given."""
+        """Keep the pump off until a release, or until a time (s since 1970) if one is specified."""
         if self.active_hold:
             ends = until, self.record.hold_until
             until = None if None in ends else max(end for end in ends if end is not None)
@@ -267,7 +267,7 @@ class Ledger:
         self._save()
 
     def fault(self, text: str, code: str) -> None:
-        """Latch a fault with its interlock's code, or clear it (empty)."""
+        """Latch a fault with its interlock's code; an empty text clears it."""
         self.record = replace(self.record, fault=text, fault_code=code)
         self._save()
 

@@ -1,23 +1,23 @@
-// The charts: levels, pump, rain over one time axis, drawn by uPlot. Times are written by the site's clock,
+// The charts of levels, pump and rain over one time axis, drawn by uPlot. They show the site's clock,
 // since the browser may be in another time zone.
 
 const { uPlot } = window;
 
 const HOUR = 3600_000;
 const AHEAD = 12; // hours
-const AXIS = 72; // width of an axis and its title (px), the same for all charts: their times line up
-const TOP = 10; // px above the plot, for the upper half of the axis's highest number
-const FEWEST = 60_000; // ms: the minimum that a zoom shows
+const AXIS = 72; // width of an axis and its title (px), the same for all charts so that their times line up
+const TOP = 10; // space above the plot (px), for the upper half of the axis's highest number
+const FEWEST = 60_000; // shortest time that a zoom shows (ms)
 
-// The lines of each chart, by the names of the series. They are on the axis of the line 'shown'; lines
-// with 'right' have an axis of their own. 'steps' hold from a time until the next. A line with 'range' has
-// blocks where its values went beyond it.
+// The lines of each chart, by the names of the series. They use the axis of the line 'shown'; lines with
+// 'right' have an axis of their own. Values of lines with 'steps' hold from one time until the next. A line
+// with 'range' has blocks where its values went beyond it.
 const CHARTS = [
   {
     key: "roof", shown: "roof", title: "Roof level", height: 200, marks: ["target"], band: true,
     lines: [
       { name: "roof", label: "measured", colour: "--roof", range: true },
-      { name: "roof_expected", label: "was expected an hour before", colour: "--roof", dash: [2, 3] },
+      { name: "roof_expected", label: "as expected an hour before", colour: "--roof", dash: [2, 3] },
       { name: "roof_planned", label: "expected by the controller", colour: "--roof", dash: [6, 4] },
     ],
   },
@@ -50,7 +50,7 @@ const MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const faint = (name) => `color-mix(in srgb, ${colour(name)} 30%, transparent)`;
 const two = (number) => String(number).padStart(2, "0");
-// The site's clock: times (s since 1970) from which on it has an offset from UTC (h).
+// The site's clock: times (s since 1970) from which on each offset from UTC (h) holds.
 let offsets = [];
 export const setClock = (clock) => { offsets = clock; };
 // A time (ms since 1970) as a date whose UTC is the site's time.
@@ -63,7 +63,7 @@ export const atText = (ms) => {
   const at = local(ms);
   return `${at.getUTCFullYear()}-${two(at.getUTCMonth() + 1)}-${two(at.getUTCDate())} ${clock(at, true)}`;
 };
-// A time on the axis: the day at midnight, else the time.
+// A time on the axis: the day at midnight, otherwise the time.
 const tickText = (ms) => {
   const at = local(ms);
   if (at % (24 * HOUR) === 0) return `${DAYS[at.getUTCDay()]} ${two(at.getUTCDate())} ${MONTHS[at.getUTCMonth()]}`;
@@ -92,7 +92,7 @@ const swatch = ({ colour: stroke, dash, block }) => {
   return drawn;
 };
 
-// The references on an axis, from the lowest up. Those beyond an end of the axis share one line of words.
+// The references on an axis, from the lowest upward. Those beyond an end of the axis share one line of words.
 const onAxis = (named, unit, low, high) => {
   const beyond = (some, v, arrow) => some.length
     ? [{ v, inside: false, text: `${some.map(({ text }) => text).join(", ")} ${unit} ${arrow}` }] : [];
@@ -105,7 +105,7 @@ const onAxis = (named, unit, low, high) => {
 };
 
 export class Charts {
-  // 'box' holds the charts; 'changed' is called when the zoom has changed, 'speak' with text for
+  // 'box' contains the charts; 'changed' is called when the zoom has changed, 'speak' with text for
   // readers who do not see the page.
   constructor(box, changed, speak) {
     this.box = box;
@@ -116,7 +116,7 @@ export class Charts {
     this.series = null;
     this.rows = null;
     this.blocks = null;
-    this.keyed = null; // the chart in which a reader moves by keys
+    this.keyed = null; // the chart in which a reader moves with the keys
     this.views = new Map();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
     new ResizeObserver(() => this.views.forEach(({ chart, plot, frame }) => {
@@ -133,7 +133,7 @@ export class Charts {
     return { unit, factor, decimals, title: unit ? `${label} (${unit})` : label };
   }
 
-  // A new series is drawn at once.
+  // A new series is drawn immediately.
   take(series) {
     if (series.now === null) return;
     this.series = series;
@@ -157,7 +157,7 @@ export class Charts {
     const frame = element("div", "frame");
     frame.tabIndex = 0;
     frame.setAttribute("role", "application");
-    frame.setAttribute("aria-label", `${chart.title} over time. Arrow keys move, plus and minus zoom, Escape shows the whole time.`);
+    frame.setAttribute("aria-label", `${chart.title} over time. Move with the arrow keys, zoom with plus and minus; Escape shows the whole time.`);
     const tip = element("div", "tip");
     tip.hidden = true;
     part.append(head, frame);
@@ -188,7 +188,7 @@ export class Charts {
     const series = [{}, ...chart.lines.map((line) => ({
       scale: line.right ? "right" : "left", paths: line.steps ? stepped({ align: 1 }) : linear(),
       stroke: colour(line.colour), width: 2.2, dash: line.dash, fill: line.fill && faint(line.fill),
-      // A single value makes no line: it is a dot.
+      // A single value makes no line, so it is drawn as a dot.
       points: { show: (plot, index) => plot.data[index].filter((value) => value != null).length === 1 },
     }))];
     const axis = (scale, name, ink) => ({
@@ -231,7 +231,7 @@ export class Charts {
     };
   }
 
-  // The background: the time ahead, and the band of good values.
+  // The background: the time ahead and the band of good values.
   drawBehind(plot, { band }) {
     const { ctx, bbox } = plot;
     const x = Math.min(bbox.left + bbox.width, Math.max(bbox.left, plot.valToPos(this.time, "x", true)));
@@ -243,7 +243,7 @@ export class Charts {
     ctx.fillRect(bbox.left, top, bbox.width, bottom - top);
   }
 
-  // The present time, and the references with their words, behind the series: no value is hidden.
+  // The present time and the references with their words, behind the series so that no value is hidden.
   drawMarks(plot, { marks }) {
     const { ctx, bbox } = plot;
     const ratio = devicePixelRatio;
@@ -274,7 +274,7 @@ export class Charts {
     ctx.restore();
   }
 
-  // Where the words of references are: each above its line, or below at the top, and none over another.
+  // Where the words of references go: each above its line, or below it at the top, and none over another.
   placed({ ctx, bbox, valToPos }, marks) {
     let left = bbox.left + 4 * devicePixelRatio;
     return marks.map(({ text, v }) => {
@@ -285,7 +285,7 @@ export class Charts {
     });
   }
 
-  // The ranges of lines, behind the series: not narrower than a pixel, however many values one has.
+  // The ranges of lines, behind the series and at least a pixel wide, however many values there are.
   drawBlocks({ ctx, bbox, valToPos }, chart) {
     const clip = new Path2D();
     clip.rect(bbox.left, bbox.top, bbox.width, bbox.height);
@@ -304,7 +304,7 @@ export class Charts {
     ctx.restore();
   }
 
-  // Reads the series as rows and blocks of the charts, in the shown units instead of SI.
+  // Read the series as rows and blocks of the charts, in the shown units instead of SI.
   read() {
     [this.rows, this.blocks] = [{}, {}];
     const { series, rows, blocks } = this;
@@ -346,7 +346,7 @@ export class Charts {
     return [start, Math.max(end, this.ms(now), start + FEWEST)];
   }
 
-  // The minimum and the maximum value of an axis from one time to another.
+  // The minimum and the maximum value on an axis from one time to another.
   extent(chart, right, from, to) {
     const seen = (begin, end) => begin <= to && end >= from;
     const values = chart.lines.filter((line) => Boolean(line.right) === right).flatMap(({ name }) => [
@@ -356,7 +356,7 @@ export class Charts {
     return [Math.min(...values), Math.max(...values)];
   }
 
-  // The range of an axis: from the visible values, and the references that are near them.
+  // The range of an axis, from the visible values and the references that are near them.
   range(chart, right, seen, marks) {
     let [low, high] = this.extent(chart, right, ...seen);
     if (right && chart.right === "command") [low, high] = [0, Math.max(100, high)];
@@ -394,7 +394,7 @@ export class Charts {
   }
 
   // The rows of a chart for uPlot: all times, and the values of each series there. A line without a value
-  // at a time goes on (undefined); it has a gap from an unknown value (null) to its next value.
+  // at a time continues (undefined); it has a gap from an unknown value (null) to its next value.
   table(chart) {
     const parts = chart.lines.map(({ name }) => [this.rows[name].map(({ t }) => t), this.rows[name].map(({ v }) => v)]);
     return uPlot.join(parts, parts.map(() => [2, 2]));
@@ -405,7 +405,7 @@ export class Charts {
     this.zoomed = null;
   }
 
-  // Show from one time to another; without a range, everything.
+  // Show from one time to another, or everything without a range.
   zoom(range) {
     if (!this.series) return;
     if (range) {
@@ -419,7 +419,7 @@ export class Charts {
     this.draw();
   }
 
-  // Zoom in (below 1) or out around the middle, or around the time that is pointed at.
+  // Zoom in (below 1) or out, around the middle or around the time that is pointed at.
   scale(by) {
     if (!this.series) return;
     const [from, to] = this.zoomed ?? this.whole();
@@ -497,7 +497,7 @@ export class Charts {
 const between = (row, next, t) => next.t > row.t ? row.v + ((next.v - row.v) * (t - row.t)) / (next.t - row.t) : row.v;
 
 // The rows of a line, with a row without a value in each gap of more than 'gap' (ms). A value that holds
-// until the next one holds for 'gap' at most, and not beyond a time when it is unknown.
+// until the next one holds for 'gap' at most, and not beyond a time at which it is unknown.
 const broken = (points, gap, holds) => points.flatMap(({ t, v }, i) => {
   const next = points[i + 1];
   if (v === null || !next || (next.v !== null && next.t - t <= gap)) return [{ t, v }];
@@ -516,7 +516,7 @@ const beyond = (points, stretch, zero, minimum) => points.flatMap(({ t, v, low, 
     .map(([under, over]) => ({ from, to, low: under, high: over }));
 });
 
-// Rows of steps [start, end, value]: each holds until its end.
+// Rows of steps [start, end, value], each of which holds until its end.
 const steps = (parts, factor) => [
   ...parts.map(([t, , value]) => ({ t, v: value * factor })),
   ...parts.slice(-1).map(([, t, value]) => ({ t, v: value * factor })),

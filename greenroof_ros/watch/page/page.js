@@ -1,10 +1,10 @@
-// The page: takes the document and the series from the server and shows them. Every text is set as
+// The page takes the document and the series from the server and shows them. Every text is set as
 // text, never as HTML, since some texts come from other devices.
 
 import { Charts, atText, element, setClock } from "/charts.js";
 
-const SILENT = 12_000; // ms: the server sends something every 5 s
-const MAX_WAIT = 8_000; // ms, between two attempts to connect
+const SILENT = 12_000; // ms until the connection counts as lost; the server sends something every 5 s
+const MAX_WAIT = 8_000; // longest wait between two attempts to connect (ms)
 const WORDS = { error: "Alarm", warn: "Warning", stale: "Not responding" };
 const TILES = ["roof", "cistern", "pump", "rain", "controller"];
 // For each state of a tile: its word, its shape and its tone.
@@ -36,8 +36,8 @@ const shape = (name) => {
 };
 const setShape = (drawn, name) => drawn.querySelector("use").setAttribute("href", `#shape-${name}`);
 
-// Make the children of a list follow the rows: each row keeps its element, and with it the focus.
-// Rows of the same key, such as two equal events at the same time, are numbered.
+// Make the children of a list follow the rows. Each row keeps its element, and with it the focus.
+// Rows with the same key, such as two equal events at the same time, are numbered.
 const keep = (list, rows, keyOf, make, fill) => {
   const known = new Map([...list.children].map((node) => [node.dataset.key, node]));
   const times = new Map();
@@ -127,7 +127,7 @@ const fillGauge = (gauge, data) => {
     }
     gauge.replaceChildren(track);
     const marks = (data.marks ?? []).filter(({ at }) => Number.isFinite(at));
-    // The lowest of three is labelled in a second line: there its mark crosses no other words.
+    // The lowest of three is labelled in a second line, where its mark crosses no other words.
     const sides = marks.length > 2 ? ["below second", "below", "above"] : ["below", "above"];
     if (marks.length > 2) marks.sort((a, b) => a.at - b.at);
     gauge.classList.toggle("three", marks.length > 2);
@@ -167,9 +167,9 @@ const fillAlarm = (row, alarm) => {
   row.toggleAttribute("data-over", alarm.over !== null);
   row.classList.toggle("over", alarm.over !== null);
   setShape(row.firstChild, alarm.level);
-  // First what an operator understands, then the node's own words.
+  // What an operator understands comes first, then the node's own words.
   const [what, todo] = [".what", ".do"].map((name) => row.querySelector(name));
-  // What to do is shown once: at the top, with the cause of this alarm, or not any more.
+  // What to do is shown only once: at the top, with the cause of this alarm, or no longer.
   todo.hidden = Boolean(alarm.follows) || alarm.over !== null || alarm.do === shown.advice;
   row.classList.toggle("plain", alarm.plain && !todo.hidden);
   row.classList.toggle("follows", Boolean(alarm.follows));
@@ -192,7 +192,7 @@ const fillAlarm = (row, alarm) => {
 // The document
 
 let shown = null;
-let shownAt = 0; // by the browser's clock (ms), which may be wrong
+let shownAt = 0; // on the browser's clock (ms), which may be wrong
 let announced = { text: "", at: 0 };
 
 const showSummary = (document_) => {
@@ -222,7 +222,7 @@ const showHead = (document_) => {
 };
 
 const showAlarms = (document_) => {
-  // Alarms that are over are one line.
+  // Alarms that are over share one line.
   const past = document_.alarms.filter((alarm) => alarm.over !== null);
   const listed = document_.alarms.filter((alarm) => !past.includes(alarm));
   const keyOf = (alarm) => JSON.stringify([alarm.id, alarm.since]);
@@ -233,7 +233,7 @@ const showAlarms = (document_) => {
   byId("no-alarms").hidden = listed.length > 0;
 };
 
-// The stop first; a part that cannot be shown hides no other part.
+// The stop comes first; a part that cannot be shown hides no other part.
 const show = (document_) => {
   shown = document_;
   shownAt = Date.now();
@@ -256,7 +256,7 @@ const show = (document_) => {
   keep(byId("notes"), [...failed, ...(document_.notes ?? [])], (note) => note, () => element("li"), setText);
 };
 
-// For a screen reader: the summary when it changes, but not more often than it can be read.
+// For a screen reader: the summary when it changes, but not more often than it can be read aloud.
 const announce = (text) => {
   if (text === announced.text || performance.now() - announced.at < 5000) return;
   announced = { text, at: performance.now() };
@@ -292,24 +292,24 @@ const showStop = (stop) => {
     shownDose = stop.dose;
     answer(`${stop.dose[0].toUpperCase()}${stop.dose.slice(1)}.`, false);
   }
-  setText(byId("no-dose"), stop.no_dose && `No dose now: ${stop.no_dose}.`);
+  setText(byId("no-dose"), stop.no_dose && `No dose is possible now: ${stop.no_dose}.`);
   byId("dose-label").hidden = byId("dose-button").hidden = !stop.dose_here;
   setText(byId("stop-warning"), stop.warning);
   byId("stop-warning").hidden = !stop.warning;
-  // An answer becomes old: it goes when the pump is released, or at last stands.
+  // An answer becomes outdated: it goes when the pump is released or finally stops.
   const place = byId("answer");
   const unsure = place.classList.contains("failed") || stopBefore.warning;
   if (stop.stopped !== stopBefore.stopped && (!stop.stopped || unsure)) place.hidden = true;
   stopBefore = stop;
-  // So does a question, except whether to stop, which stays right in any case.
+  // So does a question, except the one about a stop, which is always valid.
   const still = stop[`${asked}_here`] && stop[ACTIONS[asked].then] === byId("ask-sentence").textContent;
   if (byId("ask").open && asked !== "stop" && !still) {
     byId("ask").close();
-    answer("Nothing was done: the situation has changed meanwhile.", true);
+    answer("Nothing was done: the situation has changed in the meantime.", true);
   }
 };
 
-// A stop needs no document: before the first one comes, and if none can be made.
+// A stop needs no document, so it works before the first one arrives and if none can be made.
 const LOCK_OUT = byId("release-lock").textContent;
 const showBareStop = () => {
   byId("stop").hidden = false;
@@ -340,12 +340,12 @@ const post = async (path, body) => {
   return { ok: false, sentence: `Nothing was done: ${reply.sentence}.` };
 };
 
-// Each action asks once, and then shows the result.
+// Each action asks once, then shows the result.
 const ACTIONS = {
-  stop: { title: "Stop the pump?", yes: "Yes, stop the pump", then: "sentence", doubt: "the pump stops" },
-  release: { title: "Release the pump?", yes: "Yes, release the pump", then: "release_then", doubt: "the pump is released" },
-  clear: { title: "Clear the fault?", yes: "Yes, clear the fault", then: "clear_then", doubt: "the fault is cleared" },
-  dose: { title: "Give a dose?", yes: "Yes, give the dose", then: "dose_then", doubt: "the dose is given" },
+  stop: { title: "Stop the pump?", yes: "Yes, stop the pump", then: "sentence", doubt: "the pump will stop" },
+  release: { title: "Release the pump?", yes: "Yes, release the pump", then: "release_then", doubt: "the pump was released" },
+  clear: { title: "Clear the fault?", yes: "Yes, clear the fault", then: "clear_then", doubt: "the fault was cleared" },
+  dose: { title: "Give a dose?", yes: "Yes, give the dose", then: "dose_then", doubt: "the dose was given" },
 };
 
 const act = async (name, body) => {
@@ -353,7 +353,7 @@ const act = async (name, body) => {
   button.disabled = true;
   answered = "";
   answer("Asking the pump node ...", false);
-  // A browser has six connections to a server, and each open page holds one: release this page's.
+  // A browser opens six connections to a server, and every open page holds one, so release this page's.
   stream.close();
   try {
     const { ok, sentence } = await post(`/${name}`, body);
@@ -374,7 +374,7 @@ const acknowledge = async (id) => {
     const { ok, sentence } = await post("/acknowledge", { id });
     if (!ok) answer(sentence, true);
   } catch (error) {
-    answer(`The alarm is not acknowledged: ${error.message}.`, true);
+    answer(`The alarm was not acknowledged: ${error.message}.`, true);
   } finally {
     stream.open();
   }
@@ -463,7 +463,7 @@ const stream = {
   },
 
   async read(controller) {
-    // By the time of day, which goes on while the computer sleeps.
+    // Measured by the time of day, which goes on while the computer sleeps.
     let heard = Date.now();
     const watchdog = setInterval(() => {
       if (Date.now() - heard > SILENT) controller.abort();

@@ -77,7 +77,7 @@ SECONDS = "    type: uint16\n    unit: s"
         ("    register: timeout_time\n", "    register: rating\n",
          "registers.rating: must have the unit s"),
         ("    scale: 5.0e-5\n    low: -1.6\n", "    full_scale: rating\n    low: -1.6\n",
-         "registers.rating: must have high, low above 0 and no full_scale, since speed is div"),
+         "registers.rating: must have low above 0, high, and no full_scale, since speed is"),
         ("  - registers.fault\n", "  - registers.faulty\n",
          "unverified.5 = 'registers.faulty': is not a key of this file"),
         ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: speed is missing: e"),

@@ -70,8 +70,8 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
         # after 30.04 s; rain can explain 0.29225/68.8 of the roof's 0.005 t + 68.8 2.7778e-7 t,
         # which makes 30.17 s.
         (PAPER_SITE, 1.0, {"rise": 0.01 / 68.8, "pumped": 0.01}, 31,
-         "delivery: 0.31 m3 were pumped in 0.5 min and came to the roof, but the cistern's level "
-         "changed by +0 mm: perhaps its sensor is stuck or drifts, so that the pump would run dry; "
+         "delivery: 0.31 m3 were pumped in 0.5 min and reached the roof, but the cistern's level "
+         "changed by +0 mm: perhaps its sensor is stuck or drifts, so that the pump would run dry, "
          "or water flows into the cistern"),
         # A roof that stands still: 0.01 t > 0.4128 + 68.8 2.7778e-7 t after 41.36 s.
         (PAPER_SITE, 60.0, {"fall": 0.0004, "pumped": 0.01}, 42,

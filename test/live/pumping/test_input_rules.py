@@ -55,7 +55,7 @@ def test_a_level_in_another_unit_is_refused() -> None:
     ]
     problem = cistern.receive(4.0, 81.0)
     assert problem is not None and problem.sentence == (
-        "/cistern/level is 81 m, but no level here is above 9 m: is its unit wrong?"
+        "/cistern/level is 81 m, but no level at this site can be above 9 m: is its unit wrong?"
     )
     roof = LevelRule(roof_bounds(PAPER_SITE), 0.01, 0.02)
     assert rule(roof.check(0.0, 45.7)) == "refused"

@@ -61,7 +61,7 @@ def test_a_command_above_1() -> None:
     rig = Rig(x2=0.0)
     decision, before = rig.run(30, 1e300), rig.delivered
     assert (warning(decision), decision.speed) == (
-        "the command 1e+300 is above 1 and treated as 1", 1
+        "the command 1e+300 is above 1, and is treated as 1", 1
     )
     rig.run(30, 1e300)
     assert rig.delivered - before <= 30 * maximum_pump_flow(PAPER_SITE, 70.0)
@@ -120,9 +120,9 @@ def test_what_is_unknown_is_reported_so() -> None:
 @pytest.mark.parametrize(
     ("stuck", "command", "why"),
     [
-        (0.0, 0.5, "the pump turns at 0.00 of its speed, but 0.6"),
-        (1.0, 0.5, "the pump turns at 1.00 of its speed, but 0.6"),
-        (0.5, 0.0, "the pump turns at 0.50 of its speed, but it was ordered to stop, for 13 s"),
+        (0.0, 0.5, "for 13 s, the pump has been turning at 0.00 of its speed although 0.6"),
+        (1.0, 0.5, "for 13 s, the pump has been turning at 1.00 of its speed although 0.6"),
+        (0.5, 0.0, "for 13 s, the pump has been turning at 0.50 of its speed although it"),
     ],
 )
 def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) -> None:
@@ -207,7 +207,7 @@ def test_a_ramp_that_is_slower_than_it_is_reported_to_be_is_a_fault() -> None:
     """30 s instead of the 5 s in drive_ramp: a tenth off after 0.6 s, and 12 s more are allowed."""
     rig = Rig(drive_ramp=1 / 30, settings=settings_for(PAPER_SITE, drive_ramp=5.0))
     assert rig.run(40, 1.0).state == "fault"
-    assert "s; a ramp of 5 s (drive_ramp) does not explain this" in rig.decisions[-1].why
+    assert "is requested; a ramp of 5 s (drive_ramp) does not explain this" in rig.decisions[-1].why
 
 
 def test_a_drive_that_does_not_stop_behind_a_bad_line() -> None:
