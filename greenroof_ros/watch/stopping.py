@@ -30,7 +30,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     if someone holds it and it is at rest; the hold alone only means that it should be. ``release``
     is the command that releases it; empty if that would do nothing. Entries ending in ``_here``
     state whether an action is allowed here, and those ending in ``_then`` state what happens then.
-    A request for a dose returns ``asked_at``, so a delayed request is too old.
+    A request for a dose returns ``asked_at``, by which a delayed request is recognised.
     """
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)

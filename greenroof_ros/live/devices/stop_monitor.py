@@ -8,7 +8,7 @@ from dataclasses import replace
 from greenroof_ros.live.devices.drive import DriveStatus
 from greenroof_ros.live.devices.modbus_line import DriveError
 
-# The minimum decrease of the speed that counts (share of rated speed).
+# The minimum decrease of the speed that counts (share of the rated speed).
 SLOWER = 0.005
 # A drive that acknowledges *stop* has a fault if its speed has not fallen for RUNS_ON_S (s), which
 # is longer than a drive needs to begin its ramp. It is left in silence once the fault has been
