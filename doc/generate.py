@@ -1,11 +1,11 @@
-"""Write the documentation's tables and drawings from the package's own: ``python doc/generate.py``.
+"""Write the documentation's tables and drawings: ``python doc/generate.py``.
 
-A table stands in a page between ``<!-- table: NAME -->`` and ``<!-- end of table -->``, so it can
-be read without a build, and a file of the package between ``<!-- file: PATH -->`` and ``<!-- end of
-file -->``. ``make docs`` writes all of them again, and a test compares them with what
-this writes. The nodes' tables need ROS 2; without it they stay unchanged. The layouts in
-``config/layouts/``, the drawings of who publishes what, and the README's pictures are
-written too.
+They come from the package's code and data. A page contains a table between
+``<!-- table: NAME -->`` and ``<!-- end of table -->``, so it can be read without a build, and a
+file of the package between ``<!-- file: PATH -->`` and ``<!-- end of file -->``. ``make docs``
+writes all of them again, and a test compares them with the output of this program. The nodes'
+tables need ROS 2; without it they stay unchanged. The program also writes the layouts in
+``config/layouts/``, the drawings of who publishes what, and the README's pictures.
 """
 
 from __future__ import annotations
@@ -102,9 +102,9 @@ def markdown(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 
 def entries(rows: Iterable[Sequence[str]]) -> str:
-    """Return a list of names, what each is, and its meaning, which may have several lines.
+    """Return a list of names, each with its type and its meaning, which may have several lines.
 
-    Its lines break anywhere, while a table of long names is wider than a phone.
+    The lines of a list break anywhere, while a table of long names is wider than a phone.
     """
     return "".join(
         f"- **{cell(name)}**{f' ({cell(kind)})' if kind else ''}: "
@@ -273,7 +273,7 @@ def site() -> str:
 
 
 def plain_keys() -> str:
-    """Return the keys of a site file in words that people have."""
+    """Return the keys of a site file in plain words."""
 
     def kind(entry: Parameter) -> str:
         usual = "" if entry.usual is None else f"usually {entry.usual[0]:g} to {entry.usual[1]:g}"
@@ -398,7 +398,7 @@ def _files_of_drives(*, relays: bool) -> list[Path]:
 
 
 def _advice(*rows: tuple[str, str]) -> str:
-    """Return a list of what a person must do or know, without what is empty."""
+    """Return a list of what a person must do or know; empty texts are left out."""
     return entries((name, "", text) for name, text in rows if text)
 
 
@@ -411,7 +411,7 @@ def relays() -> str:
             f"### {path.stem}\n\n{cell(relay.make)}: {cell(relay.model)}.\n",
             "**Its timer**\n",
             _advice(("Set it", relay.timer.how_to_set), ("Beware", relay.timer.traps)),
-            "To set in the relay besides:\n",
+            "Also set in the relay:\n",
             "\n".join(f"- {cell(text)}" for text in relay.set_up) + "\n",
         ]
         if relay.unverified:
@@ -437,7 +437,7 @@ def drives() -> str:
         for rows, where in ports.items():
             parts.append(f"**Communication timeout of its {' and its '.join(where)}**\n")
             parts.append(_advice(*rows))
-        parts.append("To set in the drive besides:\n")
+        parts.append("Also set in the drive:\n")
         parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
         vital = set(drive.unverified_and_vital)
         names = [f"**`{key}`**" if key in vital else f"`{key}`" for key in drive.unverified]
@@ -540,7 +540,7 @@ def _attributes(kind: type) -> list[tuple[str, str]]:
 
 
 def _json_words(text: str) -> str:
-    """Return what a docstring states about an attribute, as of a key in JSON."""
+    """Return what a docstring states about an attribute, as the meaning of a key in JSON."""
     for before, after in (("``", "`"), (r"\bNone\b", "`null`"), (r"; from :mod:`[^`]*`", "")):
         text = re.sub(before, after, text)
     return text.rstrip(".")
@@ -557,14 +557,14 @@ def alarm() -> str:
 
 
 def parser_of(name: str, arguments: Sequence[str] = ()) -> argparse.ArgumentParser:
-    """Return the parser of a command's options, as it is with some arguments."""
+    """Return the parser of a command's options, as it is for given arguments."""
     with mock.patch.object(sys, "argv", [name, *arguments]):
         parser: argparse.ArgumentParser = COMMANDS[name].load().make_parser()
         return parser
 
 
 def command_groups() -> str:
-    """Return what each command of ``greenroof`` does, by the user's purpose."""
+    """Return what each command of ``greenroof`` does, grouped by the user's purpose."""
     return "\n".join(
         f"**{title[0].upper()}{title[1:]}**\n\n" + "".join(
             f"- {_section(name)}: {cell(entry.about)}\n" for name, entry in group.items()
@@ -702,7 +702,7 @@ def nodes() -> str | None:
 
 
 def scenario_scores() -> str:
-    """Return what the controllers of each scenario reach, the best first."""
+    """Return the scores of each scenario's controllers, the best first."""
     rows = sorted(read_references(), key=lambda row: row["score"])
     names = dict.fromkeys(row["scenario"] for row in read_references())
     return "\n".join(

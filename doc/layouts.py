@@ -1,8 +1,8 @@
 """Layouts of Foxglove or Lichtblick, and of PlotJuggler, made from ``msg_defs/topics.yaml``.
 
 Both show a topic's values in the unit of its ``display``. Plots cannot scale values in either
-program, so each topic gets a user script in Foxglove, which publishes a topic of its own, and a
-custom function in PlotJuggler, which makes a series.
+program, so each topic gets a user script in Foxglove, which publishes its own topic, and a custom
+function in PlotJuggler, which makes a series.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def _line(path: str, name: str, colour: str) -> dict[str, Any]:
 
 
 def _script(topic: str) -> str:
-    """Return a script that scales a topic, to three decimals: the legend shows all there are."""
+    """Return a script that scales a topic, to three decimals, as the legend shows them all."""
     display = display_of(topic)
     return f"""\
 // {display.label} in {display.unit}, from {read_topics()[topic].unit}.

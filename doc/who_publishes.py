@@ -1,7 +1,7 @@
 """Drawings of who publishes what, made from ``msg_defs/topics.yaml``: one for each way to run.
 
-A column is a node, or a device on Modbus. A row is a topic, from the dot of its publisher to the
-arrows of its subscribers. It is dark on white, since a picture does not know whether the page that
+A column is a node, or a device on Modbus. A row is a topic, from the dot at its publisher to the
+arrows at its subscribers. A drawing is dark on white, since it cannot know whether the page that
 shows it is light or dark. Columns are narrow, with names from bottom to top, so that a phone shows
 the text large enough.
 """
@@ -27,7 +27,7 @@ class Way:
         name: its name in text.
         nodes: their roles in the interface, from left to right.
         live: whether it runs on the system's clock.
-        devices: devices that are no nodes, on the right.
+        devices: devices that are not nodes, on the right.
         exchanges: communication over Modbus: text, from, to.
         perhaps: nodes that may be absent.
     """

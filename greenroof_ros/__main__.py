@@ -72,7 +72,7 @@ GROUPS = {
     },
     "connect your own parts": {
         "check-controller": Command("check_controller", "check a controller: a class or a node"),
-        "check-pump": Command("check_pump", "check whether a pump driver keeps to the interface"),
+        "check-pump": Command("check_pump", "check whether a pump driver follows the interface"),
         "simulators site": Command("simulators", "simulate a site's sensors, and drive or relay"),
     },
 }

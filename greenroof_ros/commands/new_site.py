@@ -100,7 +100,7 @@ def make_parser() -> Parser:
     group = parser.add_argument_group("assumed, if they are left out")
     assumed = {
         "cistern_height": f"{HEIGHT:g}", "runoff_coefficient": f"{RUNOFF:g}",
-        "substrate": SUBSTRATE, "substrate_depth": "that of the substrate's source",
+        "substrate": SUBSTRATE, "substrate_depth": "the depth in the substrate's source",
         "irrigation_rate": f"{RATE:g}",
     }
     for option, key in _ASSUMED.items():

@@ -156,7 +156,8 @@ def make_parser() -> Parser:
         "messages state, 2 nothing could be recovered, or bad usage",
     )
     parser.add_argument(
-        "directory", type=Path, metavar="DIR", help="repair this bag, or that of this run directory"
+        "directory", type=Path, metavar="DIR",
+        help="repair this bag, or the one in this run directory",
     )
     parser.add_argument(
         "--output", type=Path, metavar="BAG",

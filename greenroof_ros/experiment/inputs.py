@@ -83,7 +83,7 @@ class RunInputs:
         "instead of a named state: initial volume on the roof", 0.0, 1e9, unit="m3", default=None
     )
     evapotranspiration: str | None = entry(
-        "fao56: computed by FAO-56 Penman-Monteith; hargreaves: from temperature alone, by "
+        "fao56: computed with FAO-56 Penman-Monteith; hargreaves: from temperature alone, with "
         "FAO-56 Eq. 52; monthly: the site's monthly_evapotranspiration; or the name of the "
         "weather's own column, for example published (default: the weather's own, otherwise the "
         "first of these three for which it has what is needed)", default=None,

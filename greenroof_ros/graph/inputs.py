@@ -15,7 +15,7 @@ from greenroof_ros.graph.messages import decoder
 class Input:
     """A topic that a node subscribes to, with its newest value.
 
-    A value that is not finite or is outside the interface's range is rejected: it acts as 0 until
+    A value that is not finite or is outside the interface's range is rejected: it counts as 0 until
     the next one arrives.
 
     Attributes:

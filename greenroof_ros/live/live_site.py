@@ -198,7 +198,7 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--thermometer", choices=[EXTERNAL],
-        help="external: your own node publishes /gauge/temperature (degC), as the file of "
+        help="external: your own node publishes /gauge/temperature (degC), because the file of "
         "--sensors has no thermometer; without --forecast, nothing else can show whether there is "
         "frost",
     )

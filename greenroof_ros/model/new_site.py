@@ -116,8 +116,8 @@ def _place(given: Mapping[str, Any]) -> Iterator[str]:
     yield from _line(given, "latitude", None, "north")
     yield from _line(given, "longitude", None, "east")
     yield from _line(
-        given, "elevation", 100.0, "above sea level; if left out, that of the weather's mean "
-        "pressure", "", active=False,
+        given, "elevation", 100.0, "above sea level; if left out, the elevation of the weather's "
+        "mean pressure", "", active=False,
     )
     zone = given.get("time_zone")
     offset = standard_offset(zone) if zone else float(round(given["longitude"] / 15))
@@ -203,7 +203,7 @@ def _roof(given: Mapping[str, Any]) -> Iterator[str]:
     )
     yield from _line(
         given, "substrate_depth", substrate.depth, "0.06 to 0.15 for sedum and herbs, more for "
-        "shrubs", "[that of the substrate's source]",
+        "shrubs", "[the depth in the substrate's source]",
     )
     yield from _line(
         given, "crop_coefficient", _CROP, "vegetation over reference grass",

@@ -145,7 +145,7 @@ _RIVALS: dict[str, tuple[str, ...]] = {
 }
 _PLACE = {"latitude", "longitude"}
 NO_VALUE = "needs a value; leave this line out if there is none"
-"""why an empty value is refused"""
+"""why an empty value is rejected"""
 
 # What a file of another place does not take from the file that it extends.
 _FOLLOW_PLACE = (

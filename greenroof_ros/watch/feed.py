@@ -210,7 +210,7 @@ class Feed:
         self._store.set_site(site, note)
 
     def _choose_topics(self, mode: str, factor: float | None) -> None:
-        """Subscribe to as many topics as a graph of this kind and speed can bear."""
+        """Subscribe to as many topics as a graph of this kind and speed can serve."""
         assert self._client is not None
         live = mode == "live"
         # The speed of a run that has not begun, or that is not moving, is unknown. A run that was

@@ -168,7 +168,7 @@ def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
         )
     if is_polar(site):
         raise ConfigurationError(
-            f"{_LATITUDES.expected()} to compute evapotranspiration by FAO-56, which divides the "
+            f"{_LATITUDES.expected()} to compute evapotranspiration with FAO-56, which divides the "
             "day by sunrise and sunset; provide a column of evapotranspiration, or "
             "monthly_evapotranspiration in the site file",
             key="latitude", value=site.latitude,

@@ -133,7 +133,7 @@ def test_what_the_drive_file_reports(rig: PumpRig) -> None:
         assert rig.tick(0.4) == 0.0
     rig.tick_until(0.4, lambda: rig.drive.speed() > 0.89, 60, "a pulse at the minimum speed")
     assert "a pulse" in rig.state
-    assert rig.shows("drive timeout", OK, "beware: a changed 58.14 to 58.16 is in force only")
+    assert rig.shows("drive timeout", OK, "beware: a change of 58.14 to 58.16 takes effect only")
 
 
 def test_malformed_messages_stop_the_motor_and_not_the_node(rig: PumpRig) -> None:

@@ -58,7 +58,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
       see :attr:`ends`; the first begins now. At a site with a valve on its low outlet, the last
       entry is how long the weather remains wet if no more rain falls, as a share of ``wet_after``.
     - Action: the command, a vector with one number from 0 to 1, the share of the pumps' maximum
-      flow. In frost and in quiet hours it acts as 0. At a site with a valve on its low outlet, a
+      flow. In frost and in quiet hours it counts as 0. At a site with a valve on its low outlet, a
       second number is the share to which the valve is open. Other numbers are rejected.
     - Reward: minus the deviation from the target volume (m3) of the state that a tick leads to,
       summed over the ticks of the step. So the sum over an episode is minus ``total_deviation_m3``

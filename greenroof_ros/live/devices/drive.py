@@ -353,7 +353,7 @@ class Drive:
         """Return a register's value in its unit; None if the drive marks it as not available.
 
         Raises:
-            DriveError: if the value is not believable.
+            DriveError: if the value is implausible.
         """
         register = self.file.registers[name]
         assert not isinstance(raw, str)
@@ -365,7 +365,7 @@ class Drive:
             raise self.line.error(
                 "answer",
                 f"{self._named(name)} is {raw}: {f'{value:g} {register.unit}'.strip()}; "
-                f"believable values are {low:g} to {register.high:g}",
+                f"plausible values are {low:g} to {register.high:g}",
             )
         return value
 

@@ -73,8 +73,8 @@ class Register:
     full_scale: str = entry(
         "register whose value divides this one; read on connecting", default=""
     )
-    low: float = entry("lowest believable value, in the unit", default=-math.inf)
-    high: float = entry("highest believable value, in the unit", default=math.inf)
+    low: float = entry("lowest plausible value, in the unit", default=-math.inf)
+    high: float = entry("highest plausible value, in the unit", default=math.inf)
     missing: Word | None = entry("the raw value that means 'not available'", default=None)
 
     @property
@@ -204,7 +204,7 @@ class Timeouts:
     """The drive's own communication timeouts, each of which guards one interface only."""
 
     serial: Timeout | None = entry("for its serial port, over a line or a gateway", default=None)
-    tcp: Timeout | None = entry("for its own Ethernet port, or that of its adapter", default=None)
+    tcp: Timeout | None = entry("for its own or its adapter's Ethernet port", default=None)
 
     @property
     def by_interface(self) -> dict[str, Timeout]:

@@ -87,7 +87,7 @@ class RelayEndpoint:
 
 
 class RelayLine:
-    """One connection to the broker, over which the relay is questioned.
+    """One connection to the broker, over which the relay is queried.
 
     Attributes:
         where: the place of the relay, for messages.

@@ -97,7 +97,7 @@ class Timer(Value):
 class RelayFile:
     """A make of relay."""
 
-    protocol: str = entry("mqtt, which marks the file as that of a relay", choices=(MQTT,))
+    protocol: str = entry("mqtt, which marks the file as a relay's", choices=(MQTT,))
     make: str = entry("maker")
     model: str = entry("the relay, and its firmware")
     sources: tuple[Source, ...] = entry("documents from which the file was made")

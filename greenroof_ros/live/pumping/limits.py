@@ -100,8 +100,9 @@ class PumpSettings:
         0.0, 30.0, unit="s", default=30.0,
     )
     follow_time: float = entry(
-        "how long the speed may differ from the requested one, or from what the ramp has reached "
-        "on the way there, before that is a fault", 0.1, 600.0, unit="s", default=12.0
+        "time for which the speed may differ from the requested one, or from the speed that the "
+        "ramp has reached on the way there, before the pump has a fault",
+        0.1, 600.0, unit="s", default=12.0,
     )
     averaging_time: float = entry(
         "time over which the delivery check averages levels and volumes",

@@ -478,7 +478,7 @@ no speed      : 06 0001 0000
 ETA           : 03 0C81 0001 -> 03 02 0627 : enabled
 RFRD          : 03 219C 0001 -> 03 02 02EE : 750
 NSP           : 03 2584 0001 -> 03 02 {rpm:04X}
-""", Drive.read, "answer", f"NSP.*is {rpm}: .*believable values are 300 to 7200")
+""", Drive.read, "answer", f"NSP.*is {rpm}: .*plausible values are 300 to 7200")
       for rpm in (299, 7201)),
 ]
 

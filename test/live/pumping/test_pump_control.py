@@ -261,7 +261,7 @@ def test_flow_and_how_it_is_known(change: dict[str, object], flow: float, source
     assert decision.flow == pytest.approx(flow, abs=5e-9)
     assert decision.source == source
     assert warning(decision) == (
-        "flow meter: a flow of 5.7 m3/s is not believable: the pump delivers at most 0.0084 m3/s"
+        "flow meter: a flow of 5.7 m3/s is implausible: the pump delivers at most 0.0084 m3/s"
         if change.get("flow") == 5.7 else ""
     )
 
