@@ -653,7 +653,7 @@ def _value(action: argparse.Action) -> str:
     if text.startswith("`{"):  # a choice, which breaks between its values
         text = ", ".join(f"`{each}`" for each in re.findall(r"[^{},|`]+", text))
     unit = text if str(action.metavar).startswith("[") else ""
-    if kind in ("", "Path", "str"):
+    if kind in ("", "Path", "str") or kind.startswith("_"):
         return text
     return f"{kind} {unit}".strip()
 

@@ -22,9 +22,10 @@ class Command:
     """A command; its module is imported when the command is chosen.
 
     Attributes:
-        module: in ``greenroof_ros.commands``, or with its folder; has ``main`` and ``make_parser``.
+        module: name in ``greenroof_ros.commands``, or with its folder; has ``main`` and
+            ``make_parser``.
         about: the command in one line, for the help.
-        part: what in the module has these two instead, if it has several commands.
+        part: object in the module that has these two, if the module has several commands.
     """
 
     module: str

@@ -34,7 +34,7 @@ def make_parser() -> Parser:
         "non-commercial use.",
         epilog="examples:\n"
         "  greenroof fetch-forecast --site site.yaml --ensemble\n"
-        "  greenroof fetch-forecast --site site.yaml --keep forecasts/    # each hour, by cron\n"
+        "  greenroof fetch-forecast --site site.yaml --keep forecasts/    # every hour, from cron\n"
         "  greenroof verify forecasts/ --site site.yaml --weather gauge.csv\n\n"
         "'greenroof live --forecast open-meteo' does the same every half hour.\n\n"
         "exit codes: 0 done, 1 the service returned no forecast, 2 wrong usage or configuration, "

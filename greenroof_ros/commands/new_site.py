@@ -213,7 +213,7 @@ def main() -> None:
     try:
         site = read_site(file)
     except ConfigurationError as error:
-        raise ConfigurationError(f"these answers make no site: {error.wrong}") from error
+        raise ConfigurationError(f"these answers form no valid site: {error.wrong}") from error
     for option, key in (*_ASKED.items(), *_ASSUMED.items()):
         _note_unusual(option, KEYS[key], getattr(arguments, key))
     for note in (*_note_target(site), *note_pumps(site)):

@@ -233,8 +233,8 @@ def show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
     """Print mean deviations of each window: a row for each case, initial states as columns.
 
     Args:
-        rows: of the study's ``results.csv``, one for each run.
-        directory: of the study.
+        rows: rows of the study's ``results.csv``, one for each run.
+        directory: directory of the study.
     """
     console = Console()
     windows: dict[str, dict[str, dict[str, list[float | None]]]] = {}

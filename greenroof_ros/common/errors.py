@@ -44,7 +44,7 @@ def _shorten(text: str, max_length: int) -> str:
 
 
 class ConfigurationError(Exception):
-    """A file or an option is wrong; the message gives the place, the value, and what is expected.
+    """A file or an option is wrong; the message names the place, the value, and what is expected.
 
     Commands then end with exit code 2, without a traceback.
 

@@ -34,7 +34,7 @@ class ServiceError(Exception):
     """A service sent no usable answer; the message states why, and can be printed anywhere.
 
     Attributes:
-        wait: how long the service asks not to be called again (s); None if it does not say so.
+        wait: how long the service asks not to be called again (s); None if it does not state this.
         is_passing: whether the same request may succeed later.
     """
 

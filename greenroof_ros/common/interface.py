@@ -41,7 +41,7 @@ class Display:
 
     label: what the value is, in the operator's words.
         unit: unit of the shown value, such as ``mm``; empty for a plain number.
-        unit: of the shown value, such as ``mm``; empty for a plain number.
+        unit: unit of the shown value, such as ``mm``; empty for a plain number.
         factor: factor from the topic's unit to the shown unit: 1000 from m to mm.
         decimals: number of decimals of the shown value.
     """

@@ -33,7 +33,7 @@ _LAST_DOMAIN = 101
 
 
 def check_environment() -> None:
-    """Check that ROS 2 can be loaded and will do what the environment says.
+    """Check that ROS 2 can be loaded and will follow the environment's settings.
 
     Raises:
         ConfigurationError: if ROS 2 is missing, is compiled for another Python, or lacks the

@@ -126,7 +126,7 @@ def make_outlet(
 
 
 class OfController:
-    """Opens the valve as a controller that commands it itself says in its attribute ``outlet``."""
+    """Opens the valve as a controller that commands it requests in its attribute ``outlet``."""
 
     def __init__(self, controller: Any) -> None:
         """Set the controller, which decides or skips the tick before this policy is called."""

@@ -44,12 +44,12 @@ class PlannedLevels:
         """Set the sites; the arrays have an entry for each.
 
         Args:
-            sites: with valves, the same tau and the same ``wet_after``.
-            ends: of the steps of the forecasts (s from now), the first 0.
+            sites: sites with valves, the same tau and the same ``wet_after``.
+            ends: ends of the steps of the forecasts (s from now), the first 0.
             reserves: to which they are drained without a forecast (m3).
-            prices: of mains water, in m3 of discharge in wet weather (1).
+            prices: prices of mains water, in m3 of discharge in wet weather (1).
             reaches: days for which stored water is worth its price.
-            areas: off which the forecast's evapotranspiration leaves the beds (m2).
+            areas: areas off which the forecast's evapotranspiration leaves the beds (m2).
             check_s: how often it checks whether the forecast has changed (s).
         """
         self._areas, self._check_s = areas, check_s
@@ -129,11 +129,11 @@ class PlannedLevels:
         """Return the volumes to which the cisterns are drained in the first hour (m3).
 
         Args:
-            x1: in each cistern (m3).
-            x2: on each roof (m3).
-            rain: in each hour (m), shape (members, hours).
-            evaporated: in each hour (m), shape (hours,).
-            needed: what each roof needs within the reach (m3).
+            x1: volume in each cistern (m3).
+            x2: volume on each roof (m3).
+            rain: rain in each hour (m), shape (members, hours).
+            evaporated: evapotranspiration in each hour (m), shape (hours,).
+            needed: volume that each roof needs within the reach (m3).
         """
         sites, kept = self._sites, self._sites.drainage_to_cistern
         most = float(rain.sum(axis=1).max()) * (sites.effective_catchment + kept * sites.a2)
@@ -156,11 +156,11 @@ class PlannedLevels:
 
         Args:
             rows: which sites; the other arrays are theirs.
-            x1: in each cistern (m3).
-            x2: on each roof (m3).
-            rain: in each hour (m), shape (members, hours).
-            evaporated: off each roof in each hour (m3), shape (sites, hours).
-            needed: what each roof needs within the reach (m3).
+            x1: volume in each cistern (m3).
+            x2: volume on each roof (m3).
+            rain: rain in each hour (m), shape (members, hours).
+            evaporated: evapotranspiration off each roof in each hour (m3), shape (sites, hours).
+            needed: volume that each roof needs within the reach (m3).
         """
         sites, nodes, price = self._sites, self._nodes[rows, None], self._prices[rows, None, None]
         floor, full = nodes[..., :1], nodes[..., -1:]
@@ -205,14 +205,14 @@ class PlannedLevels:
         return _value_at(nodes, value, level)
 
     def _drain_hour(self, rows: Rows, volumes: Array) -> Array:
-        """Return what the open valves leave of volumes (m3) in an hour, shape (sites, n)."""
+        """Return what open valves leave of volumes (m3) after an hour, shape (sites, n)."""
         outlet, a1 = self._outlet[rows, None], self._sites.a1[rows, None]
         root = np.sqrt(np.maximum(volumes - outlet, 0.0) / a1)
         root = np.maximum(root - self._fall[rows, None] * _HOUR_S, 0.0)
         return np.asarray(np.minimum(volumes, outlet + a1 * root**2))
 
     def _find_needs(self, rows: Rows, x2: Array, rain: Array, evaporated: Array) -> Array:
-        """Return what roofs take from cisterns in each hour (m3), less what drains back.
+        """Return the net volume that roofs take from cisterns in each hour (m3).
 
         Of shape (sites, members, hours).
         """

@@ -30,7 +30,7 @@ class OutletGroup:
     Attributes:
         rows: the sites.
         dry: whether the weather is dry in each tick, from :func:`find_dry_ticks`.
-        ends: of the steps of the forecasts (s from now), the first 0.
+        ends: ends of the steps of the forecasts (s from now), the first 0.
         foresee: returns a tick's forecast: rain (m/s), shape (members, steps), and
             evapotranspiration off a bed with crop coefficient 1 (m/s), shape (steps,).
         has_rain: whether these forecasts have rain, which can change.
@@ -47,9 +47,9 @@ def find_dry_ticks(rain: Array, tau: float, wet_after: float) -> Flags:
     """Return in which ticks the weather is dry, as :class:`.outlet.Drain` counts it.
 
     Args:
-        rain: in all ticks of the run (m/s).
+        rain: rain in all ticks of the run (m/s).
         tau: duration of a tick (s).
-        wet_after: of the site (h).
+        wet_after: the site's ``wet_after`` (h).
     """
     ticks = np.arange(len(rain))
     heavy = np.maximum.accumulate(np.where(rain >= MIN_RAIN, ticks, -1))
@@ -102,8 +102,8 @@ class Outlets:
 
         Args:
             tick: its number.
-            x1: in each cistern (m3).
-            x2: on each roof (m3).
+            x1: volume in each cistern (m3).
+            x2: volume on each roof (m3).
         """
         for planning, plans in self._planning:
             group, rows, dry = planning.group, planning.rows, bool(planning.group.dry[tick])

@@ -58,7 +58,7 @@ class BatchWeather:
     Attributes:
         run: from which it is; its forecasts are those of plans.
         rain: m/s.
-        evapotranspiration: off a bed with crop coefficient 1 (m/s).
+        evapotranspiration: evapotranspiration off a bed with crop coefficient 1 (m/s).
         frost: 1 in frost, else 0.
     """
 
@@ -148,7 +148,7 @@ class Batch:
         parameters: of each site's controller, ``onoff``, and of its outlet's valve; those left out
             have their defaults.
         x1: initial volume in each cistern (m3), shape (n,).
-        x2: on each roof (m3), shape (n,).
+        x2: volume on each roof (m3), shape (n,).
         with_forecast: whether plans see the forecasts of the weather's run; otherwise they know
             the evapotranspiration and the present rain, and foresee no further rain.
     """
@@ -164,14 +164,14 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """What a batch gives.
+    """Results of a batch.
 
     Attributes:
         metrics: by the names of :data:`greenroof_ros.model.metrics.METRICS`, each of shape (n,).
         hydrograph: discharge to the sewer of each group's sites in each interval of
             :func:`greenroof_ros.model.storm_water.interval_seconds` (m3), shape (groups,
             intervals); None without groups.
-        low_outlet: the part of it through low outlets, likewise.
+        low_outlet: the part of it through low outlets, of the same shape.
     """
 
     metrics: dict[str, Values]
@@ -257,16 +257,16 @@ class Part:
 
     Attributes:
         rows: which of the batch.
-        plants: of these sites.
+        plants: plants of these sites.
     """
 
     def __init__(self, batch: Batch, every: Sites, rows: Rows) -> None:
         """Set the initial state.
 
         Args:
-            batch: with all sites.
+            batch: batch with all sites.
             every: parameters of all sites.
-            rows: of the part.
+            rows: rows of the part.
         """
         self.rows = rows
         self._batch, self._sites = batch, every.take(rows)

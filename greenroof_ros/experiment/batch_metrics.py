@@ -49,7 +49,7 @@ class BatchMetrics:
         """Start with the initial state.
 
         Args:
-            plants: of n sites.
+            plants: plants of n sites.
             ticks: N of the runs.
             per_interval: ticks in an interval of :mod:`greenroof_ros.model.storm_water`.
             wet: rows, and which intervals are in wet weather for them.

@@ -60,7 +60,7 @@ def simulate_runs(
     """Return the content of each run's ``summary.json``.
 
     Args:
-        runs: with the same tau and as many steps; :func:`is_covered` must hold for each.
+        runs: runs with the same tau and as many steps; :func:`is_covered` must hold for each.
         progress: called now and then with the share that is done (1).
     """
     summaries: dict[int, dict[str, Any]] = {}
@@ -117,8 +117,8 @@ class _Records:
         """Begin with the initial state.
 
         Args:
-            part: of a batch.
-            runs: of its rows.
+            part: part of a batch.
+            runs: runs of its rows.
         """
         self._plants, self._runs = part.plants, runs
         self._metrics = [BlockMetrics(run.site, run.time_ns(0) / 1e9) for run in runs]

@@ -62,7 +62,7 @@ class Simulation:
 
     Attributes:
         site: the simulated site, in the present tick.
-        metrics: of the ticks so far.
+        metrics: metrics of the ticks so far.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
 
     Args:
         run: the run.
-        ticks: of the run.
+        ticks: ticks of the run.
         every: the first of this many ticks is kept, and the last one of the run.
     """
     recorded = recorded_columns(run.site)

@@ -117,7 +117,7 @@ def bound_discharge(
         run: at a site with a valve.
         flows: of the ticks 0..N: rain (m/s), evapotranspiration, and what was pumped and drained
             off the roof (m3/s).
-        weights: of mains water, rising.
+        weights: weights of mains water, rising.
 
     Raises:
         ConfigurationError: the site has no valve.
@@ -179,10 +179,10 @@ def find_frontier(
     mains water is not below the optimum.
 
     Args:
-        site: with a valve.
-        x1: in the cistern at the beginning (m3).
-        steps: of the run.
-        weights: of mains water, rising.
+        site: site with a valve.
+        x1: volume in the cistern at the beginning (m3).
+        steps: steps of the run.
+        weights: weights of mains water, rising.
 
     Raises:
         NoBoundError: the solver found no optimum.

@@ -48,7 +48,8 @@ class RunInputs:
 
     Attributes:
         controller: decides how much to pump.
-        parameters: of the controller; those left out have their defaults, also by site.
+        parameters: parameters of the controller; those left out have their defaults, some of which
+            depend on the site.
         site: its file, or a site.
         weather: its files, or records, which are used as they are if they are complete, or a data
             frame.
@@ -86,7 +87,7 @@ class RunInputs:
         "fao56: computed with FAO-56 Penman-Monteith; hargreaves: from temperature alone, with "
         "FAO-56 Eq. 52; monthly: the site's monthly_evapotranspiration; or the name of the "
         "weather's own column, for example published (default: the weather's own, otherwise the "
-        "first of these three for which it has what is needed)", default=None,
+        "first of these three whose inputs are available)", default=None,
     )
     gaps: str = entry(
         "what to do if an hour of the run is missing in the weather and the gap is not short. "
@@ -209,7 +210,7 @@ def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunIn
     """Return the inputs of a run from their values by name: of options, keywords or a grid.
 
     Args:
-        controller: of the run.
+        controller: controller of the run.
         given: values of :data:`INPUTS` and of the controller's parameters; None stands for the
             default. ``site`` may be a site, ``weather`` one name of a file or several, records or a
             data frame, ``start`` a date or a datetime, and ``initial`` the two volumes.

@@ -32,7 +32,7 @@ def add_run_arguments(
     """Add the options that decide a run's numbers, the same for ``simulate`` and ``run``.
 
     Args:
-        parser: of the command.
+        parser: parser of the command.
         arguments: the command line that it will parse; ``sys.argv`` if None.
 
     Raises:
@@ -58,7 +58,7 @@ def add_controller_arguments(
     """Add the options for the controller's name and for the parameters of that controller.
 
     Args:
-        parser: of the command.
+        parser: parser of the command.
         group: for the controller's name; its parameters get a group of their own.
         arguments: the command line that is searched for its name; ``sys.argv`` if None.
         default: the controller if none is named.
@@ -85,7 +85,7 @@ def add_controller_arguments(
     )
     of_controller.add_argument(
         "--parameters", type=Path, metavar="FILE",
-        help="ROS 2 parameter file of the controller; what it leaves out has its default",
+        help="ROS 2 parameter file of the controller; parameters that it omits have their defaults",
     )
     for parameter in controller.parameters.values():
         add_option(of_controller, parameter)
@@ -131,7 +131,7 @@ def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
     """Add the options that decide where a run goes and how fast; return their group.
 
     Args:
-        parser: of the command.
+        parser: parser of the command.
     """
     group = parser.add_argument_group("output and pace")
     group.add_argument(

@@ -44,8 +44,8 @@ def roof_range(
     Args:
         site: its parameters.
         x2: initial volume (m3).
-        rain: in each tick (m/s), shape (N,).
-        evapotranspiration: in each tick (m3/s), shape (N,).
+        rain: rain in each tick (m/s), shape (N,).
+        evapotranspiration: evapotranspiration in each tick (m3/s), shape (N,).
         pumped: the most that the pumps can lift in each tick (m3), shape (N,).
     """
     soil, short = soil_of(site), has_short_ticks(site)
@@ -84,10 +84,10 @@ def _limits_of_tick(
 
     Args:
         site: its parameters.
-        soil: of the site.
+        soil: soil of the site.
         low: minimum volume before the tick (m3).
         high: maximum volume before it (m3).
-        rain: on the roof (m3/s).
+        rain: rain on the roof (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
         max_pumped: the most that the pumps can lift in the tick (m3).
         short: whether it is a short tick, in which the pumps can fill the roof above its target.
@@ -138,7 +138,7 @@ def _ends(
 
     Args:
         site: its parameters.
-        soil: of the site.
+        soil: soil of the site.
         low: minimum volume before the tick (m3).
         high: maximum volume before the tick (m3).
         arriving: rain and pumped water (m3/s).

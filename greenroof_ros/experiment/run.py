@@ -109,7 +109,7 @@ class Run:
         return self.controller.make(self.site, self.parameters)
 
     def make_outlet(self, controller: Controller) -> OutletPolicy | None:
-        """Make what commands the valve of the outlet beside a controller, if there is one."""
+        """Make the policy that commands the outlet's valve; None if there is none."""
         return self.controller.make_outlet(self.site, self.parameters, controller)
 
 
@@ -130,8 +130,8 @@ def count_ticks(site: Site, length: float | None, key: str, unit_s: float = 3600
     """Return how many ticks a length of time has, such as a run's N; the site's own N if None.
 
     Args:
-        site: with the duration of a tick.
-        length: of the run (h), or of something else in another unit.
+        site: site with the duration of a tick.
+        length: length of the run (h), or of something else in another unit.
         key: the option or key that gives it, for messages.
         unit_s: its unit (s).
 

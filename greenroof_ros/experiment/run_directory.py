@@ -75,7 +75,7 @@ def write_configuration(
     """Copy the files that a run was made from, and write the parameters of its nodes.
 
     Args:
-        directory: of the run.
+        directory: directory of the run.
         run: what was asked for.
         nodes: parameters of the plant that the run does not set; the recorder shares peer_limit.
 
@@ -140,8 +140,8 @@ def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, obje
     """Write the ROS 2 parameter file of some nodes, and return it.
 
     Args:
-        directory: of the file.
-        parameters: of each node, by its name.
+        directory: directory of the file.
+        parameters: parameters of each node, by its name.
     """
     file = directory / "parameters.yaml"
     of_nodes = {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()}

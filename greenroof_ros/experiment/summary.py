@@ -43,7 +43,7 @@ def make_summary(
         run: what was asked for.
         metrics: its results, by :data:`greenroof_ros.model.metrics.METRICS`.
         weeks: total deviation of each week (m3).
-        events: of rain.
+        events: events of rain.
         wall_s: duration in wall time (s).
         solver: the controller's statistics; None if it has no solver.
         messages: number of messages of each topic in the bag.

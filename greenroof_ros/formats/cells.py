@@ -98,7 +98,7 @@ class Table:
         times: name of the column of times, for notes.
         rows: all rows. They are read one by one, so that an error in one of them is found before
             the rest of the file is read.
-        notes: what could not be used as it was.
+        notes: what could not be used unchanged, in sentences.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class Table:
     def refuse(
         self, expected: str, column: str | None = None, row: Row | None = None
     ) -> ConfigurationError:
-        """Return an error that gives the place and text of a cell, or of the header's cell."""
+        """Return an error that names the place and text of a cell, or of the header's cell."""
         if column is None or row is None:
             return ConfigurationError(expected, file=self.file, line=self.line, value=column)
         key = f"{self._key}{column.partition(' ')[0]}[{row.number}]" if self._key else column

@@ -38,7 +38,7 @@ class IssuedForecast:
         evapotranspiration: rate (mm/day), shape (hours,); None if the file has none.
         temperature: air temperature (degC), shape (hours,); None if the file has none.
         available: when it arrived; None if it is the archive's delay after the nominal time.
-        notes: what could not be used as it was.
+        notes: what could not be used unchanged, in sentences.
     """
 
     issued: datetime
@@ -230,7 +230,7 @@ class Archive:
         delay: time after the nominal time from which an issue is known (h).
         verified: the issues to verify, usually the same ones; their rain can be NaN.
         finest_lead: finest lead-time resolution at which it can be verified (h).
-        notes: what could not be used as it was.
+        notes: what could not be used unchanged, in sentences.
     """
 
     source: Path

@@ -152,7 +152,7 @@ def explain_file(file: Path) -> None:
     """Reject a file from a service that is not read, or a message in place of a file.
 
     Raises:
-        ConfigurationError: if it is one; the message gives its name, and what to do.
+        ConfigurationError: if it is one; the message states its name and what to do.
     """
     lines = []
     for line in read_lines(file):

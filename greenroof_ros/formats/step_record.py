@@ -38,7 +38,7 @@ class StepRecord:
         cistern: level of the cistern at the beginning of the step (m); None if not measured.
         command: mean share of the pumps' maximum flow (1); None if unknown.
         reference_column: column of the evapotranspiration in the file; empty if it was computed.
-        notes: what could not be used as it was.
+        notes: what could not be used unchanged, in sentences.
         all_rain: rain including the steps that :meth:`select` left out; None before that.
         dew_point: dew point of the air (degC); None if not measured.
         radiation: solar radiation (W/m2); None if not measured.

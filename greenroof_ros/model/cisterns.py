@@ -94,9 +94,9 @@ class Cisterns:
 
         Args:
             tau: duration of the tick (s).
-            x1: in each cistern (m3).
+            x1: volume in each cistern (m3).
             collected: rain that flows in (m3/s).
-            flow: of the pumps (m3/s).
+            flow: flow of the pumps (m3/s).
             outlet: share to which each low outlet is open (1).
         """
         pump, level = tau * flow, x1 / self._a1
@@ -122,7 +122,7 @@ class Cisterns:
         Args:
             seconds: duration of a step (s).
             steps: their number.
-            x1: in each cistern (m3).
+            x1: volume in each cistern (m3).
             outlet: share to which each low outlet is open (1).
         """
         drop = outlet * self._c_low * seconds
@@ -150,12 +150,12 @@ class Cisterns:
             tau: duration of the tick (s).
             steps: into which it is divided if something is quick; otherwise what is pumped is
                 shared among them.
-            x1: in each cistern (m3).
+            x1: volume in each cistern (m3).
             collected: rain that flows in (m3/s).
-            command: to the pumps (share of the maximum flow).
+            command: command to the pumps (share of the maximum flow).
             outlet: share to which each low outlet is open (1).
-            missing: what must be pumped until the roof is at its target (m3).
-            rise: by how much that falls because of rain (m3/s).
+            missing: volume to be pumped until the roof is at its target (m3).
+            rise: rate at which rain reduces that volume (m3/s).
         """
         flow = np.where(missing > 0, command * self.pump_flow(x1), 0.0)
         if flow.any():
@@ -214,17 +214,17 @@ class Cisterns:
         self, seconds: float, x1: Values, collected: Values, flow: Values, missing: Values,
         rise: Values, running: Flags, volume: Values,
     ) -> Values:
-        """Write what is pumped in a step, and return what flows in from the mains then (m3).
+        """Write the volume pumped in a step, and return the inflow from the mains in it (m3).
 
         Args:
             seconds: duration of the step.
-            x1: in each cistern (m3).
+            x1: volume in each cistern (m3).
             collected: rain that flows in (m3/s).
-            flow: of the pumps (m3/s).
-            missing: what must be pumped until the roof is at its target (m3).
-            rise: by how much that falls because of rain (m3/s).
+            flow: flow of the pumps (m3/s).
+            missing: volume to be pumped until the roof is at its target (m3).
+            rise: rate at which rain reduces that volume (m3/s).
             running: whether the pumps ran at the end of the step before.
-            volume: where what is pumped is written (m3).
+            volume: array to which the pumped volume is written (m3).
         """
         share = np.divide(flow, flow + rise, out=np.zeros_like(flow), where=flow > 0)
         wanted = np.minimum(flow * seconds, missing * share)
@@ -243,14 +243,14 @@ class Cisterns:
     def let_out_all(
         self, seconds: float, x1: Values, arriving: Values, outlet: Values, volumes: Values
     ) -> CisternFlows:
-        """Return what moves in a long tick if it is known what is pumped.
+        """Return what moves in a long tick if the pumped volume is known.
 
         Args:
             seconds: duration of a step.
-            x1: in each cistern (m3).
+            x1: volume in each cistern (m3).
             arriving: rain and drainage that flow in (m3/s).
             outlet: share to which each low outlet is open (1).
-            volumes: what is pumped in each step (m3), shape (steps, n).
+            volumes: pumped volume in each step (m3), shape (steps, n).
         """
         let_in, outlets = np.zeros(len(x1)), _Outlets(self, outlet, seconds)
         for pumped in volumes:
@@ -265,8 +265,8 @@ class _Outlets:
     """Both outlets of cisterns in steps; :class:`.plant.Plant` has the formula.
 
     Attributes:
-        upper: what the upper outlets have taken (m3).
-        low: what the low ones have taken (m3).
+        upper: volume that the upper outlets have taken (m3).
+        low: volume that the low ones have taken (m3).
     """
 
     def __init__(self, cisterns: Cisterns, outlet: Values, seconds: float) -> None:

@@ -309,7 +309,7 @@ def _by_interval(
 
 
 def _discharge(site: Site, samples: Samples) -> Values | None:
-    """Return what reaches the sewer in every sample (m3); None if unknown."""
+    """Return the discharge to the sewer in every sample (m3); None if unknown."""
     if not samples.discharge_known:
         return None
     flow = samples.outflow + (1 - site.drainage_to_cistern) * samples.drainage
@@ -380,7 +380,7 @@ def find_calendar_days(site: Site, start: float, times: Values) -> Values:
 
 
 def _rain_and_discharge(site: Site, samples: Samples) -> Values | None:
-    """Return what reaches the sewer in every sample, and the rain on the connected area (m3)."""
+    """Return discharge to the sewer, and rain on the connected area, in every sample (m3)."""
     discharge = _discharge(site, samples)
     if discharge is None:
         return None

@@ -73,8 +73,8 @@ def _line(
         given: values by key; they are active.
         key: the key.
         assumed: its value if none is given.
-        meaning: of the value.
-        source: of the assumption.
+        meaning: meaning of the value.
+        source: source of the assumption.
         active: whether an assumed value is one of the site; otherwise it is ready to become one.
     """
     value, source = (given[key], "[given]") if key in given else (assumed, source)

@@ -31,9 +31,9 @@ class Substrate:
     """A named substrate with its drainage layer; parameters of a measured soil.
 
     Attributes:
-        about: what it is, with the sources of the values.
+        about: description, with the sources of the values.
         depth: usual depth (m), for a new site.
-        field_capacity: as of a site (1), likewise the others.
+        field_capacity: as for a site (1), as are the others.
         wilting_point: (1)
         depletion_fraction: (1)
         drainage_storage: (m)
@@ -177,11 +177,11 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
     """Return the entries of a level of a site and of those below it; its own take precedence.
 
     Args:
-        base: of the levels below; may be empty.
-        own: of the level.
+        base: values of the levels below; may be empty.
+        own: values of the level.
 
     Raises:
-        ConfigurationError: two of the own ones give the same parameter; the message names both.
+        ConfigurationError: if two of its own values set the same parameter; the message names both.
     """
     replaced = {rival for name in own for rival in _RIVALS.get(name, ())}
     if "substrate" in own:
@@ -239,7 +239,7 @@ def translate(entries: Mapping[str, Entry]) -> Translation:
 
 
 def _find_pump(keys: PlainKeys) -> tuple[str, Callable[[Site], float]] | None:
-    """Return the key that gives the pump's flow, and the flow at a site (m3/s).
+    """Return the key that sets the pump's flow, and the flow at a site (m3/s).
 
     Raises:
         ConfigurationError: a number or a flow of emitters is missing.

@@ -277,7 +277,7 @@ class Plant:
         return self._a1 * (self._site.min_outlet_level if outlet else self._site.z_o)
 
     def _find_missing(self, rain: float, evapotranspiration: float) -> tuple[float, float]:
-        """Return what must be pumped until the roof is at its target in a long tick.
+        """Return the volume to be pumped until the roof is at its target in a long tick.
 
         Args:
             rain: rain on the roof (m3/s).
@@ -309,7 +309,7 @@ class Plant:
             command: command to the pumps (share of the maximum flow).
             pumped: flow to the roof (m3/s), if another program drives the pumps.
             outlet: share to which the valve of the low outlet is open (1).
-            missing: what must be pumped until the roof is at its target (m3).
+            missing: volume to be pumped until the roof is at its target (m3).
             rise: rate at which that falls because of rain (m3/s).
 
         Returns:
@@ -385,7 +385,7 @@ class Plant:
         return out / tau, let_out / tau, let_in / tau
 
     def _let_out(self, x1: float, outlet: float, seconds: float) -> tuple[float, float]:
-        """Return what the upper and the low outlet take in a step (m3).
+        """Return the volumes that the upper and the low outlet take in a step (m3).
 
         The backward Euler method is used, so that they take no more than what is above them. The
         head after a step, s^2, solves a quadratic equation,

@@ -52,7 +52,7 @@ class _Pumping(NamedTuple):
 
     rows: Rows
     missing: Values
-    """what must be pumped until the roofs are at their targets (m3), without end in a short tick; 0
+    """what must be pumped until the roofs are at their targets (m3), infinite in a short tick; 0
     where the pump does not run"""
     rise: Values | float = 0.0
     """by how much that falls because of rain (m3/s)"""
@@ -62,9 +62,9 @@ class Plants:
     """Cisterns and roofs of sites, stepped together; the attributes are those of one plant.
 
     Attributes:
-        x1: in each cistern (m3).
-        x2: on each roof (m3).
-        layer: in each drainage layer (m3).
+        x1: volume in each cistern (m3).
+        x2: volume on each roof (m3).
+        layer: volume in each drainage layer (m3).
         moved: what has moved in the last tick.
         all_moved: the same in one array, shape (7, n).
         flowed: whether something has flowed in it besides drainage, evapotranspiration and pumped
@@ -79,8 +79,8 @@ class Plants:
         Args:
             sites: all with the same tau; all with short ticks or none; all with a measured soil or
                 none.
-            x1: in each cistern (m3).
-            x2: on each roof (m3).
+            x1: volume in each cistern (m3).
+            x2: volume on each roof (m3).
             fraction: of on/off control, the command when pumping (share of the maximum flow).
             level: share of the target that on/off control fills each roof to (1).
         """
@@ -113,7 +113,7 @@ class Plants:
         """Set the weather of the present tick and of those that follow.
 
         Args:
-            rain: on each site (m/s).
+            rain: rain on each site (m/s).
             potential: evapotranspiration off each bed (m3/s), of plants that lack no water.
         """
         sites, tau = self.sites, self._tau

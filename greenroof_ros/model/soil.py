@@ -97,7 +97,7 @@ class PaperSoil:
     def tick(
         self, x2: float, layer: float, available: float, arriving: float, potential: float
     ) -> Losses:
-        """Return what leaves the roof in a tick: no more than what it holds and receives.
+        """Return the flows that leave the roof in a tick, at most what it holds and receives.
 
         If that is less than Eqs. (1) and (4) demand, both losses are scaled down to it.
 
@@ -138,7 +138,7 @@ class PaperSoil:
         self, x2: Values, arriving: Values | float, potential: Values | float,
         seconds: Values | float,
     ) -> Values:
-        """Return what the roof holds after a step of any length (m3), in which rain comes first.
+        """Return the volume on the roof after a step of any length (m3), in which rain comes first.
 
         Water above the capacity drains at the end of the step.
 
@@ -164,7 +164,7 @@ class PaperSoil:
         return to - x2
 
     def fill_empty(self, arrived: Values) -> Values:
-        """Return what an empty roof holds (m3) after this much has arrived (m3)."""
+        """Return the volume that an empty roof holds (m3) after this much has arrived (m3)."""
         return arrived
 
     def predict_changes(
@@ -455,7 +455,7 @@ def soil_of(site: Site) -> Soil:
 
 
 def roof_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potential: float) -> float:
-    """Return what a roof of x2 (m3) holds at the end of a tick, below 0 if it would dry out.
+    """Return the volume on a roof of x2 (m3) at the end of a tick, below 0 if it would dry out.
 
     Args:
         soil: soil of the roof.

@@ -36,7 +36,7 @@ class PaperSoils:
         """Write the evapotranspiration that each soil would yield in a tick; call it in each.
 
         Args:
-            x2: on each roof (m3).
+            x2: volume on each roof (m3).
             evaporated: where it is written (m3).
 
         Returns:

@@ -295,7 +295,7 @@ class _PageApplication:
 
     @web.middleware
     async def _refusals(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
-        """Answer a refused request with the reason, in a sentence; a connection has one answer."""
+        """Answer a rejected request with the reason, in a sentence; a connection has one answer."""
         try:
             answer = await handler(request)
         except web.HTTPException as error:

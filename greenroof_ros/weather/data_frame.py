@@ -34,7 +34,7 @@ def read_frame(frame: Any, site: Site) -> Records:
         site: site whose clock applies to times without an offset.
 
     Raises:
-        ConfigurationError: if a column or a value is wrong; the message gives its row, from 0.
+        ConfigurationError: if a column or a value is wrong; the message names its row, from 0.
     """
     file = TextInMemory(_NAME)
     file.text = _write_csv(frame)

@@ -66,8 +66,8 @@ class Block:
     Attributes:
         first: its first day.
         last: its last day.
-        suffix: of its file.
-        parameters: of the request, beside the source's.
+        suffix: suffix of its file.
+        parameters: parameters of the request, in addition to the source's.
     """
 
     first: date
@@ -91,9 +91,9 @@ class Source:
     """A service and what is requested of it.
 
     Attributes:
-        about: what it is and its licence, in lines for the head of a file.
-        url: of the interface; its own query can have a key.
-        parameters: of each request.
+        about: description and licence, in lines for the head of a file.
+        url: address of the interface; its own query can have a key.
+        parameters: parameters of each request.
         blocks: in order of time.
         pause_s: time from an answer to the next request (s).
         check: refuses an answer that is not the whole block; raises ServiceError.
@@ -114,9 +114,9 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
 
     Args:
         site: its place.
-        years: of the site's clock.
+        years: years of the site's clock.
         today: the present day.
-        url: of the interface; if empty, the service's own.
+        url: address of the interface; if empty, the service's own.
 
     Raises:
         ConfigurationError: the site file lacks the place, the years are not over, or the URL is not
@@ -159,9 +159,9 @@ def eccc_station(
     Args:
         station: its ``stationID``, which is not its climate identifier.
         site: near it; its offset from UTC is the files'.
-        years: of the files.
+        years: years of the files.
         today: the present day.
-        url: of the interface; if empty, the service's own.
+        url: address of the interface; if empty, the service's own.
 
     Raises:
         ConfigurationError: the site file lacks the offset from UTC, a year is in the future, or the
@@ -251,7 +251,7 @@ def fetch(
     source: Source, site: Site, directory: Path, pause_s: float | None,
     progress: ProgressBar,
 ) -> list[Path]:
-    """Fetch the blocks that a directory does not keep whole, and return the files of all.
+    """Fetch the blocks that a directory lacks or has only in part; return all blocks' files.
 
     Args:
         source: the service, and the blocks.

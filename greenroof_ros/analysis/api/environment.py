@@ -74,8 +74,8 @@ class Environment:
     """A site and its weather; a program sets the command of every tick.
 
     In frost and in quiet hours the command counts as 0. At a site with a valve on its low outlet,
-    the program can command the valve, too. ``copy`` and ``pickle`` create environments that go on from
-    the same tick, bit for bit.
+    the program can command the valve, too. ``copy`` and ``pickle`` create environments that
+    continue from the same tick, bit for bit.
 
     Example:
         >>> import greenroof_ros as gr

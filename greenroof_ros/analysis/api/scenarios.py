@@ -68,11 +68,11 @@ class Scenario:
         (3.23, 'mm')
 
     Attributes:
-        name: of the scenario.
-        about: what it is, in a sentence.
-        inputs: of :func:`.simulate`, apart from the controller.
-        unit: of the score.
-        score: what it is; lower is better.
+        name: name of the scenario.
+        about: description in one sentence.
+        inputs: inputs of :func:`.simulate`, apart from the controller.
+        unit: unit of the score.
+        score: value of the score; lower is better.
         weights: the metrics whose weighted sum it is.
         controllers: inputs of those that others are compared with, by name.
     """
@@ -151,7 +151,7 @@ class Score:
 
     Attributes:
         scenario: the scenario.
-        name: of the controller.
+        name: name of the controller.
         value: the score, in the scenario's unit; lower is better.
         bound: the lowest score that is possible with this irrigation; see :meth:`Scenario.bound`.
         result: the run.

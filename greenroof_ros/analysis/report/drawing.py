@@ -136,7 +136,7 @@ class Figure:
 def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
     """Distinguish the series of a field by colour and by dashes; see :func:`cycle_choices`.
 
-    Without series there is no legend: vega gives an empty legend a size that is not a number.
+    Without series there is no legend: in vega the size of an empty legend is not a number.
     """
     legend = alt.Legend(symbolSize=600, symbolType="stroke") if values else None
     return {

@@ -33,7 +33,7 @@ class ReportedRun:
     Attributes:
         site: site of the run.
         row: its results: the columns of a study's ``results.csv``. ``case`` is its label; for an
-            unfinished run, ``ended`` says how it ended.
+            unfinished run, ``ended`` states how it ended.
         notes: what a reader should know about it.
         alarms: recorded alarms, each a row for a table.
         kept: its trajectory, or the file that contains it; None if none was kept.
@@ -110,7 +110,7 @@ class About:
 
 
 def read_about(run: Path) -> About:
-    """Read the summary of a run directory; the notes say if it is damaged or foreign."""
+    """Read the summary of a run directory; the notes state whether it is damaged or foreign."""
     file = run / summary.SUMMARY
     if not file.is_file():
         return About()

@@ -206,7 +206,7 @@ def _read_results(file: Path) -> list[Row]:
         for column, cell in cells.items():
             try:
                 if not isinstance(cell, str):
-                    raise ValueError("a cell too many or too few")
+                    raise ValueError("one cell too many or too few")
                 cells[column] = _READ.get(column, str)(cell)
             except ValueError as error:
                 raise ConfigurationError(

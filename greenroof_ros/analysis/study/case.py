@@ -46,7 +46,7 @@ class Case:
     """One run of a study, with everything that affects its numbers.
 
     Attributes:
-        inputs: of the run, complete: also what the grid leaves out has its value.
+        inputs: all inputs of the run, even those that the grid leaves out.
         site: site file.
         weather: weather files, in the order of time, to be joined.
         weather_name: one name for them, unique in the study.

@@ -44,7 +44,7 @@ def group_cases(
     """Return cases in groups, each of which a worker runs at once; most are groups of one.
 
     Args:
-        cases: to run.
+        cases: cases to run.
         workers: number of groups that are run at the same time.
         trajectory_every: as for :func:`run_case`.
     """
@@ -72,8 +72,8 @@ def run_cases(
     """Run a group of :func:`group_cases`; return the outcome of each case, or why it failed.
 
     Args:
-        directory: with the cases' input files.
-        cases: to run.
+        directory: directory with the cases' input files.
+        cases: cases to run.
         trajectory_every: as for :func:`run_case`.
         progress: gets the share that is done.
     """
@@ -97,8 +97,8 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
     """Run a case.
 
     Args:
-        directory: with the case's input files.
-        case: to run.
+        directory: directory with the case's input files.
+        case: case to run.
         trajectory_every: time between the samples of the trajectory (s), rounded to whole ticks, at
             least one; None to keep only the results.
 

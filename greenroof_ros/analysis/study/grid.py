@@ -72,7 +72,7 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
     """Read a grid such as ``config/studies/paper.yaml`` and check every run in it.
 
     Args:
-        path: of the grid.
+        path: path of the grid.
         weather: directory of weather files that are not next to the grid.
 
     Returns:
@@ -189,7 +189,7 @@ class _Grid:
                 yield site, self._input(path, format_site(site).encode())
 
     def _expand_windows(self) -> Iterator[tuple[YamlMapping, list[YamlMapping]]]:
-        """Yield the inputs that each window gives, and its forecasts."""
+        """Yield the inputs that each window defines, and its forecasts."""
         for window in self._expand(
             self._mapping, "weather", ("file", "start"), (*_OF_WINDOW, "year", "forecast"),
             whole=("file", "forecast"),
@@ -284,8 +284,8 @@ class _Grid:
         """Return the files of a name or pattern in the first directory that has some.
 
         Args:
-            mapping: of the grid.
-            key: of the name.
+            mapping: mapping of the grid.
+            key: key of the name.
             name: instead of the value of the key.
 
         Raises:
@@ -311,8 +311,8 @@ class _Grid:
         It is the file's own name, with the folder's name in front if another file has that name.
 
         Args:
-            path: of the file.
-            content: what its path stands for, if not its own content.
+            path: path of the file.
+            content: content to use instead of the file's own; None for its own.
         """
         path = path.resolve()
         key = path, self._read_bytes(path) if content is None else content
@@ -351,7 +351,7 @@ class _Grid:
 
         Args:
             mapping: has the key.
-            key: of a block, or of a list of them; a text stands for a block with only what is
+            key: key of a block, or of a list of them; a text stands for a block with only what is
                 needed first.
             needed: keys of a block.
             further: its other keys.
@@ -417,9 +417,9 @@ class _Grid:
         """Add the line of the grid to an error that is found elsewhere.
 
         Args:
-            lines: of the inputs, by their names in errors.
+            lines: lines of the inputs, by their names in errors.
             otherwise: the input whose line it is if the error names none of them.
-            prefix: of the message.
+            prefix: prefix of the message.
         """
         try:
             yield

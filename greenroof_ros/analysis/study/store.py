@@ -33,11 +33,11 @@ class StudyStore:
     """Stores each run's outcome when it arrives, whole or not at all.
 
     Attributes:
-        directory: of the study.
+        directory: directory of the study.
         cases: its runs.
         trajectory_every: time between the samples of each run's trajectory (s), 0 for every tick;
             None to keep only the results.
-        outcomes: of finished runs, without their files, by identity.
+        outcomes: outcomes of finished runs, without their files, by identity.
         failures: reasons of failed runs, by identity; runs in neither were not run.
         bounds: minimum possible total deviations (m3) that are known, by bound_identity.
         discharge_bounds: columns of the minimum discharges that are known, by

@@ -39,7 +39,7 @@ class IssuedForecasts:
         span: the period that they cover, in words.
         issues: in order of time, for every issue the hour of the records in which it begins
             (negative if before them) and its rain (mm/h), shape (members, hours), NaN if missing.
-        notes: what could not be used as it was.
+        notes: what could not be used unchanged, in sentences.
     """
 
     name: str

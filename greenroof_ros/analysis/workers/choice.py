@@ -68,7 +68,7 @@ def open_workers(
     """Return the workers that a command line asks for.
 
     Args:
-        arguments: with the options of :func:`add_worker_arguments`.
+        arguments: arguments with the options of :func:`add_worker_arguments`.
         files: contents of the input files, by name.
         preload: modules that processes of this machine import once for all.
 

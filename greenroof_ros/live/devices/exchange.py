@@ -103,7 +103,7 @@ class DriveSnapshot(DeviceSnapshot):
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection that gives answers."""
+        """Whether there is a connection over which the drive answers."""
         return self.state in (ExchangeState.STOPPED, ExchangeState.RUNNING, ExchangeState.STOPPING)
 
     def status_at(self, now: float) -> DriveStatus | None:

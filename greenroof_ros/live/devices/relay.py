@@ -154,7 +154,7 @@ class RelayLine:
             values: values for the ``$`` names in it, in addition to those of the connection.
 
         Raises:
-            DriveError: if there is no connection any more.
+            DriveError: if there is no longer a connection.
         """
         self._publish(message.topic, message.payload, str(next(self._numbers)), values)
 
@@ -362,7 +362,7 @@ class Relay:
         """Switch it off. The caller repeats this while the relay must be off.
 
         Raises:
-            DriveError: if there is no connection any more.
+            DriveError: if there is no longer a connection.
         """
         self.stopped = False
         self.line.publish(self.file.switch_off)
@@ -373,7 +373,7 @@ class Relay:
         """Stop the relay, which is all there is to do, as it has no faults of its own.
 
         Raises:
-            DriveError: if there is no connection any more.
+            DriveError: if there is no longer a connection.
         """
         self.stop()
 

@@ -95,7 +95,7 @@ class Doses:
         return None if self.last is None or self.last.over else self.last
 
     def refusal(self, inhibit_reason: str) -> str:
-        """Return why any request would be refused now; empty if it would not.
+        """Return why any request would be rejected now; empty if it would not be.
 
         Args:
             inhibit_reason: why the pump must not run now; empty if it may.
@@ -109,7 +109,7 @@ class Doses:
     def request(
         self, requested_at: float, volume: float, now: float, minimum: float, inhibit_reason: str
     ) -> str:
-        """Accept a request and return an empty string, or return why it is refused.
+        """Accept a request and return an empty string, or return why it is rejected.
 
         Args:
             requested_at: time at which it was made (s since 1970), which is its id.

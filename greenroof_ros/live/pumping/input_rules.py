@@ -282,7 +282,7 @@ class InputRules:
         Args:
             now: time of a steady clock (s).
             value: the value.
-            refused: why it is ignored; None if it counts.
+            refused: why it is rejected; None if it counts.
         """
         self.check(now)  # the input may have been silent until now
         self._received_at = now

@@ -208,7 +208,7 @@ class PumpLimits:
         Args:
             command: share of the maximum flow; 0 ends the rest after the longest run, and None (no
                 valid command) does not.
-            observed: what is known.
+            observed: present observations.
         """
         settings, record = self._settings, self._ledger.record
         cistern_level, time_ns = observed.cistern_level, observed.time_ns

@@ -123,11 +123,11 @@ class PumpControl:
 
     @property
     def dose_refusal(self) -> str:
-        """Why a dose of any volume would be refused now; empty if it would be accepted."""
+        """Why a dose of any volume would be rejected now; empty if it would be accepted."""
         return self.doses.refusal(self._inhibit_reason)
 
     def request_dose(self, request: float, volume: float) -> str:
-        """Accept a request for a dose and return an empty string, or return why it is refused.
+        """Accept a request for a dose and return an empty string, or return why it is rejected.
 
         Args:
             request: time at which it was made (s since 1970), which is its id.
@@ -197,7 +197,7 @@ class PumpControl:
 
         Args:
             dt: time since the last step (s), 0 at the first.
-            observed: what is known.
+            observed: present observations.
             drive_dt: for how long the drive was watched since the last step (s); None if that
                 equals ``dt``. It differs after the machine was suspended, since the drive is then
                 not watched.
