@@ -59,7 +59,7 @@ def _watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
     """Run ``greenroof watch`` during a run; print its output, which begins with its address.
 
     The watcher ends with the run, however the run ends. If it cannot start or ends early, a line
-    says so, and the run goes on.
+    reports this, and the run continues.
 
     Args:
         name: name of the watcher, for its lines.

@@ -219,7 +219,7 @@ def _why_not_connected(broker: Broker, error: BaseException | None) -> str:
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"the certificate of {broker} is not trusted: {error.verify_message}"
     if broker.tls and isinstance(error, ssl.SSLError | ConnectionResetError):
-        return f"{broker} does not answer in TLS; without it, its address is mqtt://"
+        return f"{broker} does not answer over TLS; without it, its address is mqtt://"
     return f"no one answers at {broker}: {getattr(error, 'strerror', None) or error}"
 
 

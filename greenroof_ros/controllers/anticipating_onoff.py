@@ -44,7 +44,7 @@ class AnticipatingOnOff:
     is best to pump if the gain exceeds the loss for every t, and otherwise to wait. For pumps of
     any flow, this is the plan with the minimum sum of |x2 - x2*|: if y_i is the volume missing in
     step i, the volumes pumped by then are the isotonic regression of y in L1, whose first value is
-    the minimum over t of the medians of y until t. It is above zero exactly if the rule says to
+    the minimum over t of the medians of y until t. It is above zero exactly if the rule is to
     pump (Stout 2008, Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal.
     53:289-297).
 

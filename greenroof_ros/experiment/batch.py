@@ -1,7 +1,7 @@
 """Many sites at once: on/off control and a policy of the outlet, in seasons of minute ticks.
 
 The same ticks, metrics and forecasts as :class:`.closed_loop.Simulation` has for one site, on
-arrays. :mod:`greenroof_ros.model.plants` says how closely they agree.
+arrays. :mod:`greenroof_ros.model.plants` states how closely they agree.
 """
 
 from __future__ import annotations

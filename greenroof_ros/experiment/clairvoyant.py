@@ -43,7 +43,7 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
       what stays below the suction level, plus one tick's flow, because the last tick that pumped
       began at the suction level or above. It is also at most all that the cistern ever held.
 
-    On a measured soil the limits apply to the volume after a tick minus a slope times the volume
+    On field-capacity soil the limits apply to the volume after a tick minus a slope times the volume
     before it. The drainage layer plays no part; doc/explanation/bound.md has the proof.
 
     The program neglects the following, which can leave a gap: the outflow of the cistern; that the
@@ -56,7 +56,7 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     tick k, G_k - x_{k,2} never falls, and so neither do its means from block to block: the mean
     volume rises at most as the mean of G does. The same holds for the minimum changes, and the
     limits of the volume hold for its mean. So the bound stays valid. On the paper's soil the bound
-    never rises if blocks are enlarged to whole multiples. On a measured soil, which has other
+    never rises if blocks are enlarged to whole multiples. On field-capacity soil, which has other
     limits for each size of blocks, it can rise by up to 0.4 %.
 
     Args:
@@ -109,7 +109,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
 
     With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it minimises the
     sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} + c_b, where y_{-1} is 0 and p, m
-    and c have bounds. On a measured soil y_{b-1} has a factor. In the optimum p_b or m_b is 0, so
+    and c have bounds. On field-capacity soil y_{b-1} has a factor. In the optimum p_b or m_b is 0, so
     that limits of y_b are limits of each.
 
     The cost is the dual's: every variable z is between two numbers, and the balance A z is 0. So
@@ -170,7 +170,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
 def _changes(
     limits: RoofRange, slope: Values, edges: NDArray[np.int64]
 ) -> tuple[Values, Values, Values]:
-    """Return how the mean of each block on a measured soil follows from the one before it.
+    """Return how the mean of each block on field-capacity soil follows from the one before it.
 
     Returns:
         A factor, and the minimum and the maximum of a block's mean minus that factor times the

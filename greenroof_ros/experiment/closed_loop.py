@@ -38,7 +38,7 @@ class Tick(NamedTuple):
     x2: float
     """volume on the roof (m3)"""
     layer: float
-    """volume in the drainage layer of a measured soil (m3), else 0"""
+    """volume in the drainage layer of field-capacity soil (m3), else 0"""
     cistern_level: float
     """m"""
     roof_level: float

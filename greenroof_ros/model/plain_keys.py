@@ -28,7 +28,7 @@ _HEAD_OF_CONSTANT_FLOW = 1e6
 
 @dataclass(frozen=True)
 class Substrate:
-    """A named substrate with its drainage layer; parameters of a measured soil.
+    """A named substrate with its drainage layer; parameters of field-capacity soil.
 
     Attributes:
         about: description, with the sources of the values.

@@ -77,7 +77,7 @@ class Plants:
         """Set the initial volumes.
 
         Args:
-            sites: all with the same tau; all with short ticks or none; all with a measured soil or
+            sites: all with the same tau; all with short ticks or none; all with field-capacity soil or
                 none.
             x1: volume in each cistern (m3).
             x2: volume on each roof (m3).

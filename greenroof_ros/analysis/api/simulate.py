@@ -210,7 +210,7 @@ def simulate(
     Args:
         controller: ``"mpc"``, ``"onoff"``, ``"anticipating_onoff"``, ``"lookahead"`` or
             ``"package.module:Class"``; a class as described under "Your controller" in the
-            documentation; an instance, which goes on with what it has learned; or a function of
+            documentation; an instance, which keeps what it has learned; or a function of
             (state, forecast) that returns the command, the share of the pumps' maximum flow.
             ``state`` has time, cistern_level and roof_level (m), cistern and roof (m3), and the
             site. ``forecast`` has rain (m/s), evapotranspiration (m3/s) and the ends of its steps

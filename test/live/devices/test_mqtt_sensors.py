@@ -134,7 +134,7 @@ def test_why_a_broker_cannot_be_used_is_reported(tmp_path: Path) -> None:
         (secret, "mqtts", {}, "is not trusted: self-signed certificate"),
         (secret, "mqtts", {"authority": str(certificate)}, "is not trusted: IP address mismatch"),
         (secret, "mqtt", {}, "if the broker expects TLS, its address is mqtts://"),
-        (open_to_all, "mqtts", {}, "does not answer in TLS"),
+        (open_to_all, "mqtts", {}, "does not answer over TLS"),
         (strict, "mqtt", {"login": str(login)}, "Not authorized"),
     ):
         with mosquitto(tmp_path, *lines) as broker:
