@@ -43,8 +43,8 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
       what stays below the suction level, plus one tick's flow, because the last tick that pumped
       began at the suction level or above. It is also at most all that the cistern ever held.
 
-    On field-capacity soil the limits apply to the volume after a tick minus a slope times the volume
-    before it. The drainage layer plays no part; doc/explanation/bound.md has the proof.
+    On field-capacity soil the limits apply to the volume after a tick minus a slope times the
+    volume before it. The drainage layer plays no part; doc/explanation/bound.md has the proof.
 
     The program neglects the following, which can leave a gap: the outflow of the cistern; that the
     flow falls with its level; that pumping stops at z_veg, if the roof may but need not be below;
@@ -109,8 +109,8 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
 
     With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it minimises the
     sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} + c_b, where y_{-1} is 0 and p, m
-    and c have bounds. On field-capacity soil y_{b-1} has a factor. In the optimum p_b or m_b is 0, so
-    that limits of y_b are limits of each.
+    and c have bounds. On field-capacity soil y_{b-1} has a factor. In the optimum p_b or m_b is 0,
+    so that limits of y_b are limits of each.
 
     The cost is the dual's: every variable z is between two numbers, and the balance A z is 0. So
     for any multipliers v, the sum of the minimum values of (w - A'v) z is a lower bound of w z,

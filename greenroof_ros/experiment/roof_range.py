@@ -76,11 +76,11 @@ def _limits_of_tick(
 ) -> tuple[float, ...]:
     """Follow the range of the roof's volume through a tick.
 
-    On field-capacity soil the share of arriving water that stays falls with the volume; evaporation and
-    the excess above field capacity rise with it. So the change without pumping is a maximum at the
-    minimum volume, as on the paper's, which drains above z_cap. The volume after a tick rises with
-    the volume before it, by about the slope of the chord over the range. Minus this slope times the
-    volume before, its limits are close together.
+    On field-capacity soil the share of arriving water that stays falls with the volume; evaporation
+    and the excess above field capacity rise with it. So the change without pumping is a maximum at
+    the minimum volume, as on the paper's, which drains above z_cap. The volume after a tick rises
+    with the volume before it, by about the slope of the chord over the range. Minus this slope
+    times the volume before, its limits are close together.
 
     Args:
         site: its parameters.
@@ -131,10 +131,10 @@ def _ends(
     The paper's soil drains from z_cap on, with a jump, and linearly above it. So the extremes are
     at the ends of the range and on both sides of z_cap.
 
-    On field-capacity soil, between the wilting point, the onset of stress and field capacity the volume
-    after a tick is a concave function of the volume before it, and continuous; to subtract a line
-    changes neither. So the minimum is at an end of these pieces, and the maximum at an end or where
-    the slope is 0.
+    On field-capacity soil, between the wilting point, the onset of stress and field capacity the
+    volume after a tick is a concave function of the volume before it, and continuous; to subtract a
+    line changes neither. So the minimum is at an end of these pieces, and the maximum at an end or
+    where the slope is 0.
 
     Args:
         site: its parameters.

@@ -77,8 +77,8 @@ class Plants:
         """Set the initial volumes.
 
         Args:
-            sites: all with the same tau; all with short ticks or none; all with field-capacity soil or
-                none.
+            sites: all with the same tau; all with short ticks or none; all with field-capacity soil
+                or none.
             x1: volume in each cistern (m3).
             x2: volume on each roof (m3).
             fraction: of on/off control, the command when pumping (share of the maximum flow).

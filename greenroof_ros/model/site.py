@@ -164,8 +164,8 @@ class Site:
         "radius of the low outlet", 0.001, 1.0, unit="m", default=None,
     )
     low_outlet_valve: bool = entry(
-        "whether a valve opens and closes the low outlet, as /outlet/command requests; without one it "
-        "is always open", default=False,
+        "whether a valve opens and closes the low outlet, as /outlet/command requests; without one "
+        "it is always open", default=False,
     )
     valve_closed_in_frost: bool = entry(
         "whether the valve is closed in frost, because it could freeze while it is open; a valve "
