@@ -688,7 +688,7 @@ def arrange_by_hour(
 
 
 def number_lines(text: Iterable[str]) -> Iterator[tuple[int, str]]:
-    """Yield the lines that are neither comments (``#``) nor without text, numbered from 1.
+    """Yield all lines, numbered from 1, except comments (``#``) and lines without text.
 
     A spreadsheet's first line that names the separator is left out, too.
     """

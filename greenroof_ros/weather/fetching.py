@@ -231,7 +231,7 @@ def prepare_directory(directory: Path, source: Source) -> None:
     """Make the directory that keeps the blocks of a source until all are there.
 
     Raises:
-        ConfigurationError: it keeps blocks of another request, as of another site.
+        ConfigurationError: if it keeps blocks of another request, for instance of another site.
     """
     asked = "".join(f"{key}: {value}\n" for key, value in source.parameters.items())
     if query := urlsplit(source.url).query:  # it can have a key

@@ -286,7 +286,7 @@ class _Grid:
         Args:
             mapping: mapping of the grid.
             key: key of the name.
-            name: instead of the value of the key.
+            name: name to use instead of the value of the key.
 
         Raises:
             ConfigurationError: there is no such file in any of the directories.
@@ -418,7 +418,7 @@ class _Grid:
 
         Args:
             lines: lines of the inputs, by their names in errors.
-            otherwise: the input whose line it is if the error names none of them.
+            otherwise: input whose line is used if the error names none of them.
             prefix: prefix of the message.
         """
         try:
