@@ -225,7 +225,7 @@ def test_another_ones_run_is_noticed(name: str, register: str, runs: str, stops:
 
     results = follow(name, STOPS[name].rstrip() + read_back, stop_and_look)
     assert results[:2] == [None, None]
-    assert f"word is 0x{runs.upper()}, but 0x{stops.upper()} was" in results[2].sentence
+    assert f"word is 0x{runs.upper()}, although 0x{stops.upper()} was" in results[2].sentence
 
 
 # --- what a drive reports -------------------------------------------------------------------------
