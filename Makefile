@@ -1,17 +1,18 @@
-# Every target does its own set-up, in .venv, and does it again only when setup.py changes.
+# Every target sets itself up in .venv, and does so again only when setup.py changes.
 #
 #   make run ARGS="--controller onoff --hours 1"     passes options on to bringup
-#   make test ARGS="test/test_packaging.py -k pip"   ... to pytest
-#   make clean; make PYTHON=python3.12 run           takes another Python, 3.10 or later
+#   make test ARGS="test/test_packaging.py -k pip"   passes options on to pytest
+#   make clean; make PYTHON=python3.12 run           uses another Python, 3.10 or later
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-# Without a ROS 2, pip brings one (the extra [ros]). One that is sourced is used as it is, through
-# an environment that sees the packages outside; wheels on top of it would mix two ROS 2. Changing
-# from one to the other makes .venv again. What is in .venv itself, be it active, is not sourced.
+# If no ROS 2 is sourced, pip installs one (the extra [ros]). A ROS 2 that is sourced is used as it
+# is, through an environment that sees the packages outside it; wheels on top of it would mix two
+# versions of ROS 2. A change from one to the other creates .venv again. A ROS 2 in .venv itself
+# does not count as sourced, even if .venv is active.
 ifdef AMENT_PREFIX_PATH
 ROS := $(shell $(PYTHON) -c 'import importlib.util as u; s = u.find_spec("rclpy"); \
     print("sourced" if s and not s.origin.startswith("$(CURDIR)/$(VENV)/") else "wheels")')
@@ -34,7 +35,7 @@ BENCH_EXTRAS := [ros,study,bench]
 DOCS_EXTRAS := [ros,pump,mqtt,watch,foxglove,study,dask,docs]
 endif
 
-# Stamp files: the environment was made; what a target needs was installed into it.
+# Stamp files: the environment exists, and everything that a target needs is installed in it.
 MADE := $(VENV)/.made-$(ROS)
 FOR_RUN := $(VENV)/.for-run
 FOR_STUDY := $(VENV)/.for-study
@@ -42,23 +43,23 @@ FOR_TEST := $(VENV)/.for-test
 FOR_BENCH := $(VENV)/.for-bench
 FOR_DOCS := $(VENV)/.for-docs
 
-# It prints what it installs: the first time it takes a minute or two. Python compiles what is
-# imported, which is a small part of it.
+# It prints what it installs, because the first time takes a minute or two. Python later compiles
+# the modules that are imported, which are only a small part.
 PIP_INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --no-compile --editable
 
 .PHONY: help run study test lint docs bench doc-commands faults test-kilted clean
 
 help:
-	@echo "make run    the 12 h of the paper with the predictive controller, as a node graph"
-	@echo "make study  the 30 runs of the paper, and their report: no ROS"
-	@echo "make test   every test"
-	@echo "make test-kilted  the tests that start nodes, with the next ROS 2"
-	@echo "make lint   ruff, mypy, which folder imports from which, spelling"
-	@echo "make docs   the documentation, doc/_build/index.html"
-	@echo "make bench  the speed of graph and controller, as ratios"
-	@echo "make doc-commands  every block of commands in README and doc/, as written: half an hour"
-	@echo "make faults every process, cable and message made to fail: half an hour"
-	@echo "make clean  remove .venv and all else that can be made again; runs/ stays"
+	@echo "make run           run the paper's 12 h with the predictive controller as a node graph"
+	@echo "make study         run the paper's 30 runs and write their report, without ROS"
+	@echo "make test          run all tests"
+	@echo "make test-kilted   run the tests that start nodes with the next ROS 2"
+	@echo "make lint          check style, types, imports between folders and spelling"
+	@echo "make docs          build the documentation, doc/_build/index.html"
+	@echo "make bench         measure the speed of the graph and the controller, as ratios"
+	@echo "make doc-commands  run every block of commands in README and doc/ as written (half an hour)"
+	@echo "make faults        make every process, cable and message fail (half an hour)"
+	@echo "make clean         remove .venv and everything else that can be made again, but not runs/"
 
 run: $(FOR_RUN)
 	@$(BIN)/python -m greenroof_ros.bringup $(or $(ARGS),--controller mpc)
@@ -67,17 +68,17 @@ study: $(FOR_STUDY)
 	@$(BIN)/python -m greenroof_ros study; code=$$?; \
 	    $(BIN)/python -m greenroof_ros report studies/paper && exit $$code
 
-# Without ARGS every test, four processes more than there are cores, since graphs mostly wait.
-# Which tests may run side by side is in test/conftest.py. What failed runs once more, one at a
-# time, and with pytest's explanations: a live site's limits are of real time, which a busy machine
-# exceeds. What fails again, fails. Without pytest-xdist a test's name does not end in its group,
-# and none may be left out.
+# Without ARGS, this runs every test in six more processes than there are cores, since graphs
+# mostly wait. test/conftest.py decides which tests may run side by side. Tests that failed run once
+# more, one at a time and with pytest's explanations, because a busy machine exceeds the real-time
+# limits of a live site. A test that fails again has failed. Without pytest-xdist, a test's name
+# does not end in its group, so the group is removed from the names of the failed tests.
 FAILED := .pytest_cache/v/cache/lastfailed
 test: $(FOR_TEST)
 ifeq ($(ARGS),)
 	@rm -f $(FAILED); $(BIN)/python -m pytest --numprocesses $$(($$(nproc) + 6)) --dist loadgroup \
 	    --no-loadscope-reorder --assert=plain; code=$$?; [ $$code -eq 1 ] || exit $$code; \
-	    echo "Once more, one at a time, what failed:"; \
+	    echo "Running the failed tests once more, one at a time:"; \
 	    sed -i 's/@[^]@"]*": true/": true/' $(FAILED); \
 	    $(BIN)/python -m pytest --last-failed --last-failed-no-failures none --exitfirst && \
 	    ! grep true $(FAILED)
@@ -85,7 +86,7 @@ else
 	@$(BIN)/python -m pytest $(ARGS)
 endif
 
-# The next ROS 2, in an environment of its own: its wheels replace the wheels of the extra [ros].
+# The next ROS 2 is in an environment of its own, where its wheels replace those of the extra [ros].
 KILTED := .venv-kilted
 KILTED_WHEELS := "ros-kilted-rclpy[fastrtps]>=9.1,<10" $(addprefix ros-kilted-, \
     std-msgs rosgraph-msgs diagnostic-msgs rcl-interfaces std-srvs)
@@ -105,7 +106,7 @@ lint: $(FOR_TEST)
 	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/codespell
 
-# Its tables are made again first; a link that leads nowhere is an error.
+# This first generates the tables again. A broken link is an error.
 docs: $(FOR_DOCS)
 	@$(BIN)/python doc/generate.py
 	@rm -rf doc/api/modules
@@ -119,7 +120,7 @@ doc-commands: $(FOR_TEST)
 	@GREENROOF_ROS_TEST_DOCS=1 $(BIN)/python -m pytest test/doc/test_commands.py -k as_written \
 	    -v -rs -o timeout=14400 $(ARGS)
 
-# Goes on where it was ended; when all is done, the table of the documentation is made again.
+# This continues where it was stopped. At the end it generates the documentation's table again.
 faults: $(FOR_TEST)
 	@$(BIN)/python -m pytest tools/faults/campaign.py -q -rN -p no:cacheprovider -n 4 --dist loadgroup \
 	    -o timeout=1200 $(ARGS)
@@ -130,7 +131,7 @@ endif
 $(MADE):
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
 	    echo "Python 3.10 or later is needed; $(PYTHON) is $$($(PYTHON) --version 2>&1)." >&2; \
-	    echo "Name another one: make PYTHON=python3.11 ..." >&2; exit 1; }
+	    echo "Choose another one: make PYTHON=python3.11 ..." >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
 	    echo "$(PYTHON) cannot make virtual environments; on Debian and Ubuntu:" >&2; \
 	    echo "    apt-get install python3-venv" >&2; exit 1; }
@@ -138,8 +139,8 @@ $(MADE):
 	$(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
 ifeq ($(ROS),sourced)
 	@$(BIN)/python -c 'import rclpy' || { \
-	    echo "A ROS 2 is sourced, but $(PYTHON) cannot use its rclpy. Name the Python that it is" >&2; \
-	    echo "for (make PYTHON=/usr/bin/python3 ...), or use a shell in which none is sourced." >&2; \
+	    echo "A ROS 2 is sourced, but $(PYTHON) cannot use its rclpy. Choose the Python for which" >&2; \
+	    echo "it was built (make PYTHON=/usr/bin/python3 ...), or use a shell without it." >&2; \
 	    rm -rf $(VENV); exit 1; }
 endif
 	@touch $@

@@ -6,7 +6,7 @@ import sys
 
 from greenroof_ros import __version__, end_on_interrupt
 
-if sys.argv[0].rpartition("/")[2] == "greenroof":  # before all that takes long to import
+if sys.argv[0].rpartition("/")[2] == "greenroof":  # before the imports that take long
     end_on_interrupt()
 
 import importlib
@@ -19,13 +19,14 @@ from greenroof_ros.common.errors import suggest_names
 
 @dataclass(frozen=True)
 class Command:
-    """A command; its module is imported when the command is chosen.
+    """A command, whose module is imported only when the command is chosen.
 
     Attributes:
-        module: name in ``greenroof_ros.commands``, or with its folder; has ``main`` and
-            ``make_parser``.
-        about: the command in one line, for the help.
-        part: object in the module that has these two, if the module has several commands.
+        module: name of a module in ``greenroof_ros.commands``, or with its folder; it provides
+            ``main`` and ``make_parser``.
+        about: description of the command in one line, for the help.
+        part: name of the object in the module that provides these two, if the module has several
+            commands.
     """
 
     module: str
@@ -33,33 +34,33 @@ class Command:
     part: str = ""
 
     def load(self) -> Any:
-        """Import what has the command's ``main`` and ``make_parser``."""
+        """Import and return the object that provides ``main`` and ``make_parser``."""
         folder = "" if "." in self.module else "commands."
         module = importlib.import_module(f"greenroof_ros.{folder}{self.module}")
         return getattr(module, self.part) if self.part else module
 
 
-# Grouped by what a user wants to do; then by name.
+# Commands by name, in groups of what a user wants to do.
 GROUPS = {
     "run the roof": {
         "run": Command("bringup.simulated", "run the node graph of a simulated site"),
         "live": Command("bringup.live", "keep a site with sensors and a pump running"),
         "fetch-forecast": Command("fetch_forecast", "fetch a forecast from the internet"),
-        "hold": Command("pump_requests", "keep the pump off, until a release or a time", "HOLD"),
-        "release": Command("pump_requests", "end the hold of the pump", "RELEASE"),
+        "hold": Command("pump_requests", "keep the pump off until a release or a time", "HOLD"),
+        "release": Command("pump_requests", "end the pump's hold", "RELEASE"),
         "reset": Command("pump_requests", "clear a latched fault of the pump", "RESET"),
-        "dose": Command("pump_requests", "pump a given volume now", "DOSE"),
+        "dose": Command("pump_requests", "pump a specified volume now", "DOSE"),
     },
     "see what it does, or did": {
-        "watch": Command("watch", "show a run or a site, on a page in a browser"),
-        "status": Command("status", "print the present state; its exit code is for scripts"),
-        "bridge": Command("bridge", "publish on MQTT, for Home Assistant; it can stop the pump"),
+        "watch": Command("watch", "show a run or a site on a page in a browser"),
+        "status": Command("status", "print the current state, with an exit code for scripts"),
+        "bridge": Command("bridge", "publish on MQTT for Home Assistant, which can stop the pump"),
         "report": Command("report", "make figures and tables of runs, studies and bags"),
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },
     "compare controllers, without ROS": {
-        "simulate": Command("simulate", "run once, in one process; the numbers equal the graph's"),
-        "study": Command("study", "run a grid of runs: the paper's 30, or yours"),
+        "simulate": Command("simulate", "run once in one process, with the graph's numbers"),
+        "study": Command("study", "run a grid of runs: the paper's 30, or your own"),
         "district": Command("district", "add up what many buildings send to one sewer"),
         "bound": Command("bound", "compute the minimum possible deviation"),
     },
@@ -68,20 +69,20 @@ GROUPS = {
         "size": Command("size", "choose a cistern, a target and an outlet over all seasons"),
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
         "fetch-weather": Command("fetch_weather", "fetch years of weather from the internet"),
-        "weather": Command("weather_file", "describe a weather file; write it as a plain CSV"),
-        "verify": Command("verify", "compare forecasts of rain with records"),
+        "weather": Command("weather_file", "describe a weather file, or write it as plain CSV"),
+        "verify": Command("verify", "compare rain forecasts with records"),
     },
     "connect your own parts": {
         "check-controller": Command("check_controller", "check a controller: a class or a node"),
         "check-pump": Command("check_pump", "check whether a pump driver follows the interface"),
-        "simulators site": Command("simulators", "simulate a site's sensors, and drive or relay"),
+        "simulators site": Command("simulators", "simulate a site's sensors and drive or relay"),
     },
 }
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
 
 
 def make_parser() -> Parser:
-    """Return the parser that prints the help and refuses unknown commands."""
+    """Return the parser that prints the help and rejects unknown commands."""
     groups = (
         "\n".join([
             f"{title}:", *(f"  {name:20}{entry.about}" for name, entry in group.items())
@@ -91,8 +92,8 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof",
         usage="%(prog)s COMMAND [options]",
-        description="\n\n".join(["A green roof, watered from a storm cistern.", *groups]),
-        epilog="greenroof COMMAND --help shows its options, and examples.",
+        description="\n\n".join(["A green roof, watered from a rainwater cistern.", *groups]),
+        epilog="greenroof COMMAND --help shows the options of a command, and examples.",
     )
     parser.add_argument(
         "--version", action="version", version=f"greenroof_ros {__version__}",
@@ -112,14 +113,14 @@ def main() -> None:
 
 
 def _name(words: list[str]) -> str:
-    """Return the command name that these words begin with, whether or not it exists."""
+    """Return the name of the command with which these words begin, whether or not it exists."""
     two = any(name.startswith(f"{word} ") for name in COMMANDS for word in words[:1])
     return " ".join(word for word in words[:2 if two else 1] if word not in ("-h", "--help"))
 
 
 @command
 def _explain() -> int:
-    """Print the commands or the version, or that there is no command with this name."""
+    """Print the commands or the version, or state that there is no command with this name."""
     parser = make_parser()
     name = _name(sys.argv[1:])
     if name.startswith("-"):

@@ -1,4 +1,4 @@
-"""What green roofs and cisterns on many buildings send to one sewer: ``greenroof district``."""
+"""Simulate green roofs and cisterns on the buildings of a district: ``greenroof district``."""
 
 from __future__ import annotations
 
@@ -29,17 +29,18 @@ from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.progress import ProgressBar
 
 _DESCRIPTION = """\
-Simulate a district: many buildings with green roofs and cisterns, drawn from distributions or
-listed in a CSV, and add up what they send to the sewer. For each adoption, the share of buildings
-that take part, and each kind of outlet: discharge in wet weather, peaks, overflow of a sewer with a
-given capacity, and mains water, on one page that needs nothing but a browser.
+Simulate a district: many buildings with green roofs and cisterns, which are drawn from
+distributions or listed in a CSV file. Their discharge to the sewer is added up for every kind of
+outlet and every adoption (the share of buildings that take part). The result is discharge in wet
+weather, peaks, overflow of a sewer with a specified capacity, and mains water, on one page that
+needs only a browser.
 """
 _EPILOG = """\
-The output holds page.html, its figures as SVG and PNG, results.csv (a row for each adoption and
-outlet), buildings.csv (a row for each building) and hydrographs.parquet (m3/s, interval by
-interval), and with --swmm a folder for EPA SWMM.
+The output is page.html, its figures as SVG and PNG, results.csv (one row per adoption and outlet),
+buildings.csv (one row per building), hydrographs.parquet (m3/s, interval by interval), and with
+--swmm a folder for EPA SWMM.
 
-exit codes: 0 done, 1 the workers are gone, 2 bad usage or configuration, 130 interrupted
+exit codes: 0 done, 1 the workers were lost, 2 bad usage or configuration, 130 interrupted
 
 examples:
   greenroof district config/districts/example.yaml --weather weather --output district
@@ -52,11 +53,12 @@ def make_parser() -> Parser:
     parser = Parser(prog="greenroof district", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
         "district", type=Path, metavar="DISTRICT.yaml",
-        help="buildings, weather, adoption and sewer, such as config/districts/example.yaml",
+        help="file that describes buildings, weather, adoption and sewer, such as "
+        "config/districts/example.yaml",
     )
     parser.add_argument(
         "--output", type=Path, required=True, metavar="DIR",
-        help="write the results to DIR, new or empty",
+        help="write the results to DIR, which must be new or empty",
     )
     parser.add_argument(
         "--weather", type=Path, metavar="DIR",
@@ -65,7 +67,8 @@ def make_parser() -> Parser:
     add_worker_arguments(parser, "parts of the district")
     parser.add_argument(
         "--swmm", action="store_true",
-        help="write the hydrographs as time series for EPA SWMM, with a network that takes them",
+        help="also write the hydrographs as time series for EPA SWMM, with a network that receives "
+        "them",
     )
     return parser
 
@@ -86,7 +89,7 @@ def main() -> int:
     signals: Signals | None = None
     try:
         with open_workers(arguments, district.files, run.PRELOADED) as workers:
-            signals = Signals()  # from now on a signal ends the run between two results
+            signals = Signals()  # from now on, a signal ends the run between two results
             with ProgressBar() as progress:
                 totals = run.simulate_district(district, workers, progress.show, signals.check)
     except (BrokenExecutor, InterruptedRun) as error:

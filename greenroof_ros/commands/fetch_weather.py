@@ -1,4 +1,4 @@
-"""Fetch years of weather from the internet into one file: ``greenroof fetch-weather``."""
+"""Fetch several years of weather from the internet into one file: ``greenroof fetch-weather``."""
 
 from __future__ import annotations
 
@@ -38,14 +38,15 @@ from greenroof_ros.weather.fetching import (
 )
 
 _DESCRIPTION = """\
-Fetch years of hourly weather, with all that evapotranspiration needs, into one CSV that --weather
-of all commands reads. Without further options it is the reanalysis of Open-Meteo for the site's
-place. Its rain is the mean of a grid cell, so its peaks are lower than a gauge's; the file and all
-results state this. In Canada, --eccc fetches the observations of a station instead.
+Fetch several years of hourly weather, with everything that evapotranspiration needs, into one CSV
+file that --weather of every command reads. Without further options, the data are Open-Meteo's
+reanalysis for the site's place. Its rain is the mean over a grid cell, so its peaks are lower than
+those of a rain gauge; the file and all results state this. In Canada, --eccc fetches the
+observations of a station instead.
 
-Each year, or month, is kept in FILE.part until all are there. After an interruption the same
-command continues with what is missing. Requests pause, and wait after a failure, as the services
-ask.
+Every year, or month, is kept in FILE.part until all have arrived. If the command is interrupted,
+run it again: it continues with what is missing. It pauses between requests, and waits after a
+failure, as the services ask.
 
 Open-Meteo: CC BY 4.0; the service is free for non-commercial use (https://open-meteo.com/en/terms).
 Environment and Climate Change Canada: Open Government Licence - Canada. Name the source.
@@ -57,40 +58,41 @@ examples:
   greenroof weather weather.csv --site my_site.yaml       # describe the new file
 
 exit codes: 0 done, 1 the service did not send everything, 2 wrong usage or configuration,
-130 ended by Ctrl-C
+130 stopped with Ctrl-C
 """
-# Spans of missing hours that are named.
+# Maximum number of gaps that are listed.
 _MAX_NAMED = 3
 
 
 def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(prog="greenroof fetch-weather", description=_DESCRIPTION, epilog=_EPILOG)
-    add_site(parser, "site file, with latitude and longitude; --eccc needs utc_offset")
+    add_site(parser, "site file, with latitude and longitude; --eccc also needs utc_offset")
     parser.add_argument(
         "--years", type=_parse_years, required=True, metavar="YEARS",
-        help="a year, or the first and the last, such as 2015-2024; the present year as far as the "
-        "service has it",
+        help="fetch this year, or the years from the first to the last, such as 2015-2024; the "
+        "current year is fetched as far as the service has it",
     )
     parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="FILE.csv", help="new file to write"
+        "-o", "--output", type=Path, required=True, metavar="FILE.csv",
+        help="write the weather to this file, which must not exist yet",
     )
     parser.add_argument(
         "--eccc", type=_parse_station, metavar="ID",
-        help="fetch the hourly bulk files of a station of Environment and Climate Change Canada, "
-        "by its stationID: the number in the address of the station's page at "
+        help="fetch the hourly bulk files of the Environment and Climate Change Canada station "
+        "with this stationID, which is the number in the address of the station's page at "
         "climate.weather.gc.ca, such as 48549 for Toronto City Centre",
     )
     parser.add_argument(
         "--pause", type=make_number_type(0.01, 3600), metavar="S",
-        help="wait S seconds between requests, and five times as long after a failure, doubled "
-        "with each further one (default: 3 for Open-Meteo, 1 for ECCC)",
+        help="wait S seconds between requests, and five times as long after a failure; every "
+        "further failure doubles the wait (default: 3 for Open-Meteo, 1 for ECCC)",
     )
     parser.add_argument(
         "--url", default="",
-        help="another server with the same interface, if need be with a key, such as "
-        "https://customer-archive-api.open-meteo.com/v1/archive?apikey=KEY, which is neither "
-        "printed nor kept (default: the service's)",
+        help="fetch from another server with the same interface, if necessary with a key, such as "
+        "https://customer-archive-api.open-meteo.com/v1/archive?apikey=KEY; the key is neither "
+        "printed nor stored (default: the service's own address)",
     )
     return parser
 
@@ -101,24 +103,26 @@ def _parse_years(text: str) -> range:
         years = range(int(first), int(last if dash else first) + 1)
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"must be a year, or two such as 2015-2024, not {text}"
+            f"must be a year, or two years such as 2015-2024, not {text}"
         ) from None
     if not years:
-        raise argparse.ArgumentTypeError(f"must begin with the earlier year: {last}-{first}")
+        raise argparse.ArgumentTypeError(
+            f"must begin with the earlier year: {last}-{first}, not {text}"
+        )
     if years[0] < FIRST_YEAR:
         raise argparse.ArgumentTypeError(f"must not begin before {FIRST_YEAR}, not {text}")
     return years
 
 
-# Shown by argparse and the documentation.
+# argparse and the documentation show this name.
 _parse_years.__name__ = "years"
 
 
 def _parse_station(text: str) -> int:
     if len(text) == 7:
         raise argparse.ArgumentTypeError(
-            f"{text} is a climate identifier; give the stationID, the number after 'StationID=' in "
-            "the address of the station's page at climate.weather.gc.ca"
+            f"must be the stationID, not the climate identifier {text}: it is the number after "
+            "'StationID=' in the address of the station's page at climate.weather.gc.ca"
         )
     if not (text.isascii() and text.isdecimal()):
         raise argparse.ArgumentTypeError(f"must be a number such as 48549, not {text}")
@@ -153,8 +157,8 @@ def main() -> int:
             print(f"error: {error}", file=sys.stderr)
         if 0 < kept < len(source.blocks):
             print(
-                f"{kept} of {len(source.blocks)} parts are kept in {part}; the same command "
-                "continues with the others", file=sys.stderr,
+                f"{kept} of {len(source.blocks)} parts are kept in {part}; run the same command "
+                "again to fetch the others", file=sys.stderr,
             )
         if isinstance(error, ServiceError):
             return EXIT_FAILED

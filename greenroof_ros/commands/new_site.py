@@ -38,7 +38,7 @@ from greenroof_ros.model.plain_keys import SUBSTRATES
 from greenroof_ros.model.pump_size import note_pumps
 from greenroof_ros.model.site import Site, read_site
 
-# Options, with the keys that they answer: those that are asked for, and those with an assumption.
+# Options and the keys that they set: those that the command asks for, and those it can assume.
 _ASKED = {"roof": "roof_area", "catchment": "catchment_area", "cistern": "cistern_volume"}
 _ASSUMED = {
     key.replace("_", "-"): key for key in (
@@ -47,16 +47,17 @@ _ASSUMED = {
     )
 }
 _PLACE_FORM = "latitude,longitude in degrees with decimal points, such as 43.63,-79.40"
-# No house is further south, and no town further north than Longyearbyen (degrees).
+# No house is further south, and no town is further north than Longyearbyen (degrees).
 _SOUTH, _NORTH = -60.0, 79.0
-# Standard time is at most this far from solar time, in the west of China, and mostly this far (h).
+# Standard time differs from solar time by at most the first value, in the west of China, and
+# usually by less than the second (h).
 _MAX_FROM_SOLAR, _USUAL_FROM_SOLAR = 3.5, 1.6
 
 _DESCRIPTION = """\
 Write a site file for your house. On a terminal, the command asks for --roof,
 --catchment, --cistern and --place if they are left out. Everything else is assumed,
-and the file names the source of every assumption: read it, and change what you know
-better.
+and the file names the source of every assumption. Read the file, and change what you
+know better.
 """
 _EPILOG = f"""\
 examples:
@@ -70,7 +71,7 @@ substrates:
 {chr(10).join(textwrap.fill(f"{name}: {each.about}", 78, initial_indent="  ",
               subsequent_indent="    ") for name, each in SUBSTRATES.items())}
 
-exit codes: 0 done, 2 wrong usage or answers, 130 ended by Ctrl-C
+exit codes: 0 done, 2 wrong usage or answers, 130 stopped with Ctrl-C
 """
 
 
@@ -87,15 +88,15 @@ def make_parser() -> Parser:
         prog="greenroof new-site", usage="%(prog)s [options]", description=_DESCRIPTION,
         epilog=_EPILOG,
     )
-    # So that -33.87,151.21 is a value, and not an option.
+    # This makes -33.87,151.21 a value and not an option.
     parser._negative_number_matcher = re.compile(r"-[\d.]")
     group = parser.add_argument_group("asked for, if they are left out")
     for option, key in _ASKED.items():
         _add_option(group, option, key)
     group.add_argument(
         "--place", type=_read_place, metavar="LAT,LON",
-        help="place: latitude, positive to the north, and longitude, positive to the east, in "
-        "degrees",
+        help="set the latitude, positive to the north, and the longitude, positive to the east "
+        "(degrees)",
     )
     group = parser.add_argument_group("assumed, if they are left out")
     assumed = {
@@ -107,29 +108,30 @@ def make_parser() -> Parser:
         _add_option(group, option, key, assumed.get(key, ""))
     group.add_argument(
         "--target", type=make_number_type(1.0, 1000.0), metavar="X",
-        help="water wanted in the substrate (mm; default: where plants begin to lack water, and a "
-        "day's demand)",
+        help="water to keep in the substrate (mm; default: where plants begin to lack water, plus "
+        "a day's demand)",
     )
     group.add_argument(
         "--lift", dest="d", type=make_number_type(0.1, 500.0), metavar="X",
-        help="height of the roof above the cistern's base; only the pump's energy depends on it "
+        help="height of the roof above the cistern's base, on which only the pump's energy depends "
         f"(m; default: {LIFT:g})",
     )
     group.add_argument(
         "--time-zone", type=_read_zone, metavar="NAME",
-        help="IANA name of the time zone, such as America/Toronto (default: as the weather file "
-        "states)",
+        help="IANA name of the time zone, such as America/Toronto (default: the one stated in the "
+        "weather file)",
     )
     group.add_argument(
         "--valve", action="store_true",
-        help="a valve on a low outlet, which empties the cistern before rain",
+        help="fit a valve to a low outlet, which empties the cistern before rain",
     )
     group.add_argument(
-        "--no-mains", action="store_true", help="no mains water when the cistern is empty"
+        "--no-mains", action="store_true",
+        help="do not let mains water in when the cistern is empty",
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("my_site.yaml"), metavar="FILE.yaml",
-        help="site file to write; it must not exist yet (default: %(default)s)",
+        help="write the site to this file, which must not exist yet (default: %(default)s)",
     )
     return parser
 
@@ -137,7 +139,14 @@ def make_parser() -> Parser:
 def _add_option(
     group: argparse._ArgumentGroup, option: str, key: str, default: str = ""
 ) -> None:
-    """Add the option that answers a key of a site file."""
+    """Add the option that sets a key of a site file.
+
+    Args:
+        group: group of options.
+        option: name of the option, without dashes.
+        key: the key.
+        default: text on the default; empty if there is none.
+    """
     about = [_describe_unit(KEYS[key]), default and f"default: {default}"]
     end = "; ".join(filter(None, about))
     meaning = KEYS[key].meaning.partition(":")[0]
@@ -152,7 +161,7 @@ def _add_option(
 
 
 def _reader(key: str) -> Callable[[str], float]:
-    """Return what reads the number of a key from a text."""
+    """Return a function that reads the number of a key from a text."""
     entry = KEYS[key]
     return make_number_type(entry.low, entry.high, int if key == "emitters" else float)
 
@@ -166,7 +175,7 @@ def _read_place(text: str) -> Place:
     """Read a place.
 
     Raises:
-        argparse.ArgumentTypeError: it is none where there can be a house.
+        argparse.ArgumentTypeError: if the text is not a place, or no house can be there.
     """
     parts = re.split(r"[,;\s]+", text.strip())
     try:
@@ -187,7 +196,7 @@ def _read_zone(text: str) -> str:
     """Read the name of a time zone.
 
     Raises:
-        argparse.ArgumentTypeError: there is none of this name.
+        argparse.ArgumentTypeError: if there is no time zone of this name.
     """
     try:
         return ZoneInfo(text).key
@@ -213,14 +222,16 @@ def main() -> None:
     try:
         site = read_site(file)
     except ConfigurationError as error:
-        raise ConfigurationError(f"these answers form no valid site: {error.wrong}") from error
+        raise ConfigurationError(
+            f"a site cannot be made from these answers: {error.wrong}"
+        ) from error
     for option, key in (*_ASKED.items(), *_ASSUMED.items()):
         _note_unusual(option, KEYS[key], getattr(arguments, key))
     for note in (*_note_target(site), *note_pumps(site)):
         print(f"note: {note}", file=sys.stderr)
     with add_path_to_errors(output), output.open("x", encoding="utf-8") as stream:
         stream.write(file.text)
-    print(f"written: {output}, at {format_place(*arguments.place)}")
+    print(f"written: {output}, for a house at {format_place(*arguments.place)}")
     name = shlex.quote(str(output))
     start = "2025-06-01" if site.latitude is None or site.latitude >= 0 else "2025-01-01"
     print(
@@ -231,10 +242,10 @@ def main() -> None:
 
 
 def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
-    """Ask for what cannot be assumed, on a terminal.
+    """Ask on a terminal for the values that cannot be assumed.
 
     Raises:
-        ConfigurationError: there is none, or it ends.
+        ConfigurationError: if there is no terminal, or its input ends.
     """
     questions = [
         *((f"--{option}", key, _reader(key), KEYS[key].meaning.partition(":")[0],
@@ -244,17 +255,17 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
     missing = [each for each in questions if getattr(arguments, each[1]) is None]
     if missing and not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ConfigurationError(
-            "must be given, since there is no terminal to ask on",
+            "must be specified, because there is no terminal on which to ask for it",
             key=", ".join(each[0] for each in missing),
         )
     for option, key, read, meaning, about in missing:
         while getattr(arguments, key) is None:
             print(f"{meaning[0].upper()}{meaning[1:]} ({about}): ", end="", flush=True)
-            # Unlike input(), this does not lose a Ctrl-C that comes just before it waits.
+            # Unlike input(), this does not lose a Ctrl-C that arrives just before it waits.
             while not select.select([sys.stdin], [], [], 1.0)[0]:
                 pass
             if not (answer := sys.stdin.readline()):
-                raise ConfigurationError("is missing: no answer", key=option)
+                raise ConfigurationError("is missing, because there was no answer", key=option)
             try:
                 setattr(arguments, key, read(answer.strip()))
             except argparse.ArgumentTypeError as error:
@@ -262,7 +273,7 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
 
 
 def _collect(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return what is given, by the keys of a site file."""
+    """Return the values of the options and answers, by the keys of a site file."""
     keys = (*_ASKED.values(), *_ASSUMED.values(), "time_zone", "d")
     given = {key: value for key in keys if (value := getattr(arguments, key)) is not None}
     if arguments.target is not None:
@@ -271,10 +282,10 @@ def _collect(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _check_flow(arguments: argparse.Namespace) -> None:
-    """Refuse a pump's flow that is given in more than one way, or by half.
+    """Reject a pump's flow that is specified in more than one way, or incompletely.
 
     Raises:
-        ConfigurationError: it is.
+        ConfigurationError: if there are two ways, or one of a pair of options is missing.
     """
     emitters = ("emitters", "emitter_flow")
     values = {
@@ -284,53 +295,63 @@ def _check_flow(arguments: argparse.Namespace) -> None:
     options = [f"--{key.replace('_', '-')}" for key in values]
     if len(values) > 1 and tuple(values) != emitters:
         raise ConfigurationError(
-            "each give the pump's flow: leave all but one out", key=" and ".join(options)
+            "all set the pump's flow: use only one of them", key=" and ".join(options)
         )
     for key, other in (emitters, emitters[::-1]):
         if key in values and other not in values:
             raise ConfigurationError(
-                f"needs --{other.replace('_', '-')} as well", key=options[0], value=values[key]
+                f"also needs --{other.replace('_', '-')}", key=options[0], value=values[key]
             )
 
 
 def _check_clock(place: Place, zone: str | None) -> None:
-    """Refuse a place that is far from its time zone: latitude and longitude may be swapped.
+    """Reject a place that is far from its time zone: latitude and longitude may be swapped.
+
+    Args:
+        place: the place.
+        zone: name of the time zone; None if it is not known.
 
     Raises:
-        ConfigurationError: it is.
+        ConfigurationError: if the place cannot be in the time zone.
     """
     if zone is None:
         return
     offset = standard_offset(zone)
-    # The date line divides places of the same solar time.
+    # Two places with the same solar time can lie on different sides of the date line.
     away, swapped = (
         abs((offset - degrees / 15 + 12) % 24 - 12) for degrees in (place.longitude, place.latitude)
     )
     if away > _MAX_FROM_SOLAR or swapped < _USUAL_FROM_SOLAR < away:
         raise ConfigurationError(
-            f"is not in {zone}, {offset:+g} h from UTC: it must be {_PLACE_FORM}", key="--place",
+            f"is not in {zone}, {offset:+g} h from UTC; it must be {_PLACE_FORM}", key="--place",
             value=f"{place.latitude:g},{place.longitude:g}",
         )
 
 
 def _note_target(site: Site) -> Iterator[str]:
-    """Yield a note if plants lack water at the target: its unit may be wrong."""
+    """Yield a note if plants lack water at the target, because its unit may be wrong."""
     onset = site.wilting_volume + site.stress_onset * site.available_volume
     if site.x2_star < onset:
         yield (
-            f"plants lack water at the target, {1000 * site.z_veg:g} mm: they begin to at "
-            f"{1000 * site.roof_level(onset):.1f} mm"
+            f"plants lack water at the target of {1000 * site.z_veg:g} mm: they begin to lack it "
+            f"at {1000 * site.roof_level(onset):.1f} mm"
         )
 
 
 def _note_unusual(option: str, entry: Parameter, value: Any) -> None:
-    """Note a number outside of its usual range, to find a wrong unit."""
+    """Print a note about a number far outside its usual range, because its unit may be wrong.
+
+    Args:
+        option: name of the option, without dashes.
+        entry: the key that it sets, with the usual range.
+        value: value of the option.
+    """
     if isinstance(value, (int, float)) and entry.usual and not (
         entry.usual[0] / 2 <= value <= 2 * entry.usual[1]
     ):
         unit = f" {entry.unit}" if entry.unit not in ("", "1") else ""
         print(
-            f"note: --{option} {value:g}{unit} is unusual: is the unit right? Usually it is "
+            f"note: --{option} {value:g}{unit} is unusual; is the unit right? The value is usually "
             f"{entry.usual[0]:g} to {entry.usual[1]:g}", file=sys.stderr,
         )
 

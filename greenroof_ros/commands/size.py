@@ -1,4 +1,4 @@
-"""Which cistern, target and outlet: ``greenroof size``."""
+"""Compare cisterns, targets and outlets: ``greenroof size``."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ from greenroof_ros.experiment.run_directory import writable
 _DESCRIPTION = """\
 Compare cisterns, targets and outlets of a site over all seasons of a weather record: how much of
 the irrigation the cistern meets, and how much storm water it keeps out of the sewer. The result is
-a sentence, a page for a client, and a table. Nothing is forecast.
+a sentence, a page for a client, and a table. No forecast is used.
 """
 _EPILOG = """\
-The outlets are none; drain, a valve that empties the cistern to a reserve in dry weather; and plan,
-a valve that keeps what the roof needs for 20 days. What the site file lacks for them, a mains
-top-up or a valve, is assumed and named.
+The outlets are: none; drain, a valve that empties the cistern to a reserve in dry weather; and
+plan, a valve that keeps what the roof needs for 20 days. If the site file has no mains top-up or
+valve, one is assumed, and the results state it.
 
-The output holds sizes.html, which prints as a PDF, sizes.csv with a row for each design and season,
-and the figures as SVG and PNG.
+The output is sizes.html, which can be printed as a PDF, sizes.csv with one row per design and
+season, and the figures as SVG and PNG.
 
 exit codes: 0 done, 1 a process was lost, 2 bad usage or configuration, 130 interrupted
 
@@ -63,55 +63,56 @@ def make_parser() -> Parser:
     add_site(group)
     group.add_argument(
         "--weather", nargs="+", required=True, metavar="FILE",
-        help="weather files, joined in order of time, or a pattern, as for greenroof simulate; at "
-        "least one season",
+        help="read these weather files, or a pattern, which are joined in order of time; they "
+        "must cover at least one season",
     )
     add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
     add_option(group, INPUTS["gaps"])
     group.add_argument(
         "--season", metavar="MM-DD/MM-DD",
-        help="first and last day of a season (default: 05-01/10-31, south of the equator "
-        "11-01/04-30); seasons that the record has only in part are left out and named",
+        help="set the first and last day of a season (default: 05-01/10-31, or 11-01/04-30 south "
+        "of the equator); seasons that the record covers only in part are left out and named",
     )
     group = parser.add_argument_group("designs")
     group.add_argument(
         "--volumes", nargs="+", type=make_number_type(VOLUMES.low, VOLUMES.high), metavar="M3",
-        help="volumes of the cistern up to its overflow (m3; default: eight preferred numbers, "
-        "from 4 to about 100 mm of rain on roof and catchment)",
+        help="compare cisterns of these volumes up to the overflow (m3; default: eight preferred "
+        "numbers, from 4 to about 100 mm of rain on roof and catchment)",
     )
     group.add_argument(
         "--targets", nargs="+", type=make_number_type(TARGETS.low, TARGETS.high), metavar="MM",
-        help="water to keep on the roof, as depths (mm; default: z_veg of the site, and 4 mm, a "
-        "day's irrigation, below and above it)",
+        help="compare these depths of water to keep on the roof (mm; default: z_veg of the site, "
+        "and 4 mm, one day's irrigation, below and above it)",
     )
     group.add_argument(
-        "--outlets", nargs="+", choices=OUTLETS, help="what empties the cistern (default: all)"
+        "--outlets", nargs="+", choices=OUTLETS,
+        help="compare these ways to empty the cistern (default: all)",
     )
     group = parser.add_argument_group("what is worth a larger cistern")
     group.add_argument(
         "--knee", type=make_number_type(KNEE_RANGE.low, KNEE_RANGE.high), metavar="M3",
         help="recommend the smallest cistern beyond which another m3 saves less than this much "
         "mains water and storm water in the sewer in a season (m3; default: "
-        f"{KNEE:g}, one filling); with prices, beyond which it saves less than it costs",
+        f"{KNEE:g}, one filling); if there are prices, beyond which it saves less than it costs",
     )
     for parameter in PRICES.values():
         add_option(group, parameter)
     group = parser.add_argument_group("output and pace")
     group.add_argument(
         "--output", type=Path, default=Path("sizes"), metavar="DIR",
-        help=f"write {PAGE}, {TABLE} and the figures to DIR, new, empty or with those of before "
-        "(default: %(default)s)",
+        help=f"write {PAGE}, {TABLE} and the figures to DIR, which may be new, be empty or hold an "
+        "earlier sizing (default: %(default)s)",
     )
     group.add_argument(
         "--jobs", type=make_number_type(JOBS.low, JOBS.high, int), metavar="N",
-        help="number of processes (default: one per core)",
+        help="run N processes (default: one per core)",
     )
     return parser
 
 
 @command
 def main() -> int:
-    """Size the site of the command line."""
+    """Size the cistern of the site on the command line."""
     arguments = make_parser().parse_args()
     with require_extra("study"):
         import altair  # noqa: F401 - before the runs, not after them
@@ -120,7 +121,7 @@ def main() -> int:
     given: dict[str, Any] = {name: getattr(arguments, name) for name in OPTIONS}
     if given["jobs"] is None:
         given["jobs"] = len(os.sched_getaffinity(0))
-    signals = Signals()  # a signal ends the runs between two looks at them
+    signals = Signals()  # a signal ends the runs at the next check
     try:
         with ProgressBar() as progress, rename_keys({name: option_of(name) for name in OPTIONS}):
             sizes = size_site(given, Progress(progress.show, signals.check))
@@ -135,28 +136,30 @@ def main() -> int:
 
 
 def _refuse_other_files(directory: Path) -> None:
-    """Refuse a directory with files that are not of a sizing.
+    """Reject a directory with files that no sizing has written.
 
     Raises:
-        ConfigurationError: it has such files, or cannot be written.
+        ConfigurationError: if there is such a file, or the directory cannot be written to.
     """
     with writable(directory):
         directory.mkdir(parents=True, exist_ok=True)
         others = [file.name for file in directory.iterdir() if not file.name.startswith("sizes")]
     if others:
         raise ConfigurationError(
-            f"holds {min(others)}, which is not of a sizing; choose another directory",
+            f"holds {min(others)}, which is not the result of a sizing; choose another directory",
             key="--output", value=str(directory),
         )
 
 
 def show(sizes: Sizes, page: Path) -> None:
-    """Print the sentence, and the designs with the recommended target."""
+    """Print the sentence and the designs with the recommended target."""
     console, own = Console(), sizes.recommended
     console.print(sizes.sentence, style="bold", highlight=False)
     seasons = sizes.seasons[0]
     if len(sizes.seasons) > 1:
-        seasons = f"means of {len(sizes.seasons)} seasons, in brackets the lowest and the highest"
+        seasons = (
+            f"means of {len(sizes.seasons)} seasons, with the lowest and the highest in brackets"
+        )
     console.print(
         f"Target {own.target:g} mm, outlet {own.outlet}, on/off control; {sizes.window}; "
         f"{seasons}. The cistern: "
@@ -180,7 +183,8 @@ def show(sizes: Sizes, page: Path) -> None:
             for shown, cell in zip(table.columns[1:], cells, strict=True):
                 shown.min_width = max(shown.min_width or 0, *map(len, cell.split()))
         needed = Measurement.get(console, console.options.update(max_width=1000), table).minimum
-        console.print(table, width=max(console.width, needed), crop=False)  # no figure is cut off
+        # No number is cut off.
+        console.print(table, width=max(console.width, needed), crop=False)
     console.print(sizes.describe_starts(), highlight=False)
     for note in sizes.list_remarks():
         console.print(f"NOTE: {note}", highlight=False)
@@ -188,7 +192,7 @@ def show(sizes: Sizes, page: Path) -> None:
     if others:
         many = "s" * (len(others) > 1)
         console.print(
-            f"The page also has the tables of the target{many} {', '.join(others)}.",
+            f"The page also shows the tables for the target{many} {', '.join(others)}.",
             highlight=False,
         )
     console.print(f"written to {page} and {TABLE}", soft_wrap=True, highlight=False)

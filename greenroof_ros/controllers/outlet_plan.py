@@ -17,40 +17,41 @@ from greenroof_ros.model.storm_water import Intervals, find_wet_weather
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 Observe = Callable[[], tuple[Array, Array, Array, Array]]
-"""Returns the volumes in cisterns and on roofs (m3), shape (sites,), and the forecast: rain (m/s),
-shape (members, steps), and evapotranspiration (m/s) off the areas of :class:`PlannedLevels`."""
+"""function that returns the volumes in cisterns and on roofs (m3), shape (sites,), and the
+forecast: rain (m/s), shape (members, steps), and evapotranspiration from the areas in
+:class:`PlannedLevels` (m/s), shape (steps,)"""
 
 HORIZON_H = 48
-"""How far a plan looks ahead (h)."""
+"""time for which a plan looks ahead (h)"""
 
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
-# Nodes of the cistern's volume in a plan.
+# Number of nodes for the cistern's volume in a plan.
 _NODES = 121
-# A plan is made each hour, or if a member's total rain has changed by more than this (m).
+# A plan is made every hour, and if the total rain of a member has changed by more than this (m).
 _CHANGED_M = 1e-3
-# Levels whose costs differ by less than this share of the cistern cost the same.
+# Levels count as equally expensive if their costs differ by less than this share of the cistern.
 _TIE = 1e-3
-# Sites and members that are computed together: they fit in the processor's cache.
+# Number of sites times members that are computed together, which fits in the processor's cache.
 _TOGETHER = 256
 
 
 class PlannedLevels:
-    """The volumes to which cisterns are drained, by plans that are made in the same ticks."""
+    """The volumes to which cisterns are drained, from plans that are made in the same ticks."""
 
     def __init__(
         self, sites: Sites, ends: Array, reserves: Array, prices: Array, reaches: Array,
         areas: Array, check_s: float = 60.0,
     ) -> None:
-        """Set the sites; the arrays have an entry for each.
+        """Set the sites; the arrays have one entry per site, except ``ends``.
 
         Args:
             sites: sites with valves, the same tau and the same ``wet_after``.
-            ends: ends of the steps of the forecasts (s from now), the first 0.
-            reserves: to which they are drained without a forecast (m3).
-            prices: prices of mains water, in m3 of discharge in wet weather (1).
-            reaches: days for which stored water is worth its price.
-            areas: areas off which the forecast's evapotranspiration leaves the beds (m2).
-            check_s: how often it checks whether the forecast has changed (s).
+            ends: boundaries of the forecasts' steps (s from now), beginning with 0.
+            reserves: volumes to which the cisterns are drained without a forecast (m3).
+            prices: prices of mains water, in m3 of discharge in wet weather per m3 (1).
+            reaches: time for which stored water is worth its price (days).
+            areas: areas to which the forecast's evapotranspiration applies (m2).
+            check_s: time between two checks whether the forecast has changed (s).
         """
         self._areas, self._check_s = areas, check_s
         self._sites, self._tau = sites, float(sites.tau[0])
@@ -62,27 +63,28 @@ class PlannedLevels:
         self._floor = sites.a1 * np.maximum(sites.suction_level, sites.mains_level)
         self._nodes = np.linspace(self._floor, self._full, _NODES, axis=-1)
         self._outlet = sites.a1 * sites.low_outlet_level
-        # The square root of the head over the outlet falls linearly in time.
-        self._fall = sites.c_low / (2 * sites.a1)  # of that root (m^0.5/s)
+        # The square root of the head above the outlet falls linearly with time, at this rate
+        # (m^0.5/s).
+        self._fall = sites.c_low / (2 * sites.a1)
         self._drained = self._drain_hour(np.arange(len(sites)), self._nodes)
         self._unreachable = np.where(self._nodes < self._outlet[:, None], math.inf, 0.0)
         root = np.sqrt(np.maximum(reserves - self._outlet, 0.0) / sites.a1)
         root += self._fall * float(self._hour_ends[-1])
         self._max_levels = np.minimum(self._full, self._outlet + sites.a1 * root**2)
         self._levels = self._full
-        self._age = math.inf  # of the levels (s)
-        self._unchecked = math.inf  # since the forecast was last compared (s)
-        self._total = np.zeros(0)  # rain of each member in the last plan (m)
+        self._age = math.inf  # age of the levels (s)
+        self._unchecked = math.inf  # time since the forecast was last compared (s)
+        self._total = np.zeros(0)  # total rain of each member in the last plan (m)
 
     def update(self, dry: bool, observe: Observe) -> Array:
-        """Return the volumes to which the cisterns are drained in a tick (m3); call it in each.
+        """Return the volumes to which the cisterns are drained in a tick (m3).
 
-        In wet weather no valve opens, so they have no meaning then. A forecast with a missing value
-        is treated as lost.
+        Call it in every tick. No valve opens in wet weather, so the volumes have no meaning then.
+        A forecast with a missing value is treated as lost.
 
         Args:
             dry: whether the weather is dry.
-            observe: returns state and forecast; called only if they are needed.
+            observe: function that returns state and forecast; called only if they are needed.
         """
         self._age += self._tau
         self._unchecked += self._tau
@@ -93,7 +95,7 @@ class PlannedLevels:
         return self._levels
 
     def _plan(self, x1: Array, x2: Array, rain: Array, evaporated: Array) -> None:
-        """Make a plan, if the last one is old or the forecast has changed."""
+        """Make a plan if the last one is old or the forecast has changed."""
         self._unchecked, old = 0.0, self._age > _HOUR_S - self._tau / 2
         usable = rain.shape[1] == evaporated.size == len(self._lengths)
         total = rain @ self._lengths if usable else np.full(1, math.nan)
@@ -115,7 +117,7 @@ class PlannedLevels:
             self._levels = np.minimum(levels, self._max_levels)
 
     def _hourly(self, rates: Array) -> Array:
-        """Return the total of each hour, of rates per second on the last axis."""
+        """Return the total in each hour of rates per second, along the last axis."""
         totals = np.cumsum(rates * self._lengths, axis=-1)
         place = self._ends[1:].searchsorted(self._hour_ends[1:])
         before = np.concatenate((np.zeros_like(totals[..., :1]), totals), axis=-1)
@@ -131,15 +133,15 @@ class PlannedLevels:
         Args:
             x1: volume in each cistern (m3).
             x2: volume on each roof (m3).
-            rain: rain in each hour (m), shape (members, hours).
-            evaporated: evapotranspiration in each hour (m), shape (hours,).
-            needed: volume that each roof needs within the reach (m3).
+            rain: depth of rain in each hour (m), shape (members, hours).
+            evaporated: depth of evapotranspiration in each hour (m), shape (hours,).
+            needed: water that each roof needs within the reach (m3).
         """
         sites, kept = self._sites, self._sites.drainage_to_cistern
         most = float(rain.sum(axis=1).max()) * (sites.effective_catchment + kept * sites.a2)
         comes = most + kept * np.maximum(x2 - sites.x2_star, 0.0)
         levels = self._full.copy()
-        # Where it does not fit; without any the plan keeps all.
+        # Sites whose cistern could overflow are planned; the others keep all their water.
         planned = np.flatnonzero((comes > 0) & (x1 + comes > self._full))
         size = max(1, _TOGETHER // len(rain))
         for first in range(0, len(planned), size):
@@ -155,12 +157,12 @@ class PlannedLevels:
         """Return the levels of some sites, by the dynamic program; see :meth:`_find_levels`.
 
         Args:
-            rows: which sites; the other arrays are theirs.
+            rows: indices of the sites to which the other arrays belong.
             x1: volume in each cistern (m3).
             x2: volume on each roof (m3).
-            rain: rain in each hour (m), shape (members, hours).
-            evaporated: evapotranspiration off each roof in each hour (m3), shape (sites, hours).
-            needed: volume that each roof needs within the reach (m3).
+            rain: depth of rain in each hour (m), shape (members, hours).
+            evaporated: evapotranspiration of each roof in each hour (m3), shape (sites, hours).
+            needed: water that each roof needs within the reach (m3).
         """
         sites, nodes, price = self._sites, self._nodes[rows, None], self._prices[rows, None, None]
         floor, full = nodes[..., :1], nodes[..., -1:]
@@ -190,12 +192,12 @@ class PlannedLevels:
         return np.asarray(nodes[np.arange(len(rows)), 0, highest])
 
     def _before(self, rows: Rows, value: Array, wet: Array) -> Array:
-        """Return V from U of :class:`.outlet.Plan`: the best that the valve can do in an hour.
+        """Return V from U of :class:`.outlet.Plan`: the best that the valve can achieve in an hour.
 
         Args:
-            rows: which sites.
+            rows: indices of the sites.
             value: U at each node, shape (sites, members, nodes).
-            wet: 1 for each member for which the hour is in wet weather, else 0, shape (members, 1).
+            wet: 1 for members whose weather is wet in this hour, otherwise 0, shape (members, 1).
         """
         nodes = self._nodes[rows, None]
         node = (value + self._unreachable[rows, None]).argmin(axis=2, keepdims=True)
@@ -205,16 +207,28 @@ class PlannedLevels:
         return _value_at(nodes, value, level)
 
     def _drain_hour(self, rows: Rows, volumes: Array) -> Array:
-        """Return what open valves leave of volumes (m3) after an hour, shape (sites, n)."""
+        """Return what remains of volumes after the valves are open for an hour (m3).
+
+        Args:
+            rows: indices of the sites.
+            volumes: volumes in the cisterns (m3), shape (sites, n).
+        """
         outlet, a1 = self._outlet[rows, None], self._sites.a1[rows, None]
         root = np.sqrt(np.maximum(volumes - outlet, 0.0) / a1)
         root = np.maximum(root - self._fall[rows, None] * _HOUR_S, 0.0)
         return np.asarray(np.minimum(volumes, outlet + a1 * root**2))
 
     def _find_needs(self, rows: Rows, x2: Array, rain: Array, evaporated: Array) -> Array:
-        """Return the net volume that roofs take from cisterns in each hour (m3).
+        """Return the water that roofs need from cisterns in each hour, less what drains back (m3).
 
-        Of shape (sites, members, hours).
+        Args:
+            rows: indices of the sites.
+            x2: volume on each roof (m3).
+            rain: depth of rain in each hour (m), shape (members, hours).
+            evaporated: evapotranspiration of each roof in each hour (m3), shape (sites, hours).
+
+        Returns:
+            The water, with shape (sites, members, hours).
         """
         sites, kept = self._sites, self._sites.drainage_to_cistern[rows, None]
         room, fallen = sites.above_target[rows, None], rain * sites.a2[rows, None, None]
@@ -229,7 +243,13 @@ class PlannedLevels:
 
 
 def _value_at(nodes: Array, value: Array, volumes: Array) -> Array:
-    """Return values at volumes between the nodes (m3), shape (sites, members, n)."""
+    """Return the values at volumes between the nodes, interpolated, shape (sites, members, n).
+
+    Args:
+        nodes: volumes at the nodes (m3).
+        value: values at the nodes, shape (sites, members, nodes).
+        volumes: volumes at which the values are wanted (m3), shape (sites, members, n).
+    """
     first, last = nodes[..., :1], nodes[..., -1:]
     place = (volumes - first) * ((_NODES - 1) / (last - first))
     node = np.minimum(place.astype(np.intp), _NODES - 2)

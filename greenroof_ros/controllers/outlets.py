@@ -1,6 +1,6 @@
-"""The policies of :mod:`.outlet` for many sites at once.
+"""The policies of :mod:`.outlet` for many sites together.
 
-Whether the weather is dry depends on the rain alone, so it is known for a whole run.
+Whether the weather is dry depends only on the rain, so it is known for a whole run.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class OutletGroup:
     """Sites with the same weather and the same ``wet_after``.
 
     Attributes:
-        rows: the sites.
+        rows: indices of the sites.
         dry: whether the weather is dry in each tick, from :func:`find_dry_ticks`.
-        ends: ends of the steps of the forecasts (s from now), the first 0.
-        foresee: returns a tick's forecast: rain (m/s), shape (members, steps), and
-            evapotranspiration off a bed with crop coefficient 1 (m/s), shape (steps,).
-        has_rain: whether these forecasts have rain, which can change.
+        ends: boundaries of the forecasts' steps (s from now), beginning with 0.
+        foresee: function that returns a tick's forecast: rain (m/s), shape (members, steps), and
+            evapotranspiration of a bed with crop coefficient 1 (m/s), shape (steps,).
+        has_rain: whether these forecasts contain rain, which can change.
     """
 
     rows: Rows
@@ -44,12 +44,12 @@ class OutletGroup:
 
 
 def find_dry_ticks(rain: Array, tau: float, wet_after: float) -> Flags:
-    """Return in which ticks the weather is dry, as :class:`.outlet.Drain` counts it.
+    """Return whether the weather is dry in each tick, as :class:`.outlet.Drain` defines it.
 
     Args:
-        rain: rain in all ticks of the run (m/s).
+        rain: rain rate in all ticks of the run (m/s), shape (ticks,).
         tau: duration of a tick (s).
-        wet_after: the site's ``wet_after`` (h).
+        wet_after: time after rain that counts as wet weather (h).
     """
     ticks = np.arange(len(rain))
     heavy = np.maximum.accumulate(np.where(rain >= MIN_RAIN, ticks, -1))
@@ -59,29 +59,29 @@ def find_dry_ticks(rain: Array, tau: float, wet_after: float) -> Flags:
 
 
 class Outlets:
-    """Decides how far each low outlet is open; one without a valve always is."""
+    """Decide how far each low outlet is open; one without a valve is always open."""
 
     def __init__(
         self, sites: Sites, policies: Sequence[str], reserves: Array, prices: Array,
         reaches: Array, beds: Array, groups: Sequence[OutletGroup],
     ) -> None:
-        """Set the policies; :data:`.outlet.PARAMETERS` has units and meanings.
+        """Set the policies; :data:`.outlet.PARAMETERS` describes them, with units.
 
         Args:
-            sites: n of them, with the same tau.
-            policies: the name of each; without effect at a site without a valve.
-            reserves: ``outlet_reserve`` of each.
-            prices: ``outlet_price`` of each.
-            reaches: ``outlet_reach`` of each.
+            sites: n sites with the same tau.
+            policies: name of each site's policy; without effect if the site has no valve.
+            reserves: ``outlet_reserve`` of each site.
+            prices: ``outlet_price`` of each site.
+            reaches: ``outlet_reach`` of each site.
             beds: areas with crop coefficient 1 that evaporate as much as the beds (m2).
-            groups: each site is in one of them.
+            groups: groups of sites; every site is in one of them.
         """
         self._sites, names = sites, np.array(policies)
         moves = sites.low_outlet_valve & np.isin(names, (DRAIN, PLAN))
         self._fixed = np.where(sites.low_outlet_valve & (names != OPEN), 0.0, 1.0)
         self._low, self._full = sites.a1 * sites.low_outlet_level, sites.tau * sites.c_low
-        self._volumes = reserves.copy()  # to which the cisterns are drained
-        # Volume above which each valve opens in the present weather.
+        self._volumes = reserves.copy()  # volumes to which the cisterns are drained
+        # Volume above which each valve opens in the current weather.
         self._opens_above = np.full(len(sites), math.inf)
         self._moving = [
             _Moving(group, rows) for group in groups if len(rows := group.rows[moves[group.rows]])
@@ -96,19 +96,19 @@ class Outlets:
         ]
 
     def command(self, tick: int, x1: Array, x2: Array) -> Array:
-        """Return the share to which each low outlet is open (1); call it once in each tick.
+        """Return the share to which each low outlet is open (1); call it once in every tick.
 
-        It is the same array as long as no valve opens.
+        While no valve opens, it returns the same array every time.
 
         Args:
-            tick: its number.
+            tick: number of the tick.
             x1: volume in each cistern (m3).
             x2: volume on each roof (m3).
         """
         for planning, plans in self._planning:
             group, rows, dry = planning.group, planning.rows, bool(planning.group.dry[tick])
             levels = plans.update(dry, lambda: (
-                x1[rows], x2[rows], *group.foresee(tick)  # noqa: B023 - called at once
+                x1[rows], x2[rows], *group.foresee(tick)  # noqa: B023 - called immediately
             ))
             if levels is not planning.levels:
                 planning.levels = self._volumes[rows] = levels
@@ -137,7 +137,7 @@ class Outlets:
 
 @dataclass(eq=False)
 class _Moving:
-    """Sites of a group whose valves open and close."""
+    """The sites of a group whose valves open and close."""
 
     group: OutletGroup
     rows: Rows

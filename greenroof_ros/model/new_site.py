@@ -1,6 +1,7 @@
-"""The text of a site file for a house of which little is known: what is given, and what is assumed.
+"""Write the text of a site file for a house about which little is known.
 
-Each assumption stands with its source in the file, so that a reader can correct it.
+The file marks the values that were given, and states the source of every assumption, so a reader
+can correct it.
 """
 
 from __future__ import annotations
@@ -21,21 +22,22 @@ from greenroof_ros.model.site import Site, read_site, site_parameters
 KEYS: dict[str, Parameter] = {
     **{parameter.name: parameter for parameter in site_parameters()}, **PLAIN,
 }
-"""what a site file may have"""
+"""keys that a site file may contain, by name"""
 HEIGHT, RUNOFF, SUBSTRATE, RATE, LIFT = 2.0, 0.9, "neubrandenburg", 3.0, 6.0
-"""what is assumed of cistern (m), catchment (1), substrate, irrigation (mm/h) and roof (m)"""
+"""assumed: height of the cistern (m), runoff coefficient of the catchment (1), substrate,
+irrigation rate (mm/h) and height of the roof (m)"""
 
 _FLOWS = ("pump_flow", "irrigation_rate", "emitters")
-# Evapotranspiration of reference grass on a day in Toronto's July (m), and the plants' ratio to it.
+# Evapotranspiration of reference grass on a July day in Toronto (m), and the plants' ratio to it.
 _DAY, _CROP = 0.004, 0.96
-# The target is at most this share of what the substrate holds.
+# The target is at most this share of the water that the substrate holds.
 _MAX_FILLED = 0.95
 EMPTIED_H = 12.0
-"""time in which an open valve empties a full cistern, and an orifice its upper half (h)"""
+"""time in which an open valve empties a full cistern, and an orifice empties its upper half (h)"""
 
-# Levels in the cistern (m), and the least flow from the mains (m3/s), of config/site_valve.yaml.
+# Levels in the cistern (m) and minimum flow from the mains (m3/s), from config/site_valve.yaml.
 _SUCTION, _MAINS_LEVEL, _VALVE_LEVEL, _MAINS_FLOW = 0.05, 0.07, 0.1, 2e-4
-# Columns at which comments begin, and of the page.
+# Column at which comments begin, and width of the page (characters).
 _COLUMN, _WIDTH = 30, 120
 
 
@@ -45,10 +47,10 @@ def format_new_site(
     """Return the text of a site file.
 
     Args:
-        given: values by the keys of a site file, at least ``roof_area``, ``catchment_area``,
-            ``cistern_volume``, ``latitude`` and ``longitude``. Others replace what is assumed.
+        given: values by the keys of a site file: at least ``roof_area``, ``catchment_area``,
+            ``cistern_volume``, ``latitude`` and ``longitude``. Others replace assumptions.
         valve: whether there is a valve on a low outlet.
-        mains: whether mains water fills a cistern that is nearly empty.
+        mains: whether mains water flows into a cistern that is nearly empty.
     """
     parts = (
         _head(given), _place(given), _cistern(given, valve=valve, mains=mains), _roof(given),
@@ -58,7 +60,7 @@ def format_new_site(
 
 
 def standard_offset(zone: str) -> float:
-    """Return a time zone's present offset from UTC without daylight saving (h)."""
+    """Return a time zone's current offset from UTC without daylight saving (h)."""
     offsets = (datetime(2026, month, 15, tzinfo=ZoneInfo(zone)).utcoffset() for month in (1, 7))
     return min(offset or timedelta() for offset in offsets) / timedelta(hours=1)
 
@@ -67,15 +69,15 @@ def _line(
     given: Mapping[str, Any], key: str, assumed: Any, meaning: str, source: str = "[assumed]",
     *, active: bool = True,
 ) -> Iterator[str]:
-    """Yield the lines of a key: its value, its unit, and a comment with the source of the value.
+    """Yield the lines of a key: its value, its unit, and a comment with the value's source.
 
     Args:
-        given: values by key; they are active.
+        given: given values by key, which are always active.
         key: the key.
-        assumed: its value if none is given.
+        assumed: value of the key if none is given.
         meaning: meaning of the value.
         source: source of the assumption.
-        active: whether an assumed value is one of the site; otherwise it is ready to become one.
+        active: whether an assumed value applies to the site; otherwise the line is commented out.
     """
     value, source = (given[key], "[given]") if key in given else (assumed, source)
     if isinstance(value, float):
@@ -100,38 +102,40 @@ def _wrap(text: str, width: int) -> list[str]:
 def _head(given: Mapping[str, Any]) -> Iterator[str]:
     text = (
         f"A green roof of {given['roof_area']:g} m2 and its cistern, written by 'greenroof "
-        "new-site'. Each value has its source: [given] as an answer, [assumed], or what stands "
-        "there. Change what you know better; doc/reference/file-formats.md has all keys."
+        "new-site'. The source of every value is in brackets: [given] in an answer, [assumed], or "
+        "the source that is named there. Change what you know better; "
+        "doc/reference/file-formats.md lists all keys."
     )
     yield from (f"# {line}" for line in _wrap(text, _WIDTH - 2))
     yield ""
     yield from (
-        "# Physics, overflow and pipe are the paper's. The pipe only counts in the pump's energy.",
+        "# Physics, overflow and pipe are those of the paper. The pipe only affects the pump's "
+        "energy.",
         "extends: site.yaml",
     )
 
 
 def _place(given: Mapping[str, Any]) -> Iterator[str]:
     yield "# Place"
-    yield from _line(given, "latitude", None, "north")
-    yield from _line(given, "longitude", None, "east")
+    yield from _line(given, "latitude", None, "positive to the north")
+    yield from _line(given, "longitude", None, "positive to the east")
     yield from _line(
-        given, "elevation", 100.0, "above sea level; if left out, the elevation of the weather's "
+        given, "elevation", 100.0, "above sea level; if left out, it follows from the weather's "
         "mean pressure", "", active=False,
     )
     zone = given.get("time_zone")
     offset = standard_offset(zone) if zone else float(round(given["longitude"] / 15))
     yield from _line(
-        given, "time_zone", "Europe/Berlin", "for quiet_hours, and for weather by a clock with "
-        "daylight saving", "", active=False,
+        given, "time_zone", "Europe/Berlin", "for quiet_hours, and for weather files on a clock "
+        "with daylight saving", "", active=False,
     )
     yield from _line(
-        given, "utc_offset", offset, "standard time; needed for weather files whose times have no "
-        "offset from UTC", "[time_zone]" if zone else "", active=zone is not None,
+        given, "utc_offset", offset, "local standard time; needed for weather files that do not "
+        "state an offset from UTC", "[time_zone]" if zone else "", active=zone is not None,
     )
     yield (
-        "# monthly_evapotranspiration: twelve means (mm/day), as 'greenroof weather' prints them; "
-        "for rain gauges, live sites"
+        "# monthly_evapotranspiration: twelve means (mm/day), as 'greenroof weather' prints them, "
+        "for rain gauges and live sites"
     )
 
 
@@ -139,38 +143,38 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     height = given.get("cistern_height", HEIGHT)
     base = given["cistern_volume"] / height
     yield "# Cistern (tank 1)"
-    yield from _line(given, "cistern_volume", None, "below the overflow")
+    yield from _line(given, "cistern_volume", None, "up to the overflow")
     yield from _line(given, "cistern_height", HEIGHT, "level of the overflow")
-    yield from _line(given, "catchment_area", None, "roofs whose rain flows into the cistern")
+    yield from _line(given, "catchment_area", None, "roofs that drain to the cistern")
     yield from _line(
-        given, "runoff_coefficient", RUNOFF, "share of that rain that reaches it",
+        given, "runoff_coefficient", RUNOFF, "share of their rain that reaches the cistern",
         "[0.75 to 0.95 for roofs, ASCE]",
     )
-    like_valve = "[assumed, as site_valve.yaml]"
-    yield from _line(given, "z_pump", 0.0, "the pump stands at the bottom", like_valve)
-    yield from _line(given, "z_H", _SUCTION, "water that it needs above it", like_valve)
+    like_valve = "[assumed, as in site_valve.yaml]"
+    yield from _line(given, "z_pump", 0.0, "the pump is at the bottom", like_valve)
+    yield from _line(given, "z_H", _SUCTION, "depth of water that it needs above it", like_valve)
     if not mains:
-        yield "# No mains water [given]. With it:"
+        yield "# No mains water [given]. To add it:"
     yield from _line(
-        given, "mains_level", _MAINS_LEVEL, "below it a float valve lets mains water in",
+        given, "mains_level", _MAINS_LEVEL, "below this level a float valve lets mains water in",
         like_valve, active=mains,
     )
     flow = max(_MAINS_FLOW, float(f"{1.2 * _find_flow(given):.2g}"))
     yield from _line(
-        given, "mains_flow", flow, f"flow of that valve, {3600 * flow:.2g} m3/h, more than the "
-        "pump's", active=mains,
+        given, "mains_flow", flow, f"flow of that valve, {3600 * flow:.2g} m3/h, which is more "
+        "than the pump's", active=mains,
     )
     if not valve:
-        yield "# No low outlet [assumed]. To empty the cistern before rain, a valve on one:"
+        yield "# No low outlet [assumed]. To empty the cistern before rain, add one with a valve:"
     yield from _outlet(
-        _VALVE_LEVEL, base, height, f"open, it empties a full cistern in {EMPTIED_H:g} h", given,
-        active=valve,
+        _VALVE_LEVEL, base, height, f"when open, it empties a full cistern in {EMPTIED_H:g} h",
+        given, active=valve,
     )
     yield from _line(
-        given, "low_outlet_valve", "true", "a policy opens and closes it", "", active=valve
+        given, "low_outlet_valve", "true", "a policy opens and closes the valve", "", active=valve
     )
     if not valve:
-        yield "# Or an orifice that is always open, without low_outlet_valve:"
+        yield "# Or add an orifice that is always open, without low_outlet_valve:"
         yield from _outlet(
             height / 2, base, height, f"it empties the upper half in {EMPTIED_H:g} h", given,
             active=False,
@@ -181,12 +185,21 @@ def _outlet(
     level: float, base: float, height: float, meaning: str, given: Mapping[str, Any], *,
     active: bool,
 ) -> Iterator[str]:
-    """Yield the keys of a low outlet that takes 12 h from the overflow down to its level."""
+    """Yield the keys of a low outlet that drains the cistern to the outlet's level in 12 h.
+
+    Args:
+        level: level of the outlet (m).
+        base: area of the cistern's base (m2).
+        height: level of the overflow (m).
+        meaning: comment on the radius.
+        given: given values, by key.
+        active: whether the outlet applies to the site; otherwise its lines are commented out.
+    """
     radius = find_outlet_radius(_paper(), base, max(0.0, height - level), 3600 * EMPTIED_H)
-    yield from _line(given, "low_outlet_level", level, "its level", active=active)
+    yield from _line(given, "low_outlet_level", level, "level of the low outlet", active=active)
     yield from _line(
-        given, "low_outlet_radius", max(0.001, float(f"{radius:.2g}")), f"{meaning}, by Eq. (2)",
-        active=active,
+        given, "low_outlet_radius", max(0.001, float(f"{radius:.2g}")),
+        f"{meaning}, from Eq. (2)", active=active,
     )
 
 
@@ -199,25 +212,26 @@ def _roof(given: Mapping[str, Any]) -> Iterator[str]:
     yield "# Roof (tank 2)"
     yield from _line(given, "roof_area", None, "green roof")
     yield from _line(
-        given, "substrate", SUBSTRATE, f"one of {', '.join(SUBSTRATES)}. This is {substrate.about}",
+        given, "substrate", SUBSTRATE,
+        f"one of {', '.join(SUBSTRATES)}. This one is {substrate.about}",
     )
     yield from _line(
         given, "substrate_depth", substrate.depth, "0.06 to 0.15 for sedum and herbs, more for "
-        "shrubs", "[the depth in the substrate's source]",
+        "shrubs", "[depth in the substrate's source]",
     )
     yield from _line(
-        given, "crop_coefficient", _CROP, "vegetation over reference grass",
+        given, "crop_coefficient", _CROP, "evapotranspiration of the plants over reference grass's",
         "[fit, site_neubrandenburg.yaml]",
     )
     target, how = find_target(given)
-    yield from _line(given, "z_veg", target, "water wanted in the substrate", f"[{how}]")
+    yield from _line(given, "z_veg", target, "water to keep in the substrate", f"[{how}]")
 
 
 def find_target(given: Mapping[str, Any]) -> tuple[float, str]:
-    """Return the level of water to keep on the roof (m), and where it is from.
+    """Return the level of water to keep on the roof (m), and a text on its derivation.
 
-    It is where water stress begins, plus the demand of a day in summer, as
-    doc/howto/choose-target-and-controller.md recommends, but not all that the substrate holds.
+    It is the level at which water stress begins, plus the demand of a day in summer, as
+    doc/howto/choose-target-and-controller.md recommends, but less than the substrate can hold.
     """
     substrate = SUBSTRATES[given.get("substrate", SUBSTRATE)]
     depth = given.get("substrate_depth", substrate.depth)
@@ -225,8 +239,9 @@ def find_target(given: Mapping[str, Any]) -> tuple[float, str]:
     onset = depth * (substrate.wilting_point + (1 - substrate.depletion_fraction) * available)
     target = min(onset + _DAY * _CROP, _MAX_FILLED * depth * substrate.field_capacity)
     return math.floor(1e4 * target) / 1e4, (
-        f"where plants begin to lack water, {1000 * onset:.1f} mm, plus a day in summer, "
-        f"{1000 * _DAY * _CROP:.1f} mm, at most {_MAX_FILLED:.0%} of what the substrate holds"
+        f"where plants begin to lack water, {1000 * onset:.1f} mm, plus the demand of a summer "
+        f"day, {1000 * _DAY * _CROP:.1f} mm, but at most {_MAX_FILLED:.0%} of what the substrate "
+        "holds"
     )
 
 
@@ -239,33 +254,36 @@ def _find_flow(given: Mapping[str, Any]) -> float:
 
 def _pump(given: Mapping[str, Any]) -> Iterator[str]:
     litres = f"{_find_flow(given) / LITRES_PER_HOUR:.3g} l/h"
-    yield "# Pump, of a constant flow. Instead of this key: pump_flow, or emitters and emitter_flow"
+    yield "# Pump with a constant flow. Other keys for it: pump_flow, or emitters and emitter_flow"
     for key in (*_FLOWS, "emitter_flow"):
         if key in given:
-            yield from _line(given, key, None, litres if key != "emitter_flow" else "of each")
+            yield from _line(
+                given, key, None, litres if key != "emitter_flow" else "flow of each emitter"
+            )
     if not any(key in given for key in _FLOWS):
         yield from _line(
             given, "irrigation_rate", RATE, f"{litres} on this roof",
             "[assumed; drip lines: 2 to 4]",
         )
     yield from _line(
-        given, "d", LIFT, "height of the roof above the cistern's base; only the energy depends "
-        "on it",
+        given, "d", LIFT, "height of the roof above the cistern's base; it affects only the "
+        "pump's energy",
     )
     yield (
-        '# quiet_hours: ["22:00-06:00"]  # when the pump stays off, by time_zone; none [assumed]'
+        '# quiet_hours: ["22:00-06:00"]  # when the pump stays off, in time_zone; none [assumed]'
     )
 
 
 def _run(given: Mapping[str, Any]) -> Iterator[str]:
     target = given.get("z_veg", find_target(given)[0])
-    yield "# Runs begin with half a cistern, and the roof at its target; change these two volumes"
-    yield "# with cistern_volume, roof_area and z_veg"
+    yield "# Runs begin with the cistern half full and the roof at its target; if you change"
+    yield "# cistern_volume, roof_area or z_veg, also change these two volumes"
     yield from _line(given, "initial_cistern", given["cistern_volume"] / 2, "", )
     yield from _line(
         given, "initial_roof", float(f"{target * given['roof_area']:.6g}"), "roof_area z_veg"
     )
     yield from _line(
-        given, "tau", 60.0, "duration of a tick: precise for a pump this small; a live site needs 1"
+        given, "tau", 60.0, "duration of a tick; precise enough for such a small pump, but a live "
+        "site needs 1"
     )
-    yield from _line(given, "N", 720, "length of a run unless --hours is given, 12 h")
+    yield from _line(given, "N", 720, "ticks of a run without --hours, here 12 h")

@@ -1,8 +1,8 @@
-"""Keys of a site file in words that people have: each stands for parameters of the paper.
+"""Keys of a site file in everyday words, each of which stands for parameters of the paper.
 
-A file may have either. Files that extend one another, and values that a program changes, are levels
-of a site: what a level gives takes precedence over all that stands for the same on the levels below
-it, by whatever name. Within a level, two keys for the same thing are an error.
+A file may use either. Files that extend one another, and values that a program changes, are levels
+of a site. A value on one level takes precedence over every value of the same quantity on the levels
+below it, whatever its name. Within a level, two keys for the same quantity are an error.
 """
 
 from __future__ import annotations
@@ -19,25 +19,26 @@ if TYPE_CHECKING:
     from greenroof_ros.model.site import Site
 
 LITRES_PER_HOUR = 1 / 3.6e6
-"""m3/s in a l/h; also m3/s on a m2 in a mm/h"""
+"""factor from l/h to m3/s, and from mm/h on 1 m2 to m3/s"""
 
-# Head of the pump curve that stands for a constant flow (m). By Eq. (3e) the flow is proportional
-# to the root of this head plus the cistern's level, so 3 m of level raise it by 1.5e-6 of itself.
+# Head of the pump curve that stands for a constant flow (m). According to Eq. (3e), the flow is
+# proportional to the square root of this head plus the cistern's level, so a level of 3 m raises
+# the flow by only 1.5e-6 of its value.
 _HEAD_OF_CONSTANT_FLOW = 1e6
 
 
 @dataclass(frozen=True)
 class Substrate:
-    """A named substrate with its drainage layer; parameters of field-capacity soil.
+    """A named substrate with its drainage layer: parameters of a field-capacity soil.
 
     Attributes:
         about: description, with the sources of the values.
-        depth: usual depth (m), for a new site.
-        field_capacity: as for a site (1), as are the others.
-        wilting_point: (1)
-        depletion_fraction: (1)
-        drainage_storage: (m)
-        drainage_time: (s)
+        depth: usual depth, for a new site (m).
+        field_capacity: the site's parameter of this name (1).
+        wilting_point: the site's parameter of this name (1).
+        depletion_fraction: the site's parameter of this name (1).
+        drainage_storage: the site's parameter of this name (m).
+        drainage_time: the site's parameter of this name (s).
     """
 
     about: str
@@ -54,40 +55,43 @@ _OF_SUBSTRATE = (
 )
 SUBSTRATES = {
     "neubrandenburg": Substrate(
-        "a whole roof in Germany, plants and mat included, fitted to 16 months of runoff: "
+        "a whole roof in Germany, including plants and mat, fitted to 16 months of runoff: "
         "config/site_neubrandenburg.yaml", 0.108, 0.63, 0.02, drainage_storage=0.0055,
     ),
     "berlin": Substrate(
-        "a roof in Berlin, as calibrated for SWMM 5 (KWB-R/keys.lid, bbr18.inp): 10 cm; layer of "
-        "3 mm, half voids", 0.1, 0.2, 0.1, drainage_storage=0.0015,
+        "a roof in Berlin, as calibrated for SWMM 5 (KWB-R/keys.lid, bbr18.inp): 10 cm of "
+        "substrate on a drainage layer of 3 mm, half of which is voids", 0.1, 0.2, 0.1,
+        drainage_storage=0.0015,
     ),
     "extensive": Substrate(
-        "assumed: a maximum water capacity of 35 %, quoted as the FLL guidelines' (2018) minimum "
-        "for extensive roofs in several layers, but not checked in their text; wilting point and "
-        "layer within EPA's SWMM Reference Manual III (2016), 0.05 to 0.2 and 3 to 20 mm",
-        0.1, 0.35, 0.1,
+        "assumed: its maximum water capacity of 35 % is quoted as the minimum in the FLL "
+        "guidelines (2018) for extensive roofs with several layers, but was not checked in their "
+        "text; wilting point and drainage layer are within the ranges of EPA's SWMM Reference "
+        "Manual III (2016), 0.05 to 0.2 and 3 to 20 mm", 0.1, 0.35, 0.1,
     ),
     "intensive": Substrate(
-        "assumed: likewise for intensive roofs, 45 %", 0.3, 0.45, 0.1,
+        "assumed: as extensive, but with the 45 % quoted for intensive roofs", 0.3, 0.45, 0.1,
     ),
     "sandy_loam": Substrate(
-        "a garden soil: middle of FAO-56, Table 19 (0.18 to 0.28, and 0.06 to 0.16)",
-        0.3, 0.23, 0.11,
+        "a garden soil: the middle of the ranges in FAO-56, Table 19 (0.18 to 0.28 and 0.06 to "
+        "0.16)", 0.3, 0.23, 0.11,
     ),
     "loam": Substrate(
-        "likewise (0.20 to 0.30, and 0.07 to 0.17)", 0.3, 0.25, 0.12,
+        "a garden soil: the middle of the ranges in FAO-56, Table 19 (0.20 to 0.30 and 0.07 to "
+        "0.17)", 0.3, 0.25, 0.12,
     ),
 }
-"""by name. The depletion fraction is the middle of FAO-56, Table 22, 0.3 to 0.7; the layer's time
-that of Neubrandenburg, the layer's storage of soils the middle of SWMM's range"""
+"""the substrates, by name. The depletion fraction is the middle of the range 0.3 to 0.7 in FAO-56,
+Table 22. The time of the drainage layer is that of Neubrandenburg; under garden soils, its storage
+is the middle of SWMM's range"""
 
 
 @dataclass(frozen=True)
 class PlainKeys:
-    """The keys; each can be left out."""
+    """The keys, each of which can be left out."""
 
     cistern_volume: float | None = entry(
-        "volume of the cistern below its overflow: a1 is this over its height", 0.01, 1e5,
+        "volume of the cistern up to its overflow: divided by its height, this is a1", 0.01, 1e5,
         unit="m3", default=None, usual=(1, 50),
     )
     cistern_height: float | None = entry(
@@ -95,7 +99,7 @@ class PlainKeys:
         usual=(1, 3),
     )
     catchment_area: float | None = entry(
-        "area whose rain flows into the cistern: a_in", 0.1, 1e6, unit="m2", default=None,
+        "area that drains to the cistern: a_in", 0.1, 1e6, unit="m2", default=None,
         usual=(50, 2000),
     )
     roof_area: float | None = entry(
@@ -113,7 +117,7 @@ class PlainKeys:
         unit="l/h", default=None, usual=(100, 5000),
     )
     irrigation_rate: float | None = entry(
-        "flow of the pump at full command, as a depth on the roof in an hour", 0.1, 1000.0,
+        "flow of the pump at full command, as a depth of water on the roof per hour", 0.1, 1000.0,
         unit="mm/h", default=None, usual=(2, 10),
     )
     emitters: int | None = entry(
@@ -126,14 +130,14 @@ class PlainKeys:
 
 
 PLAIN: dict[str, Parameter] = {each.name: each for each in parameters_of(PlainKeys)}
-"""the keys by name"""
+"""the keys, by name"""
 
-# Keys that are another name for a parameter.
+# Keys that are only another name for a parameter.
 _RENAMED = {
     "cistern_height": "z_o", "catchment_area": "a_in", "roof_area": "a2",
     "substrate_depth": "z_soil",
 }
-# Keys for the same quantity; those of one inner tuple belong together.
+# Keys for the same quantity; the keys in an inner tuple belong together.
 _SAME: tuple[tuple[tuple[str, ...], ...], ...] = (
     *(((plain,), (name,)) for plain, name in _RENAMED.items()),
     (("cistern_volume",), ("a1",)),
@@ -147,41 +151,43 @@ _PLACE = {"latitude", "longitude"}
 NO_VALUE = "needs a value; leave this line out if there is none"
 """why an empty value is rejected"""
 
-# What a file of another place does not take from the file that it extends.
+# Keys that a file for another place does not inherit from the file that it extends.
 _FOLLOW_PLACE = (
     "elevation", "utc_offset", "time_zone", "monthly_evapotranspiration", "k_Rs",
 )
 
 
 class Entry(NamedTuple):
-    """A value of a site, and where it is from."""
+    """A value of a site, and its source."""
 
     value: Any
     file: Path | None = None
-    """None if a program gives the value"""
+    """file that contains the value; None if a program set it"""
     line: int | None = None
     plain: str = ""
-    """the plain key that stands for it, if there is one"""
+    """plain key from which the value follows; empty if there is none"""
 
 
 class Translation(NamedTuple):
     """A site's entries under the paper's names."""
 
     entries: dict[str, Entry]
-    """those of `computed` have a value that stands in for it"""
+    """entries by name; those in `computed` have a placeholder as their value"""
     computed: dict[str, Callable[[Site], float]]
-    """what follows from the other parameters of a site"""
+    """functions that compute a parameter from the others of a site, by name"""
 
 
 def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, Entry]:
-    """Return the entries of a level of a site and of those below it; its own take precedence.
+    """Return the entries of a level of a site together with those of the levels below it.
+
+    The entries of the level itself take precedence.
 
     Args:
-        base: values of the levels below; may be empty.
-        own: values of the level.
+        base: entries of the levels below; may be empty.
+        own: entries of the level.
 
     Raises:
-        ConfigurationError: if two of its own values set the same parameter; the message names both.
+        ConfigurationError: if two keys of the level set the same parameter; the message names both.
     """
     replaced = {rival for name in own for rival in _RIVALS.get(name, ())}
     if "substrate" in own:
@@ -191,8 +197,8 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
         for rival in (rival for rival in rivals if rival in own and name in PLAIN):
             where = "" if own[rival].line is None else f" in line {own[rival].line}"
             raise ConfigurationError(
-                f"contradicts {rival} = {own[rival].value}{where}, which gives the same: leave one "
-                "of them out", file=file, line=line, key=name, value=value,
+                f"contradicts {rival} = {own[rival].value}{where}, which sets the same quantity: "
+                "leave one of them out", file=file, line=line, key=name, value=value,
             )
     if own.keys() >= _PLACE:
         replaced.update(_FOLLOW_PLACE)
@@ -200,10 +206,10 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
 
 
 def translate(entries: Mapping[str, Entry]) -> Translation:
-    """Return entries under the paper's names.
+    """Return the entries under the paper's names.
 
     Raises:
-        ConfigurationError: a plain key has a wrong value, or lacks another that it needs.
+        ConfigurationError: if a plain key has a wrong value, or a key that it needs is missing.
     """
     given = {name: each.value for name, each in entries.items() if name in PLAIN}
     for name, value in given.items():
@@ -222,7 +228,7 @@ def translate(entries: Mapping[str, Entry]) -> Translation:
     if keys.substrate is not None:
         substrate = SUBSTRATES[keys.substrate]
         for name in _OF_SUBSTRATE:
-            if name not in named:  # otherwise it is of a level above the substrate's
+            if name not in named:  # otherwise a level above the substrate's sets it
                 place("substrate", name, getattr(substrate, name))
     if (volume := keys.cistern_volume) is not None:
         place("cistern_volume", "a1", 1.0)
@@ -239,10 +245,10 @@ def translate(entries: Mapping[str, Entry]) -> Translation:
 
 
 def _find_pump(keys: PlainKeys) -> tuple[str, Callable[[Site], float]] | None:
-    """Return the key that sets the pump's flow, and the flow at a site (m3/s).
+    """Return the key that sets the pump's flow, and a function for the flow at a site (m3/s).
 
     Raises:
-        ConfigurationError: a number or a flow of emitters is missing.
+        ConfigurationError: if either the number or the flow of emitters is missing.
     """
     litres, rate = keys.pump_flow, keys.irrigation_rate
     if litres is not None:
@@ -254,5 +260,5 @@ def _find_pump(keys: PlainKeys) -> tuple[str, Callable[[Site], float]] | None:
         return "emitters", lambda _: number * each * LITRES_PER_HOUR
     for name, other in (("emitters", "emitter_flow"), ("emitter_flow", "emitters")):
         if (value := getattr(keys, name)) is not None:
-            raise ConfigurationError(f"needs {other} as well", key=name, value=value)
+            raise ConfigurationError(f"also needs {other}", key=name, value=value)
     return None

@@ -1,8 +1,8 @@
-"""Many sites at once: the parameters of :class:`.site.Site` as arrays, one entry for each site.
+"""Many sites together: the parameters of :class:`.site.Site` as arrays with one entry per site.
 
-A function of a site that only computes with its parameters broadcasts over them. What a site does
-not have takes part with a value that has no effect: a valve that lets in nothing, an outlet of no
-area at the level of the upper one.
+A function of a site that only computes with its parameters broadcasts over the arrays. A device
+that a site does not have is represented by values without effect, such as a float valve that lets
+in no water, or a low outlet without area at the level of the upper one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from greenroof_ros.model.soil import soil_of
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-# Parameters that are not simply those of a site of the same name.
+# Parameters that are not simply the attributes of a site with the same name.
 _FROM_SITE: dict[str, Callable[[Site], Any]] = {
     "low_outlet_level": lambda site: site.min_outlet_level,
     "mains_level": lambda site: site.mains_level or 0.0,
@@ -38,13 +38,13 @@ _FROM_SITE: dict[str, Callable[[Site], Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Sites:
-    """Parameters of n sites, each of shape (n,); :class:`.site.Site` has meanings and units.
+    """Parameters of n sites, each of shape (n,); :class:`.site.Site` describes them, with units.
 
     Attributes:
         above_target: how far rain can raise the roof above its target (m3), see :mod:`.soil`.
-        stress_volume: roof's volume below which plants lack water (m3), see :mod:`.soil`.
-        overdraws: see :mod:`.soil`.
-        measured: whether the soil is a measured one.
+        stress_volume: volume on the roof below which plants lack water (m3), see :mod:`.soil`.
+        overdraws: whether a tick of Eq. (4) would drain too much, see :mod:`.soil`.
+        measured: whether the soil is a field-capacity soil.
         has_short_ticks: see :func:`.plant.has_short_ticks`.
     """
 
@@ -87,7 +87,7 @@ class Sites:
 
     @classmethod
     def of(cls, sites: Sequence[Site]) -> Sites:
-        """Return the parameters of sites."""
+        """Return the parameters of some sites as arrays."""
         return cls(**{
             field.name: np.array([
                 _FROM_SITE[field.name](site) if field.name in _FROM_SITE
@@ -96,9 +96,9 @@ class Sites:
         })
 
     def take(self, rows: NDArray[np.intp] | Flags) -> Sites:
-        """Return the parameters of some of them."""
+        """Return the parameters of a selection of the sites."""
         return Sites(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def __len__(self) -> int:
-        """Return their number."""
+        """Return the number of sites."""
         return len(self.a1)

@@ -1,4 +1,4 @@
-"""The soils of many roofs, as in :mod:`.soil`: all the paper's, or all measured."""
+"""The soils of many roofs, as in :mod:`.soil`: all the paper's, or all field-capacity soils."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from greenroof_ros.model.soil import ALMOST_FULL
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Rows = NDArray[np.intp] | slice
-"""some of the sites, or all"""
+"""selection of some of the sites, or of all"""
 
 
 class PaperSoils:
-    """Those of Table I."""
+    """The paper's soils, with the parameters of its Table I."""
 
     def __init__(self, sites: Sites) -> None:
         """Set the sites."""
@@ -27,20 +27,21 @@ class PaperSoils:
         """Set the weather of the ticks that follow.
 
         Args:
-            potential: evapotranspiration off each bed in a tick (m3), of plants that lack no water.
-            raining: whether it rains anywhere.
+            potential: evapotranspiration of each bed in a tick while plants lack no water (m3).
+            raining: whether it rains on any roof.
         """
         self._potential, self._raining = potential, raining
 
     def begin(self, x2: Values, evaporated: Values) -> bool:
-        """Write the evapotranspiration that each soil would yield in a tick; call it in each.
+        """Begin a tick, and write the evapotranspiration that each soil would yield in it.
 
         Args:
             x2: volume on each roof (m3).
-            evaporated: where it is written (m3).
+            evaporated: array to which the evapotranspiration is written (m3).
 
         Returns:
-            Whether it does not rain, each soil is below its capacity, and it has that much.
+            Whether it rains nowhere, and every soil is below its capacity and can yield the
+            evapotranspiration.
         """
         evaporated[:], self._x2 = self._potential, x2
         if self._raining:
@@ -48,27 +49,40 @@ class PaperSoils:
         return bool(((x2 < self._sites.z_cap) & (x2 >= self._potential)).all())
 
     def passing(self, x2: Values) -> Values:
-        """Return the share of the arriving water that passes each soil, at volumes (m3) (1)."""
+        """Return the share of the arriving water that passes through each soil (1).
+
+        Args:
+            x2: volume on each roof (m3).
+        """
         return np.zeros_like(x2)
 
     def water_to_raise(self, to: Values, rows: Rows) -> Values:
-        """Return the water that raises some of the soils to a higher volume in the tick (m3)."""
+        """Return the water that raises some of the soils to a higher volume in the tick (m3).
+
+        Args:
+            to: the higher volumes (m3).
+            rows: selection of the roofs.
+        """
         return to - self._x2[rows]
 
     def percolate(self, arrived: Values, rows: Rows) -> Values:
-        """Return what percolates out of some of the soils in the tick (m3), none at its capacity.
+        """Return the water that percolates out of some soils in the tick (m3).
+
+        The result holds only for soils below their capacity.
 
         Args:
             arrived: rain and pumped water in the tick (m3).
-            rows: which roofs.
+            rows: selection of the roofs.
         """
         return np.zeros_like(arrived)
 
     def lose(self, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
-        """Return percolation and evapotranspiration in any tick (m3), and where they are limited.
+        """Return percolation and evapotranspiration in a tick (m3), and where they are limited.
+
+        This holds in any tick, even with rain or with soils at their capacity.
 
         Args:
-            evaporated: what :meth:`begin` has written (m3).
+            evaporated: evapotranspiration that :meth:`begin` has written (m3).
             arrived: rain and pumped water in the tick (m3).
         """
         sites, tau, x2, above = self._sites, self._tau, self._x2, self._x2 - self._sites.z_cap
@@ -82,14 +96,14 @@ class PaperSoils:
 
 
 class MeasuredSoils:
-    """Substrates; the methods are those of :class:`PaperSoils`."""
+    """Field-capacity soils; the methods are those of :class:`PaperSoils`."""
 
     def __init__(self, sites: Sites) -> None:
         """Set the sites."""
         self._sites, self._settled = sites, False
         self._drying = sites.stress_onset * sites.available_volume
         self._filled = np.empty(len(sites))
-        """share of the water that plants can take, at the beginning of the tick (1)"""
+        """filled share of the water that plants can take up, at the beginning of the tick (1)"""
 
     def set_weather(self, potential: Values, raining: bool) -> None:
         """Set the weather; see :class:`PaperSoils`."""
@@ -100,7 +114,7 @@ class MeasuredSoils:
         """Write evapotranspiration; see :class:`PaperSoils`."""
         sites, self._x2 = self._sites, x2
         if not (self._raining or self._settled):
-            # They remain so in this weather: K_s falls to 0 with what plants can take.
+            # They stay so in this weather: K_s falls to 0 with the water that plants can take up.
             self._settled = bool((
                 (x2 >= sites.wilting_volume) & (x2 < sites.z_cap)
                 & (self._potential <= self._drying)
@@ -115,7 +129,7 @@ class MeasuredSoils:
         return np.asarray(self._fill(x2, np.empty_like(x2)) ** 2)
 
     def _fill(self, x2: Values, share: Values) -> Values:
-        """Write the filled share of the water that plants can take (1), and return it."""
+        """Write the filled share of the water that plants can take up (1), and return it."""
         np.subtract(x2, self._sites.wilting_volume, out=share)
         np.divide(share, self._sites.available_volume, out=share)
         if not self._settled:
@@ -140,9 +154,9 @@ class MeasuredSoils:
         return np.asarray(water)
 
     def percolate(self, arrived: Values, rows: Rows) -> Values:
-        """Return what percolates out of some of the soils; see :class:`PaperSoils`."""
+        """Return the water that percolates out of some soils; see :class:`PaperSoils`."""
         available, filled = self._sites.available_volume[rows], self._filled[rows]
-        if not self._settled:  # what comes first stays
+        if not self._settled:  # the soil keeps the water that raises it to the wilting point
             wilting = self._sites.wilting_volume[rows]
             arrived = arrived - np.minimum(arrived, np.maximum(wilting - self._x2[rows], 0.0))
         g = arrived / available
@@ -171,5 +185,5 @@ Soils: TypeAlias = PaperSoils | MeasuredSoils
 
 
 def soils_of(sites: Sites) -> Soils:
-    """Return the soils of sites of one kind."""
+    """Return the soils of sites that all have the same kind of soil."""
     return MeasuredSoils(sites) if sites.measured[0] else PaperSoils(sites)

@@ -1,16 +1,18 @@
-"""Years of past weather over the internet, block by block: fetched, checked, kept, and joined.
+"""Fetch years of past weather over the internet, block by block: request, check, keep and join.
 
-**Open-Meteo**, Historical Weather API: reanalyses (ERA5, ECMWF IFS) for any place, from 1940 to
-some days ago. One request at a time is answered; 600 a minute, 5,000 an hour and 10,000 a day are
-allowed, and one for more than two weeks counts as several. How long a refusal asks to wait is in
-its sentence, and in no header. Data are under CC BY 4.0, and the
-service is free for non-commercial use.
+**Open-Meteo**, Historical Weather API, provides reanalyses (ERA5, ECMWF IFS) for any place, from
+1940 to some days ago. It answers one request at a time; 600 a minute, 5,000 an hour and 10,000 a
+day are allowed, and a request for more than two weeks counts as several. When it turns a request
+down, the time to wait is in the sentence of the reply and in no header. The data are under CC BY
+4.0, and the service is free for non-commercial use.
 
-**ECCC**, the bulk files of Environment and Climate Change Canada's climate archive: a station's
-observations, a month in each file. Hours without observations have rows, too; a month in which
-there was no station is a header. Data are under the Open Government Licence - Canada.
+**ECCC**, the climate archive of Environment and Climate Change Canada, provides bulk files with a
+station's observations, one month per file. Hours without observations also have rows; for a month
+in which the station did not exist, the file is only a header. The data are under the Open
+Government Licence - Canada.
 
-A block is kept as soon as it is complete, as the service sent it, and is not requested again.
+A block is kept in the form in which the service sent it as soon as it is complete, and is not
+requested again.
 """
 
 from __future__ import annotations
@@ -48,26 +50,27 @@ from greenroof_ros.weather.reading import read_measured
 
 _OPEN_METEO_URL = "https://archive-api.open-meteo.com/v1/archive"
 _ECCC_URL = "https://climate.weather.gc.ca/climate_data/bulk_data_e.html"
-# The newest days of the reanalysis are not there yet.
+# The reanalysis does not include the most recent days yet.
 _DELAY = timedelta(days=6)
-# Wait after a first failure as a multiple of the usual pause; it doubles with each further one.
+# Wait after the first failure, as a multiple of the usual pause (every further failure doubles it);
+# and the number of attempts.
 _WAIT_PAUSES, _ATTEMPTS = 5, 8
-# The longest wait that a service can ask for (s): longer, and the command ends.
+# Longest wait that a service may ask for (s); if it asks for more, the command ends.
 _MAX_WAIT_S = 3700.0
-# What Open-Meteo's refusals ask for (s).
+# Waits for which Open-Meteo asks when it turns a request down (s), by its words.
 _ASKED_S = {"in one minute": 60.0, "in the next hour": 3600.0, "tomorrow": 86_400.0}
 _REQUEST = "request.txt"
 
 
 @dataclass(frozen=True)
 class Block:
-    """A part of the years that one request returns.
+    """A part of the period that one request returns.
 
     Attributes:
-        first: its first day.
-        last: its last day.
-        suffix: suffix of its file.
-        parameters: parameters of the request, in addition to the source's.
+        first: first day of the block.
+        last: last day of the block.
+        suffix: suffix of the file that keeps it.
+        parameters: parameters of the request, in addition to those of the source.
     """
 
     first: date
@@ -77,26 +80,26 @@ class Block:
 
     @property
     def file(self) -> str:
-        """Name of the file that keeps it."""
+        """Name of the file that keeps the block."""
         return f"{self.first}_{self.last}{self.suffix}"
 
     @property
     def hours(self) -> int:
-        """Number of its hours."""
+        """Number of hours in the block."""
         return 24 * ((self.last - self.first).days + 1)
 
 
 @dataclass(frozen=True)
 class Source:
-    """A service and what is requested of it.
+    """A service, and what is requested from it.
 
     Attributes:
-        about: description and licence, in lines for the head of a file.
-        url: address of the interface; its own query can have a key.
-        parameters: parameters of each request.
-        blocks: in order of time.
+        about: description and licence, as lines for the head of a file.
+        url: URL of the interface; its query may contain a key.
+        parameters: parameters of every request.
+        blocks: blocks to request, in order of time.
         pause_s: time from an answer to the next request (s).
-        check: refuses an answer that is not the whole block; raises ServiceError.
+        check: function that raises ServiceError if an answer is not the whole block.
     """
 
     about: str
@@ -108,23 +111,26 @@ class Source:
 
 
 def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> Source:
-    """Return Open-Meteo's archive at a site: a block a year.
+    """Return Open-Meteo's archive for a site, with one block per year.
 
-    Years are of the site's clock and blocks of UTC, so there is a day more at either end.
+    Years are on the site's clock and blocks are in UTC, so there is one more day at either end.
 
     Args:
-        site: its place.
-        years: years of the site's clock.
-        today: the present day.
-        url: address of the interface; if empty, the service's own.
+        site: the site, which has a place.
+        years: years to fetch, on the site's clock.
+        today: today's date.
+        url: URL of the interface; if empty, the service's own.
 
     Raises:
-        ConfigurationError: the site file lacks the place, the years are not over, or the URL is not
-            of the web.
+        ConfigurationError: if the place is missing from the site file, the years end in the
+            future, or the URL is not a web address.
     """
     for name in ("latitude", "longitude"):
         if getattr(site, name) is None:
-            raise ConfigurationError("must be in the site file: its weather is fetched", key=name)
+            raise ConfigurationError(
+                "must be in the site file, because weather is fetched for the site's place",
+                key=name,
+            )
     newest = today - _DELAY
     if newest.year < years[-1]:
         raise ConfigurationError(
@@ -140,7 +146,7 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
         "hourly": ",".join(VARIABLES.values()), "timezone": "GMT",
     }
     return Source(
-        "Weather of a reanalysis from Open-Meteo.com, Historical Weather API (ERA5, ECMWF IFS): "
+        "Reanalysis weather from Open-Meteo.com, Historical Weather API (ERA5, ECMWF IFS): "
         "https://open-meteo.com\n"
         "Licence: CC BY 4.0, name the source. The service is free for non-commercial use.",
         check_url(url or _OPEN_METEO_URL, [*parameters, "start_date", "end_date"]), parameters, [
@@ -154,23 +160,23 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
 def eccc_station(
     station: int, site: Site, years: range, today: date, url: str = ""
 ) -> Source:
-    """Return the bulk files of a station: a block a month.
+    """Return the bulk files of a station, with one block per month.
 
     Args:
-        station: its ``stationID``, which is not its climate identifier.
-        site: near it; its offset from UTC is the files'.
+        station: the station's ``stationID``, which is not its climate identifier.
+        site: a site near the station; its offset from UTC is used for the files.
         years: years of the files.
-        today: the present day.
-        url: address of the interface; if empty, the service's own.
+        today: today's date.
+        url: URL of the interface; if empty, the service's own.
 
     Raises:
-        ConfigurationError: the site file lacks the offset from UTC, a year is in the future, or the
-            URL is not of the web.
+        ConfigurationError: if the offset from UTC is missing from the site file, a year is in the
+            future, or the URL is not a web address.
     """
     if site.utc_offset is None:
         raise ConfigurationError(
-            "must be in the site file, as in 'utc_offset: -5.0': ECCC's files are in standard "
-            "time", key="utc_offset"
+            "must be in the site file, as in 'utc_offset: -5.0', because ECCC's files are in local "
+            "standard time", key="utc_offset"
         )
     if today.year < years[-1]:
         raise ConfigurationError("is in the future", key="years", value=years[-1])
@@ -181,7 +187,7 @@ def eccc_station(
         "format": "csv", "stationID": station, "Day": 14, "timeframe": 1,
     }
     return Source(
-        "Observations of Environment and Climate Change Canada, Historical Data, hourly bulk "
+        "Observations from Environment and Climate Change Canada, Historical Data, hourly bulk "
         f"files of stationID {station}: https://climate.weather.gc.ca\n"
         "Licence: Open Government Licence - Canada, name the source.",
         check_url(url or _ECCC_URL, [*parameters, "Year", "Month"]), parameters, [
@@ -200,7 +206,7 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
     try:
         content = json.loads(body)
     except (ValueError, RecursionError):
-        raise ServiceError(f"sent no JSON, or a part of it: {read_reason(body)}") from None
+        raise ServiceError(f"sent no JSON, or only part of it: {read_reason(body)}") from None
     hourly = content.get("hourly") if isinstance(content, dict) else None
     if not isinstance(hourly, dict):
         raise ServiceError(f"sent no hourly values: {read_reason(body)}")
@@ -212,7 +218,7 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
         hours = len(times) if isinstance(times, list) else 0
         raise ServiceError(f"sent {hours} hours of {block.hours}")
     if str(times[0])[:10] != str(block.first):
-        raise ServiceError(f"sent hours from {times[0]} on, not from {block.first}")
+        raise ServiceError(f"sent hours that begin at {times[0]}, not at {block.first}")
 
 
 def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
@@ -228,20 +234,20 @@ def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
 
 
 def prepare_directory(directory: Path, source: Source) -> None:
-    """Make the directory that keeps the blocks of a source until all are there.
+    """Create the directory that keeps the blocks of a source until all have arrived.
 
     Raises:
-        ConfigurationError: if it keeps blocks of another request, for instance of another site.
+        ConfigurationError: if it keeps blocks from another request, for instance for another site.
     """
     asked = "".join(f"{key}: {value}\n" for key, value in source.parameters.items())
-    if query := urlsplit(source.url).query:  # it can have a key
+    if query := urlsplit(source.url).query:  # it may contain a key
         asked += f"query: SHA-256 {hashlib.sha256(query.encode()).hexdigest()}\n"
     claim, asked = directory / _REQUEST, f"{name_url(source.url)}\n{asked}"
     directory.mkdir(exist_ok=True)
     kept = claim.read_text(encoding="utf-8", errors="replace") if claim.exists() else ""
     if any(directory.glob("*_*")) and kept != asked:
         raise ConfigurationError(
-            f"keeps parts of another request ({_REQUEST}); remove it, or name another output",
+            f"keeps parts from another request ({_REQUEST}); remove it, or choose another output",
             file=directory,
         )
     replace_text(claim, asked)
@@ -251,20 +257,19 @@ def fetch(
     source: Source, site: Site, directory: Path, pause_s: float | None,
     progress: ProgressBar,
 ) -> list[Path]:
-    """Fetch the blocks that a directory lacks or has only in part; return all blocks' files.
+    """Fetch the blocks that a directory does not yet keep, and return the files of all blocks.
 
     Args:
-        source: the service, and the blocks.
-        site: its place and clock, by which the answers are read.
-        directory: keeps the blocks, prepared by :func:`prepare_directory`.
-        pause_s: time between requests, instead of the source's (s).
-        progress: shows the present block, and why one is requested again.
+        source: the service and the blocks.
+        site: the site, with whose place and clock the answers are read.
+        directory: directory of the blocks, prepared by :func:`prepare_directory`.
+        pause_s: time between requests (s); None for the source's own.
+        progress: shows the current block, and why a block is requested again.
 
     Raises:
-        ServiceError: a block could not be fetched, though it was tried eight times, unless trying
-            again is of no use.
-        ConfigurationError: an answer is not of the site.
-        OSError: a block cannot be kept.
+        ServiceError: if a block could not be fetched in eight attempts, or trying again is useless.
+        ConfigurationError: if an answer does not match the site.
+        OSError: if a block cannot be stored.
     """
     pause_s = source.pause_s if pause_s is None else pause_s
     files = [directory / block.file for block in source.blocks]
@@ -291,7 +296,7 @@ def fetch(
 
 
 def _is_whole(file: Path, source: Source, block: Block) -> bool:
-    """Return whether a block is kept, and not damaged, as by a power cut."""
+    """Return whether a block is kept and undamaged; a power cut, for instance, may damage one."""
     try:
         source.check(file.read_bytes(), block)
     except (FileNotFoundError, ServiceError):
@@ -300,7 +305,13 @@ def _is_whole(file: Path, source: Source, block: Block) -> bool:
 
 
 def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
-    """Fetch a block, check it, and keep it under its name."""
+    """Fetch a block, check it, and store it under its name.
+
+    Raises:
+        ServiceError: if the service does not send the whole block.
+        ConfigurationError: if the answer does not match the site.
+        OSError: if the block cannot be stored.
+    """
     body = request(source.url, {**source.parameters, **block.parameters}).body
     try:
         source.check(body, block)
@@ -315,28 +326,33 @@ def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
 
 
 def _find_wait(error: ServiceError) -> float:
-    """Return how long a service asks to be left alone (s); 0 if it does not."""
+    """Return how long a service asks us to wait (s); 0 if it does not ask."""
     asked = [seconds for words, seconds in _ASKED_S.items() if words in str(error)]
     return max([error.wait or 0.0, *asked])
 
 
 def _is_empty(file: Path) -> bool:
-    """Return whether a block has no hours, as a month in which there was no station."""
+    """Return whether a block has no hours, like a month in which the station did not exist."""
     return file.suffix == ".csv" and len(file.read_bytes().splitlines()) < 2
 
 
 def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
-    """Return the hours of the years that blocks hold, by the site's clock.
+    """Return the hours of some years from the blocks, on the site's clock.
+
+    Args:
+        files: files of the blocks.
+        site: the site.
+        years: years on the site's clock.
 
     Raises:
-        ConfigurationError: they hold no precipitation.
+        ConfigurationError: if the blocks contain no precipitation.
     """
     parts = [file for file in files if not _is_empty(file)]
     if not parts:
-        raise ConfigurationError("the service has no hourly records of these years")
+        raise ConfigurationError("the service has no hourly records for these years")
     records = read_measured(parts, site)
     offset = timedelta(hours=site.clock_offset)
-    clock = timezone.utc if offset % HOUR else timezone(offset)  # hours remain the service's
+    clock = timezone.utc if offset % HOUR else timezone(offset)  # the service's hours stay whole
     first = records.first.astimezone(clock)
     begin, end = (
         min(max((datetime(year, 1, 1, tzinfo=clock) - first) // HOUR, 0), records.hours)

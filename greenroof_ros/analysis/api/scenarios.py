@@ -1,6 +1,6 @@
-"""Scenarios: fixed runs with a score, its bound, and the scores of other controllers.
+"""Scenarios: fixed runs with a score, a bound on it, and the scores of other controllers.
 
-``config/scenarios.yaml`` defines them. ``config/scenarios.csv`` lists the scores of their
+``config/scenarios.yaml`` defines the scenarios. ``config/scenarios.csv`` lists the scores of their
 controllers, which ``tools/reference_scores.py`` computes with :func:`evaluate`.
 """
 
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     import polars
 
 REFERENCES = "scenarios.csv"
-"""the scores of the scenarios' controllers, in ``config/``"""
+"""file in ``config/`` with the scores of the scenarios' controllers"""
 _COLUMNS = ("scenario", "controller", "score", "bound", "stress_hours")
 _MAINS = "mains_m3"
-# At most so many blocks of time have a variable of their own in a bound.
+# Maximum number of time blocks with a variable of their own when a bound is computed.
 _BLOCKS = 5000
 
 
@@ -40,14 +40,14 @@ _MAPPINGS = ("inputs", "weights", "controllers")
 
 
 def _freeze(value: Any) -> Any:
-    """Return a value whose mappings are read-only copies."""
+    """Return a value in which all mappings are read-only copies."""
     if isinstance(value, Mapping):
         return MappingProxyType({key: _freeze(each) for key, each in value.items()})
     return value
 
 
 def _thaw(value: Any) -> Any:
-    """Return a value whose mappings are dicts."""
+    """Return a value in which all mappings are dicts."""
     if isinstance(value, Mapping):
         return {key: _thaw(each) for key, each in value.items()}
     return value
@@ -55,9 +55,9 @@ def _thaw(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A site, weather, window and forecast that stay as they are, and a score.
+    """A fixed site, weather, period and forecast, and a score.
 
-    Nothing in it can be changed, so that a score means the same to everyone.
+    Nothing in it can be changed, so a score means the same to everyone.
 
     Example:
         >>> import greenroof_ros as gr
@@ -72,9 +72,9 @@ class Scenario:
         about: description in one sentence.
         inputs: inputs of :func:`.simulate`, apart from the controller.
         unit: unit of the score.
-        score: value of the score; lower is better.
-        weights: the metrics whose weighted sum it is.
-        controllers: inputs of those that others are compared with, by name.
+        score: description of the score; lower is better.
+        weights: weights of the metrics whose sum is the score, by the metrics' names.
+        controllers: inputs of the controllers with which others are compared, by name.
     """
 
     name: str
@@ -86,12 +86,12 @@ class Scenario:
     controllers: Mapping[str, Mapping[str, Any]] = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Make its mappings, and those in them, read-only."""
+        """Make all mappings read-only, including nested ones."""
         for name in _MAPPINGS:
             object.__setattr__(self, name, _freeze(getattr(self, name)))
 
     def __reduce__(self) -> tuple[type[Scenario], tuple[Any, ...]]:
-        """Copy and send it as plain values: a read-only mapping cannot be pickled."""
+        """Copy and pickle the scenario as plain values: read-only mappings cannot be pickled."""
         values = (getattr(self, each.name) for each in fields(self))
         return Scenario, tuple(_thaw(value) for value in values)
 
@@ -102,8 +102,8 @@ class Scenario:
     def bound(self, result: Result) -> float:
         """Return the lowest score that is possible in this scenario.
 
-        For the deviation it is the minimum over all commands up to 1, or up to the result's
-        highest. For storm water it is the minimum over all controls of the valve, with the
+        For the deviation, it is the minimum over all commands up to 1, or up to the highest command
+        in the result. For storm water, it is the minimum over all controls of the valve, with the
         irrigation of the result and without water stress.
         """
         run, metrics = result.run, result.metrics
@@ -147,14 +147,14 @@ scenarios: Mapping[str, Scenario] = MappingProxyType(_read_scenarios())
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """The score of a controller in a scenario; printed, it is compared with others.
+    """The score of a controller in a scenario; if printed, it is compared with other controllers.
 
     Attributes:
         scenario: the scenario.
         name: name of the controller.
-        value: the score, in the scenario's unit; lower is better.
-        bound: the lowest score that is possible with this irrigation; see :meth:`Scenario.bound`.
-        result: the run.
+        value: score in the scenario's unit; lower is better.
+        bound: lowest score that is possible with this irrigation; see :meth:`Scenario.bound`.
+        result: the run and its results.
     """
 
     scenario: Scenario
@@ -165,7 +165,7 @@ class Score:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """This controller and those of the scenario, the best first."""
+        """Rows for this controller and those of the scenario, beginning with the best."""
         own = (
             self.scenario.name, f"yours: {self.name}", self.value, self.bound,
             self.result.metrics["stress_hours"],
@@ -176,10 +176,10 @@ class Score:
 
     @property
     def table(self) -> polars.DataFrame:
-        """The rows as a data frame of polars: controller, score, bound and hours of water stress.
+        """The rows as a polars data frame: controller, score, bound and hours of water stress.
 
         Raises:
-            ConfigurationError: polars is not installed.
+            ConfigurationError: if polars is not installed.
         """
         refuse_forked_polars()
         with require_extra("study"):
@@ -187,11 +187,11 @@ class Score:
         return polars.DataFrame(self.rows).drop("scenario")
 
     def __repr__(self) -> str:
-        """Return the score in a line, and the table."""
+        """Return the score on one line, and the table below it."""
         known = self.scenario
         lines = [
             f"{known.name}: {self.value:.2f} {known.unit}, at best {self.bound:.2f}. The score is "
-            f"the {known.score}: lower is better.",
+            f"the {known.score}; lower is better.",
             f"{'score':>8}{'at best':>9}{'stress':>9}  controller",
         ]
         lines += [
@@ -203,7 +203,7 @@ class Score:
 
 
 def read_references() -> list[dict[str, Any]]:
-    """Return the scores of the scenarios' controllers, a row for each."""
+    """Return the scores of the scenarios' controllers, one row per controller."""
     lines = read_lines(shared_directory() / "config" / REFERENCES)
     return [
         {name: text if name in _COLUMNS[:2] else float(text) for name, text in row.items()}
@@ -214,19 +214,20 @@ def read_references() -> list[dict[str, Any]]:
 def score(
     controller: str | type | Controller | Function, scenario: str, **parameters: Any
 ) -> Score:
-    """Return how good a controller is in a scenario, next to the bound and other controllers.
+    """Return the score of a controller in a scenario, with the bound and other controllers' scores.
 
     Args:
-        controller: as :func:`.simulate` accepts it.
+        controller: any controller that :func:`.simulate` accepts.
         scenario: name of one of ``gr.scenarios``.
-        parameters: those of the controller and of the valve's policy, such as ``outlet="plan"``.
+        parameters: parameters of the controller and of the valve's policy, such as
+            ``outlet="plan"``.
 
     Returns:
         The score, its bound, the run, and a table with the scores of the scenario's controllers.
 
     Raises:
-        ConfigurationError: there is no such scenario, or a parameter is wrong or is fixed by the
-            scenario.
+        ConfigurationError: if there is no such scenario, or a parameter is wrong or is fixed by
+            the scenario.
 
     Example:
         >>> import greenroof_ros as gr
@@ -250,11 +251,16 @@ def evaluate(
     scenario: Scenario, controller: str | type | Controller | Function,
     inputs: Mapping[str, Any],
 ) -> Score:
-    """Simulate a controller in a scenario, with parameters, or inputs in place of the scenario's.
+    """Simulate a controller in a scenario and return its score.
+
+    Args:
+        scenario: the scenario.
+        controller: the controller.
+        inputs: parameters, and inputs that replace those of the scenario, by name.
 
     Raises:
-        ConfigurationError: an input is wrong.
-        NoBoundError: the solver found no bound.
+        ConfigurationError: if an input is wrong.
+        NoBoundError: if the solver finds no bound.
     """
     result = simulate(controller, **{**scenario.inputs, **inputs})
     return Score(

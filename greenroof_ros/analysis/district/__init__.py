@@ -1,1 +1,1 @@
-"""Districts: many buildings with green roofs and cisterns, and what they send to one sewer."""
+"""Districts: many buildings with green roofs and cisterns, and their discharge to one sewer."""

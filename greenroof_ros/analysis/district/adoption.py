@@ -1,8 +1,8 @@
-"""Adoption: which buildings have a green roof and a cistern, and which of these a valve.
+"""Adoption: which buildings have a green roof and a cistern, and which of them have a valve.
 
-Buildings adopt in a random order, so that who has a green roof at a low adoption has one at every
-higher one. Buildings that begin at the same share are one group: each is simulated once, and the
-district at any adoption is a sum of groups.
+Buildings adopt in a random order: one that has a green roof at a low adoption also has one at every
+higher adoption. Buildings that adopt at the same share form a group. Every building is simulated
+once, and the district at any adoption is a sum of groups.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ class Adoption:
 
     Attributes:
         buildings: number of all buildings.
-        shares: with a green roof and a cistern, ascending.
-        valve_share: share of these with a valve.
+        shares: shares of the buildings with a green roof and a cistern (1), in ascending order.
+        valve_share: share of these that have a valve (1).
     """
 
     buildings: int
@@ -31,23 +31,26 @@ class Adoption:
 
     @property
     def counts(self) -> list[int]:
-        """How many buildings have a green roof at each share."""
+        """Number of buildings with a green roof at each share."""
         return [math.floor(share * self.buildings + 0.5) for share in self.shares]
 
     def groups(self, ranks: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the index of the first share at which buildings have a green roof.
+        """Return the index of the first share at which each building has a green roof.
 
-        It is the number of shares if they never do.
+        For a building that never has one, it is the number of shares.
 
         Args:
-            ranks: the buildings' places in the order of adoption.
+            ranks: places of the buildings in the order of adoption.
         """
         return np.searchsorted(self.counts, ranks, side="right")
 
     def have_valve(self, ranks: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Return which buildings have a valve once they have a cistern.
 
-        At every adoption it is the same share of them, to one building.
+        Their share is the same at every adoption, to within one building.
+
+        Args:
+            ranks: places of the buildings in the order of adoption.
         """
         return np.asarray(
             np.floor((ranks + 1) * self.valve_share + 1e-9)

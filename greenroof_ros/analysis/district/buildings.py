@@ -1,4 +1,4 @@
-"""The buildings of a district: drawn from distributions, or listed in a CSV."""
+"""The buildings of a district: drawn from distributions or listed in a CSV file."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from greenroof_ros.model.site import Site
 Values = NDArray[np.float64]
 
 ID, CELL = "id", "cell"
-# A distribution is refused if its limits leave less of it than this.
+# A distribution is rejected if its limits leave less of it than this share.
 _MIN_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
 class Buildings:
-    """Some buildings of a district; the n-th entry of each sequence is the n-th building's.
+    """Some buildings of a district; the n-th entry of every sequence belongs to the n-th building.
 
     Attributes:
-        ids: their names.
-        cells: of the weather, by index.
+        ids: names of the buildings.
+        cells: indices of their weather cells.
         ranks: their places in the order of adoption.
-        values: what differs between them, by key.
-        file: where they are listed; the district's file if they are not.
-        lines: in that file; None if they are not listed.
-        drawn: the lines of the distributions in the district's file, by key.
+        values: the values in which they differ, by key.
+        file: the file that lists them, or the district's file if they are drawn.
+        lines: their lines in that file; None if they are drawn.
+        drawn: lines of the distributions in the district's file, by key.
         district_file: the district's file.
     """
 
@@ -50,11 +50,11 @@ class Buildings:
     district_file: Path
 
     def __len__(self) -> int:
-        """Return their number."""
+        """Return the number of buildings."""
         return len(self.ids)
 
     def part(self, places: slice) -> Buildings:
-        """Return some of them."""
+        """Return the buildings in a range of places."""
         return replace(
             self, ids=self.ids[places], cells=self.cells[places], ranks=self.ranks[places],
             values={key: values[places] for key, values in self.values.items()},
@@ -62,13 +62,17 @@ class Buildings:
         )
 
     def refuse(self, place: int, error: ConfigurationError) -> ConfigurationError:
-        """Return the error about a building's site, with the building and where its value is from.
+        """Return an error about a building's site that names the building and the value's source.
 
-        A value that was drawn is from the district's file. A key that all buildings share is wrong
-        because of others, so the drawn ones are named.
+        The source of a drawn value is the district's file. If the key is one that all buildings
+        share, it is wrong because of other keys, so the error names the drawn ones.
+
+        Args:
+            place: the building's place in the sequences.
+            error: the error about its site.
         """
         building, key = f"building {self.ids[place]}", error.key
-        name = (key or "").partition(" ")[0]  # a plain key has the paper's behind it
+        name = (key or "").partition(" ")[0]  # the paper's name may follow a plain key
         if name in self.drawn:
             return ConfigurationError(
                 f"{error.expected} ({building})", file=self.district_file, line=self.drawn[name],
@@ -91,17 +95,17 @@ def make_buildings(
 ) -> Buildings:
     """Return the buildings of a district, in the order of their cells.
 
-    A distribution of one key does not depend on the others, nor on how many buildings there are:
-    more of them are the same ones and further ones.
+    The values of one key depend neither on the other keys nor on the number of buildings: if the
+    number grows, the first buildings stay the same.
 
     Args:
         district: the district.
-        site: what they have in common.
-        cells: names of the cells of the weather; empty if there is one weather.
-        notes: gets what was not used.
+        site: the site that the buildings have in common.
+        cells: names of the weather cells; empty if all buildings have the same weather.
+        notes: list to which notes on unused columns are added.
 
     Raises:
-        ConfigurationError: the CSV is wrong, or a value is beyond the range of its key.
+        ConfigurationError: if the CSV file is wrong, or a value is out of the range of its key.
     """
     if district.file is not None:
         file = district.find_files("file", district.file)[0]
@@ -115,12 +119,14 @@ def make_buildings(
     known = building_keys()
     for name, draw in sorted(district.draw.items(), key=lambda item: item[1].times is not None):
         if name in listed:
-            raise district.refuse(f"draw.{name}", f"is a column of {file.name}, too", name)
+            raise district.refuse(f"draw.{name}", f"is also a column of {file.name}", name)
         values[name] = _draw(district, name, draw, len(ids))
         if draw.times is not None:
             factor = {**listed, **values}.get(draw.times, getattr(site, draw.times, None))
             if not np.issubdtype(np.asarray(factor).dtype, np.number):
-                raise district.refuse(f"draw.{name}.times", "has no number in every building")
+                raise district.refuse(
+                    f"draw.{name}.times", "must be a key that is a number in every building"
+                )
             values[name] = (np.asarray(values[name]) * np.asarray(factor, dtype=float)).tolist()
         if bool(draw.names) != bool(known[name].among):
             raise district.refuse(
@@ -150,7 +156,7 @@ def make_buildings(
 
 
 def _draw(district: District, name: str, draw: Draw, count: int) -> Sequence[Any]:
-    """Return a key's value in each building, by the inverse of its distribution."""
+    """Return a key's value for each building, from the inverse of its distribution."""
     shares = np.random.default_rng([district.seed, zlib.crc32(name.encode())]).random(count)
     among = draw.values or draw.names
     if among is not None:
@@ -172,18 +178,18 @@ def _draw(district: District, name: str, draw: Draw, count: int) -> Sequence[Any
     )
     if up_to - below < _MIN_SHARE:
         raise district.refuse(
-            f"draw.{name}", f"leaves {max(0.0, up_to - below):.2g} of the distribution between low "
-            "and high; move them or the mean",
+            f"draw.{name}", f"has only a share of {max(0.0, up_to - below):.2g} of its "
+            "distribution between low and high; change low, high or the mean",
         )
     drawn = np.exp(middle + width * ndtri(below + (up_to - below) * shares))
-    values: list[float] = np.clip(drawn, low, high).tolist()  # it may be beyond them by rounding
+    values: list[float] = np.clip(drawn, low, high).tolist()  # rounding may exceed the limits
     return values
 
 
 def _read(
     file: Path, cells: Sequence[str], notes: list[str]
 ) -> tuple[list[str], NDArray[np.intp], list[int], dict[str, Sequence[Any]]]:
-    """Return the name, the cell and the line of each building of a CSV, and its other columns."""
+    """Return the name, cell and line of each building in a CSV file, and its other columns."""
     table = read_table(file)
     needed = (ID, CELL) if cells else (ID,)
     table.require_columns(needed, "lists of buildings" + " in cells" * bool(cells))
@@ -196,18 +202,19 @@ def _read(
             for name in others if (alike := find_similar(name, known))
         ]
         notes.append(
-            f"{file.name}: not keys of a site, and not used: {', '.join(others)}"
+            f"{file.name}: these columns are not keys of a site and are not used: "
+            + ", ".join(others)
             + f" ({'; '.join(meant)})" * bool(meant)
         )
-    table.require_columns(columns, "")  # each once
+    table.require_columns(columns, "")  # a column may appear only once
     ids, places, lines = dict[str, int](), list[int](), list[int]()
     values: dict[str, list[Any]] = {name: [] for name in columns}
     for row in table.rows:
         name, line = table.cell(row, ID), row.line or 0
         if not name:
-            raise table.refuse("must have a name or number for each building", ID, row)
+            raise table.refuse("must be a name or number for every building", ID, row)
         if name in ids:
-            raise table.refuse(f"is the building of line {ids[name]}, too", ID, row)
+            raise table.refuse(f"is also the building in line {ids[name]}", ID, row)
         ids[name] = line
         if cells:
             places.append(_find_cell(table, row, cells))

@@ -1,4 +1,4 @@
-"""The file of a district: its buildings, weather, adoption and sewer, read and checked."""
+"""Read and check the file of a district: its buildings, weather, adoption and sewer."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from greenroof_ros.model.site import Site, read_site, site_parameters
 from greenroof_ros.weather.series import GAPS, REFUSE
 
 NONE, ORIFICE, DRAIN, PLAN = OUTLETS = ("none", "orifice", outlet.DRAIN, outlet.PLAN)
-"""what empties cisterns: the overflow alone; a hole that is always open; a valve, in two ways"""
+"""ways to empty the cisterns: the overflow alone; an orifice that is always open; a valve with one
+of two policies"""
 NO_FORECAST = "none"
 _MAX_BUILDINGS = 1_000_000
-# All buildings have these in common: weather and clock; which outlets, the district's file says.
+# Keys that all buildings share: weather, clock, and the outlets, which the district's file chooses.
 _COMMON = {
     "tau", "M", "N", "wet_after", "event_separation", "latitude", "longitude", "elevation",
     "utc_offset", "time_zone", "quiet_hours", "albedo", "k_Rs", "wind_height",
     "monthly_evapotranspiration", "low_outlet_valve", "valve_closed_in_frost",
 }
-# Parameters of the pump's controller and of the valve; the kind of outlet is the district's.
+# Parameters of the pump's controller and of the valve. The district's file sets the kind of outlet.
 _OF_POLICY = {
     parameter.name: parameter
     for parameter in (LEVEL, *outlet.PARAMETERS) if parameter.name != "outlet"
@@ -36,7 +37,7 @@ _OF_POLICY = {
 
 
 def building_keys() -> dict[str, Parameter]:
-    """Return what can differ from building to building, by name: keys of a site and of policies."""
+    """Return the keys of a site and of policies that can differ between buildings, by name."""
     of_site = {
         parameter.name: parameter for parameter in site_parameters()
         if parameter.name not in _COMMON
@@ -45,7 +46,7 @@ def building_keys() -> dict[str, Parameter]:
 
 
 def is_of_policy(name: str) -> bool:
-    """Whether a key of a building is a parameter of its controller or outlet, not of its site."""
+    """Return whether a building's key belongs to its controller or outlet, not to its site."""
     return name in _OF_POLICY
 
 
@@ -54,23 +55,28 @@ class Draw:
     """The distribution of a key over the buildings."""
 
     mean: float | None = entry(
-        "mean of a log-normal distribution, which is positive and skewed, as sizes of buildings "
-        "are", 1e-12, 1e9, default=None,
+        "mean of a log-normal distribution, which is positive and skewed, like the sizes of "
+        "buildings", 1e-12, 1e9, default=None,
     )
-    sd: float | None = entry("its standard deviation", 0.0, 1e9, default=None)
+    sd: float | None = entry(
+        "standard deviation of the log-normal distribution", 0.0, 1e9, default=None
+    )
     low: float | None = entry(
-        "minimum: of a uniform distribution, or where the log-normal one is cut off", -1e9, 1e9,
+        "minimum of a uniform distribution, or lower limit of the log-normal one", -1e9, 1e9,
         default=None,
     )
-    high: float | None = entry("maximum, likewise", -1e9, 1e9, default=None)
+    high: float | None = entry(
+        "maximum of a uniform distribution, or upper limit of the log-normal one", -1e9, 1e9,
+        default=None,
+    )
     values: tuple[float, ...] | None = entry(
-        "instead: numbers, each as frequent as the others", -1e9, 1e9, default=None
+        "instead of a distribution: numbers, all equally frequent", -1e9, 1e9, default=None
     )
     names: tuple[str, ...] | None = entry(
-        "instead: texts, each as frequent as the others", default=None
+        "instead of a distribution: names, all equally frequent", default=None
     )
     times: str | None = entry(
-        "a key by whose value in the same building the number is multiplied", default=None
+        "key whose value in the same building multiplies the drawn number", default=None
     )
 
     @property
@@ -84,19 +90,19 @@ class Draw:
         there = [name for name, given in kinds.items() if given]
         if len(there) != 1:
             yield there[-1] if there else "", (
-                "must be one distribution: mean and sd, which low and high may cut off; low and "
-                "high; values; or names"
+                "must be one distribution: mean and sd, with or without the limits low and high; "
+                "low and high alone; values; or names"
             )
         elif self.mean is not None and self.sd is None:
-            yield "mean", "needs sd as well"
+            yield "mean", "also needs sd"
         elif self.mean is None and self.sd is not None:
-            yield "sd", "needs mean as well"
+            yield "sd", "also needs mean"
         elif self.low is not None and self.high is not None and self.low >= self.high:
             yield "low", f"must be below high = {self.high:g}"
         elif kinds["low"] and (self.low is None or self.high is None):
             yield "low" if self.high is None else "high", "needs low and high, or mean and sd"
         elif self.names is not None and self.times is not None:
-            yield "times", "multiplies numbers, not texts"
+            yield "times", "can multiply numbers, but not names"
         for name in ("values", "names"):
             if getattr(self, name) == ():
                 yield name, "must list at least one"
@@ -104,91 +110,96 @@ class Draw:
 
 @dataclass(frozen=True)
 class DistrictWeather:
-    """The weather of all cells, and the time that is simulated."""
+    """The weather of all cells, and the period that is simulated."""
 
-    start: str = entry("time of the first tick, ISO 8601")
-    hours: float = entry("length", 1e-9, 1e6, unit="h")
+    start: str = entry("time of the first tick (ISO 8601)")
+    hours: float = entry("length of the run", 1e-9, 1e6, unit="h")
     file: str | None = entry(
         "weather file, or a pattern such as '2021_*.csv', for all buildings", default=None
     )
     cells: dict[str, str] | None = entry(
-        "instead: the file or pattern of each cell, by the cell's name", default=None
+        "instead of file: the weather file or pattern of each cell, by the cell's name",
+        default=None,
     )
-    evapotranspiration: str | None = entry("its method", default=None)
+    evapotranspiration: str | None = entry("method of evapotranspiration", default=None)
     gaps: str = entry("what to do about missing hours", choices=GAPS, default=REFUSE)
 
 
 @dataclass(frozen=True)
 class Orifice:
-    """A hole that is always open, in place of a valve; what is left out is as with the valve."""
+    """An orifice that is always open, in place of a valve; the valve's values are the default."""
 
     low_outlet_level: float | None = entry(
-        "its elevation above the cistern's base", 0.001, 100.0, unit="m", default=None
+        "level of the orifice above the cistern's base", 0.001, 100.0, unit="m", default=None
     )
-    low_outlet_radius: float | None = entry("its radius", 0.001, 1.0, unit="m", default=None)
+    low_outlet_radius: float | None = entry(
+        "radius of the orifice", 0.001, 1.0, unit="m", default=None
+    )
 
 
 @dataclass(frozen=True)
 class District:
-    """A district; the keys of its file."""
+    """A district, as described by the keys of its file."""
 
-    site: str = entry("site file with what all buildings have in common")
-    weather: DistrictWeather = entry("rain and its time")
+    site: str = entry("site file with the values that all buildings have in common")
+    weather: DistrictWeather = entry("weather files and the period that is simulated")
     buildings: int | None = entry(
         "number of buildings, drawn from the distributions", 1, _MAX_BUILDINGS, default=None
     )
     file: str | None = entry(
-        "instead: CSV file with one row for each building", default=None
+        "instead of buildings: CSV file with one row per building", default=None
     )
-    seed: int = entry("of the distributions and of the order of adoption", 0, 2**32, default=1)
+    seed: int = entry(
+        "random seed of the distributions and of the order of adoption", 0, 2**32, default=1
+    )
     draw: dict[str, Draw] = entry(
-        "distributions, by the keys of a site, or outlet_reserve, outlet_price, outlet_reach and "
-        "level", factory=dict,
+        "distributions of keys of a site, and of outlet_reserve, outlet_price, outlet_reach and "
+        "level, by key", factory=dict,
     )
     tau: float = entry("duration of a tick", 1.0, 300.0, unit="s", default=60.0)
     outlets: tuple[str, ...] = entry(
-        "what empties the cisterns; none is always simulated, too", choices=OUTLETS,
+        "ways to empty the cisterns; none is simulated in any case", choices=OUTLETS,
         default=OUTLETS,
     )
-    orifice: Orifice = entry("the hole in place of a valve", factory=lambda: Orifice())
+    orifice: Orifice = entry("orifice in place of a valve", factory=lambda: Orifice())
     adoption: tuple[float, ...] = entry(
-        "shares of the buildings with a green roof and a cistern", 0.0, 1.0, unit="1",
+        "shares of the buildings that have a green roof and a cistern", 0.0, 1.0, unit="1",
         default=(0.0, 0.1, 0.25, 0.5, 1.0),
     )
     valve_share: float = entry(
-        "share of these with a low outlet: a valve, or the orifice in its place; the others only "
-        "overflow", 0.0, 1.0, unit="1", default=1.0,
+        "share of the cisterns that have a low outlet, which is a valve, or the orifice in its "
+        "place; the others only overflow", 0.0, 1.0, unit="1", default=1.0,
     )
     forecast: str = entry(
-        "what plan knows of the coming rain: all of it, or nothing",
+        "what plan knows about the coming rain: all of it, or nothing",
         choices=(PERFECT, NO_FORECAST), default=PERFECT,
     )
     sewer_capacity: float | None = entry(
-        "flow that the sewer can take, over the connected area of all buildings; what is more "
-        "overflows", 1e-6, 1000.0, unit="mm/h", default=None,
+        "flow that the sewer can take, over the connected area of all buildings; the sewer "
+        "overflows above it", 1e-6, 1000.0, unit="mm/h", default=None,
     )
     path: Path = Path()
-    """of its file"""
+    """path of the file"""
     content: YamlMapping = field(default_factory=YamlMapping, repr=False, compare=False)
-    """of the file"""
+    """content of the file"""
 
     @property
     def site_file(self) -> Path:
         """The site file.
 
         Raises:
-            ConfigurationError: there is none.
+            ConfigurationError: if it does not exist.
         """
         return self.find_files("site", self.site)[0]
 
     @property
     def ticks(self) -> dict[str, Any]:
-        """What a site's keys have in place of the site file's values."""
+        """Values that replace those of the site file, by key."""
         return {"tau": self.tau, "M": 1}
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Adoption in ascending order, each share once."""
+        """The shares of adoption in ascending order, without repetitions."""
         return tuple(sorted({*self.adoption}))
 
     def refuse(self, key: str, expected: str, value: Any = None) -> ConfigurationError:
@@ -205,15 +216,15 @@ class District:
         return find(self.content, key)[0]
 
     def find_files(self, key: str, name: str, places: Sequence[Path] = ()) -> list[Path]:
-        """Return the files of a name or pattern: next to this file, or of this package.
+        """Return the files with a name or pattern, from next to this file or from this package.
 
         Args:
-            key: that gives it, for the error.
-            name: the name or pattern.
-            places: further directories, in which they are looked for.
+            key: key under which the name stands, for the error.
+            name: name or pattern of the files.
+            places: further directories to search.
 
         Raises:
-            ConfigurationError: there is none.
+            ConfigurationError: if there is no such file.
         """
         everywhere = [self.path.parent, *places, shared_directory() / "config"]
         for place in everywhere:
@@ -230,8 +241,8 @@ def read_district(path: Path) -> tuple[District, Site]:
     """Read and check the file of a district, and its site.
 
     Raises:
-        ConfigurationError: a key is unknown, missing or wrong, or contradicts another one; or the
-            site is wrong.
+        ConfigurationError: if a key is unknown, missing or wrong, or contradicts another one, or
+            if the site is wrong.
     """
     content = YamlMapping()
 
@@ -246,8 +257,8 @@ def read_district(path: Path) -> tuple[District, Site]:
     if not site.low_outlet_valve and valves:
         raise district.refuse(
             "site", f"needs a valve for {' and '.join(sorted(valves))}: low_outlet_level, "
-            "low_outlet_radius and low_outlet_valve, as site_valve.yaml has; or leave them out of "
-            "outlets"
+            "low_outlet_radius and low_outlet_valve, as in site_valve.yaml; or leave "
+            f"{'them' if len(valves) > 1 else 'it'} out of outlets"
         )
     if site.low_outlet_level is None and ORIFICE in district.outlets:
         raise district.refuse(
@@ -261,20 +272,23 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
     """Yield the key of each contradiction, and what would be right."""
     if (district.buildings is None) == (district.file is None):
         yield "buildings", (
-            "must be given, or file with a CSV of the buildings"
-            if district.file is None else "cannot be given with file, which lists the buildings"
+            "is missing; set it, or set file to a CSV file of the buildings"
+            if district.file is None
+            else "cannot be combined with file, which lists the buildings"
         )
     weather = district.weather
     if (weather.file is None) == (weather.cells is None):
         yield "weather.file" if weather.file else "weather", (
-            "must have either file, for all buildings, or cells, with a file for each"
+            "must have either file, for all buildings, or cells, with one file per cell"
         )
     if weather.cells == {}:
         yield "weather.cells", "must name at least one cell"
     known = building_keys()
     for name, draw in district.draw.items():
         if name not in known:
-            why = "is the same in all buildings" if name in _COMMON else suggest_names(name, known)
+            why = (
+                "all buildings share it" if name in _COMMON else suggest_names(name, known)
+            )
             yield f"draw.{name}", f"cannot differ between buildings; {why}"
         for key, expected in draw.mistakes:
             yield f"draw.{name}.{key}" if key else f"draw.{name}", expected
@@ -283,6 +297,6 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
             if draw.times not in known:
                 yield f"draw.{name}.times", suggest_names(draw.times, known)
             elif draw.times == name or (other is not None and other.times is not None):
-                yield f"draw.{name}.times", "must be a key that is not itself multiplied"
+                yield f"draw.{name}.times", "must be a key that is not multiplied itself"
     if not district.adoption:
         yield "adoption", "must list at least one share"

@@ -1,4 +1,4 @@
-"""The page of a district: one file that needs nothing but a browser."""
+"""The page of a district: a single file that needs only a browser."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from greenroof_ros.common.times import to_people
 LABELS = {
     NONE: "overflow only", ORIFICE: "orifice", DRAIN: "valve, drain", PLAN: "valve, plan",
 }
-"""What people call the kinds of outlets."""
+"""Labels of the kinds of outlets."""
 AS_IS_LABEL = "as it is"
-"""How people call the district without green roofs and cisterns."""
-# The storm that is drawn: hours before its peak and after it, and minutes of a point.
+"""Label of the district without green roofs and cisterns."""
+# The drawn storm: hours before and after its peak, and minutes between two points.
 _BEFORE_H, _AFTER_H, _POINT_MIN = 6, 48, 5
 
 
 def render(
     run: DistrictRun, area: float, rows: Sequence[dict[str, Any]], figures: Sequence[Figure]
 ) -> str:
-    """Return the page.
+    """Return the page as HTML.
 
     Args:
-        run: what was simulated.
+        run: the simulated district.
         area: connected area of all buildings (m2).
-        rows: the results.
-        figures: of :func:`draw_figures`.
+        rows: rows of the results.
+        figures: figures from :func:`draw_figures`.
     """
     return make_page(
         __package__, figures, headline=summarise(run, rows), rows=rows,
@@ -70,11 +70,11 @@ COLUMNS = {
     "mains_m3": "mains water (m³)",
     "demand_met_share": "irrigation without mains water",
 }
-"""Columns of the table, and their headers."""
+"""Headers of the table's columns, by the results' names."""
 
 
 def summarise(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> str:
-    """Return the most important result in a sentence or two: the best outlet, at two adoptions."""
+    """Return the main result in a sentence or two: the best outlet, at two adoptions."""
     reference, *others = (row for row in rows if row["buildings"] or not row["adoption"])
     if not others:
         return "No building has a green roof: there is nothing to compare."
@@ -95,25 +95,25 @@ def summarise(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> str:
 
 
 def name_share(adoption: float, count: int) -> str:
-    """Return a share of the buildings, as ``all 1,000 buildings``.
+    """Return a share of the buildings in words, as in ``all 1,000 buildings``.
 
     Args:
-        adoption: the share (1).
-        count: of all buildings.
+        adoption: share of the buildings (1).
+        count: number of all buildings.
     """
     if Adoption(count, (adoption,), 1.0).counts[0] < count:
         return f"{percent(adoption)} of the {number_of(count, 'building')}"
     return f"all {count:,} buildings" if count > 1 else "the only building"
 
 
-# A result that is compared: its name, if it is none, if it is the same, and if it has changed.
+# Compared results: the name, and the words if it is zero, if it is unchanged and if it has changed.
 _COMPARED = (
     ("wet_discharge_m3", "no storm water reaches the sewer in wet weather",
-     "as much storm water reaches the sewer in wet weather",
+     "just as much storm water reaches the sewer in wet weather",
      "{percent} {less} storm water reaches the sewer in wet weather", ("less", "more")),
-    ("sewer_overflow_m3", "the sewer no longer overflows", "the sewer overflows as much",
+    ("sewer_overflow_m3", "the sewer no longer overflows", "the sewer overflows just as much",
      "the sewer overflows {percent} {less}", ("less", "more")),
-    ("peak_60min_l_s", "nothing reaches it in the highest hour",
+    ("peak_60min_l_s", "nothing reaches the sewer in any hour",
      "the peak over an hour is the same", "the peak over an hour is {percent} {less}",
      ("lower", "higher")),
 )
@@ -133,15 +133,15 @@ def _compare(reference: dict[str, Any], row: dict[str, Any]) -> str:
         else:
             parts.append(changed.format(percent=amount, less=less if change > 0 else more))
     if not reference.get("sewer_overflow_m3") and row.get("sewer_overflow_m3"):
-        parts.append("the sewer, which has room for the buildings as they are, overflows")
+        parts.append("the sewer, which is large enough for the buildings as they are, overflows")
     return " and ".join([*filter(None, [", ".join(parts[:-1])]), *parts[-1:]]) or "nothing changes"
 
 
 def describe_valves(rows: Sequence[dict[str, Any]], count: int) -> list[str]:
-    """Return a sentence for each kind of valve: when its buildings let water out, and how fast.
+    """Return, for each valve policy, sentences that state when and how fast it lets water out.
 
     Args:
-        rows: the results.
+        rows: rows of the results.
         count: number of buildings.
     """
     storm, sentences = rows[0]["peak_5min_mm_h"], []
@@ -155,15 +155,15 @@ def describe_valves(rows: Sequence[dict[str, Any]], count: int) -> list[str]:
             wet = row["wet_low_outlet_m3"] / row["low_outlet_m3"]
             sentences.append(
                 f"{LABELS[outlet].capitalize()}, {name_share(row['adoption'], count)}: "
-                f"{percent(wet) if wet else 'none'} of what the valves let out leaves them in "
-                f"wet weather. All together they let out at most {peak:.3g} mm/h"
+                f"{percent(wet) if wet else 'none'} of the water that the valves let out leaves "
+                f"them in wet weather. Together they let out at most {peak:.3g} mm/h"
                 + (f", {percent(peak / storm)} of the storm's peak." if storm else ".")
             )
     return sentences
 
 
 def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a sentence if valves together let out more in dry weather than the sewer takes."""
+    """Return a warning if all valves together let out more in dry weather than the sewer takes."""
     capacity = run.district.sewer_capacity
     if capacity is None:
         return []
@@ -172,14 +172,18 @@ def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
         return []
     worst = max(over, key=lambda row: float(row["dry_peak_5min_mm_h"]))
     return [
-        f"the cisterns empty together: in dry weather up to {worst['dry_peak_5min_mm_h']:.3g} mm/h "
-        f"({LABELS[worst['outlet']]}, {name_share(worst['adoption'], len(run.buildings))}), more "
-        f"than the sewer's {capacity:g} mm/h; give them a smaller low_outlet_radius"
+        "the cisterns empty at the same time: in dry weather they let out up to "
+        f"{worst['dry_peak_5min_mm_h']:.3g} mm/h ({LABELS[worst['outlet']]}, "
+        f"{name_share(worst['adoption'], len(run.buildings))}), which is more than the sewer's "
+        f"{capacity:g} mm/h; choose a smaller low_outlet_radius"
     ]
 
 
 def percent(share: float) -> str:
-    """Write a share in per cent, which no line breaks; nearly none or all has a decimal."""
+    """Return a share (1) in per cent, with a decimal if it would round to 0 or 100.
+
+    A no-break space keeps the number and the sign on one line.
+    """
     text = f"{round(100 * share)}"
     if text in ("0", "100") and f"{100 * share:.1f}" not in ("0.0", "-0.0", "100.0"):
         text = f"{100 * share:.1f}"
@@ -200,7 +204,7 @@ def _shown(key: str, value: float | None) -> str:
 def draw_figures(
     run: DistrictRun, totals: Totals, rows: Sequence[dict[str, Any]]
 ) -> Iterator[Figure]:
-    """Yield the figures: results over adoption, what valves let out, and the highest hour."""
+    """Yield the figures: results over adoption, water from the valves, and the highest hour."""
     names = [LABELS[outlet] for outlet in totals.outlets]
     capacity = run.district.sewer_capacity
     amounts = [
@@ -211,7 +215,7 @@ def draw_figures(
     ]
     yield _draw_over_adoption(
         "adoption", "What reaches the sewer, by adoption",
-        "Of all buildings together, each in its connected area. " + _capacity_note(capacity),
+        "All buildings together, each with its connected area. " + _capacity_note(capacity),
         rows, names, amounts,
     )
     valves = describe_valves(rows, len(run.buildings))
@@ -220,7 +224,7 @@ def draw_figures(
         "Do the valves open together?" if valves else "The highest flow over five minutes",
         " ".join([
             *(
-                ["They do, in dry weather.", *valves, "The highest flow over five minutes."]
+                ["They do, in dry weather.", *valves, "Drawn: the highest flow over five minutes."]
                 if valves else ["No valve opens."]
             ),
             _capacity_note(capacity),
@@ -234,14 +238,14 @@ def draw_figures(
 
 
 def _capacity_note(capacity: float | None) -> str:
-    return f"Dashed: the sewer's capacity, {capacity:g} mm/h." if capacity else ""
+    return f"Dashed line: the sewer's capacity, {capacity:g} mm/h." if capacity else ""
 
 
 def _draw_over_adoption(
     name: str, title: str, caption: str, rows: Sequence[dict[str, Any]], names: list[str],
     amounts: Sequence[tuple[str, str, str, float | None]],
 ) -> Figure:
-    """Return some results over adoption; each line begins with the district as it is."""
+    """Return a figure of results over adoption; every line begins with the district as it is."""
     reference, *others = rows
     data: Rows = [
         {"outlet": LABELS[row["outlet"]], "adoption": row["adoption"],
@@ -273,7 +277,7 @@ def _draw_level(value: float) -> alt.Chart:
 
 
 def _draw_storm(run: DistrictRun, totals: Totals, names: list[str]) -> Figure:
-    """Return the flows around the highest hour, at the highest adoption."""
+    """Return a figure of the flows around the highest hour, at the highest adoption."""
     size = max(1, round(60 * _POINT_MIN / totals.seconds))
     hour = max(1, round(3600 / totals.seconds))
     reference = totals.discharge(AS_IS)

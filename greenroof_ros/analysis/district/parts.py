@@ -1,4 +1,4 @@
-"""Part of a district: some buildings, simulated at once on any machine."""
+"""Part of a district: some of its buildings, simulated together on any machine."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from greenroof_ros.model.site import Site, SiteFile, check_site
 from greenroof_ros.model.storm_water import connected_area
 
 SITE_FILE = "site.yaml"
-"""name of the input file with what all buildings have in common"""
+"""name of the input file with the site that all buildings have in common"""
 METRICS = (
     "discharge_m3", "wet_discharge_m3", "overflow_m3", "overflow_days", "pumped_m3", "mains_m3",
     "stress_hours",
 )
-"""what is kept of each building"""
-# Cells whose weather a worker keeps.
+"""metrics that are kept for every building"""
+# Number of cells whose weather a worker keeps in memory.
 _CELLS_KEPT = 8
 
 
@@ -47,17 +47,17 @@ def weather_file(cell: int) -> str:
 
 @dataclass(frozen=True)
 class Part:
-    """Some buildings and what empties their cisterns.
+    """Some buildings, and the outlets with which they are simulated.
 
     Attributes:
-        places: of the buildings, among all of the district.
-        district: with what all have in common.
-        outlets: what is simulated, each in its turn.
+        places: places of the buildings among all those of the district.
+        district: the district, with the values that all buildings share.
+        outlets: kinds of outlets to simulate, one after the other.
         buildings: the buildings.
-        groups: to which they belong by adoption.
-        group_count: number of groups; buildings of no group stay as they are.
-        valves: whether they have a valve, or an orifice in its place.
-        progress: gets the share that is done.
+        groups: groups of adoption to which the buildings belong.
+        group_count: number of groups; buildings that are in no group stay as they are.
+        valves: whether each building has a valve, or an orifice in its place.
+        progress: file to which the share that is done is written.
     """
 
     places: slice
@@ -72,14 +72,16 @@ class Part:
 
 @dataclass(frozen=True)
 class PartResult:
-    """What comes of a part.
+    """The results of a part.
 
     Attributes:
         areas: connected area of each building (m2), shape (n,).
-        hydrographs: discharge to the sewer of each group in each interval (m3), by outlet, shape
-            (groups, intervals); of none those with a valve first, then the others.
-        low_outlets: the part of it through low outlets, likewise.
-        metrics: of each building, by outlet and name, shape (n,); NaN if it has another outlet.
+        hydrographs: discharge of each group to the sewer in each interval (m3), by outlet, shape
+            (groups, intervals). For none, the groups of buildings with a valve come first, then
+            those of the others.
+        low_outlets: share of that discharge that leaves through low outlets (m3), in the same form.
+        metrics: metrics of each building, by outlet and name, shape (n,); NaN if the building has
+            another outlet.
     """
 
     areas: Values
@@ -98,11 +100,11 @@ def simulate_part(directory: Path, part: Part) -> PartResult:
     """Simulate a part.
 
     Args:
-        directory: with the input files.
-        part: the buildings.
+        directory: directory of the input files.
+        part: the part to simulate.
 
     Raises:
-        ConfigurationError: a building's site is wrong.
+        ConfigurationError: if a building's site is wrong.
     """
     buildings, count = part.buildings, part.group_count
     sites = [*make_sites(directory / SITE_FILE, buildings)]
@@ -159,7 +161,15 @@ def _areas(sites: Sequence[Site]) -> Values:
 
 
 def make_sites(file: Path, buildings: Buildings) -> Iterator[Site]:
-    """Yield the site of each building."""
+    """Yield the site of each building.
+
+    Args:
+        file: site file that the buildings have in common.
+        buildings: the buildings.
+
+    Raises:
+        ConfigurationError: if a building's site is wrong.
+    """
     names = [name for name in buildings.values if not is_of_policy(name)]
     common = SiteFile(file)
     for place in range(len(buildings)):
@@ -174,7 +184,7 @@ class _Variant(NamedTuple):
 
     site: Site
     parameters: dict[str, Any]
-    """of on/off control and the valve"""
+    """parameters of the on/off controller and of the valve's policy"""
     state: tuple[float, float]
     """initial volumes in the cistern and on the roof (m3)"""
 
@@ -182,7 +192,18 @@ class _Variant(NamedTuple):
 def with_outlet(
     district: District, outlet: str, sites: Sequence[Site], buildings: Buildings, place: int
 ) -> _Variant:
-    """Return a building with a kind of outlet."""
+    """Return a building with a kind of outlet.
+
+    Args:
+        district: the district.
+        outlet: kind of outlet.
+        sites: sites of the buildings.
+        buildings: the buildings.
+        place: the building's place among them.
+
+    Raises:
+        ConfigurationError: if the building's site is wrong with this outlet.
+    """
     site = sites[place]
     given = {
         name: values[place] for name, values in buildings.values.items() if is_of_policy(name)

@@ -1,4 +1,4 @@
-"""The results of a district: tables, hydrographs and page, and the directory that holds them."""
+"""The results of a district: tables, hydrographs, page, and the directory that holds them."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ PAGE = "page.html"
 
 
 def make_directory(directory: Path) -> None:
-    """Make the directory of the results.
+    """Create the directory of the results.
 
     Raises:
-        ConfigurationError: it holds something, or cannot be written.
+        ConfigurationError: if the directory is not empty or cannot be written to.
     """
     with writable(directory):
         directory.mkdir(parents=True, exist_ok=True)
         if any(directory.iterdir()):
             raise ConfigurationError(
-                "exists and is not empty; nothing is overwritten", key="--output",
+                "exists and is not empty, and nothing is overwritten", key="--output",
                 value=str(directory),
             )
 
 
 @dataclass(frozen=True, eq=False)
 class DistrictResult:
-    """What many buildings send to one sewer.
+    """What many buildings discharge to one sewer.
 
     Attributes:
-        run: what was simulated.
-        totals: the sums.
+        run: the simulated district.
+        totals: the sums over its buildings.
     """
 
     run: DistrictRun
@@ -55,32 +55,32 @@ class DistrictResult:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each adoption and kind of outlet, the district as it is first."""
+        """Rows for every adoption and kind of outlet, beginning with the district as it is."""
         return self.totals.rows()
 
     @property
     def sentence(self) -> str:
-        """The most important result."""
+        """The main result, in a sentence or two."""
         return page.summarise(self.run, self.rows)
 
     @property
     def warnings(self) -> list[str]:
-        """What would go wrong, in sentences; mostly empty."""
+        """Sentences that state what would go wrong; usually there are none."""
         return page.warn(self.run, self.rows)
 
     @property
     def table(self) -> pl.DataFrame:
-        """The rows as a data frame; units are in the names."""
+        """The rows as a data frame; the columns' names include their units."""
         return pl.DataFrame(self.rows)
 
     @property
     def buildings(self) -> pl.DataFrame:
-        """A row for each building: from which adoption on it takes part, and its results."""
+        """A row for every building: the adoption from which it takes part, and its results."""
         return pl.DataFrame(list(self._list_buildings()), infer_schema_length=None)
 
     @property
     def hydrographs(self) -> pl.DataFrame:
-        """Flows (m3/s) and rain (mm/h), with the time at which each interval begins."""
+        """Flows (m3/s) and rain (mm/h), with the time at which every interval begins."""
         run, totals = self.run, self.totals
         start, seconds = run.runs[0].start, totals.seconds
         first = start.replace(tzinfo=None)
@@ -104,12 +104,12 @@ class DistrictResult:
         """Write all results to a directory.
 
         Args:
-            directory: is made if there is none; it must be empty.
-            with_swmm: whether time series for SWMM are written, too.
+            directory: where to write; it is created if it does not exist, and must be empty.
+            with_swmm: whether time series for SWMM are also written.
 
         Raises:
-            ConfigurationError: it holds something, or cannot be written.
-            OSError: for instance on a full disk.
+            ConfigurationError: if the directory is not empty or cannot be written to.
+            OSError: if writing fails, for instance because the disk is full.
         """
         directory = Path(directory)
         make_directory(directory)
@@ -152,7 +152,7 @@ class DistrictResult:
             }
 
     def _save_for_swmm(self, directory: Path) -> None:
-        """Write a time series for each flow, and a network that takes the first of them."""
+        """Write a time series for every flow, and a network that receives the first of them."""
         directory.mkdir()
         run, totals = self.run, self.totals
         start = run.runs[0].start.replace(tzinfo=None)
@@ -161,7 +161,7 @@ class DistrictResult:
             share = page.percent(flow.adoption)
             text = swmm.format_series(
                 start, totals.seconds, totals.discharge(flow),
-                f"{number_of(len(run.buildings), 'building')}, {share} with a cistern: {outlet}",
+                f"{number_of(len(run.buildings), 'building')}, {share} with a cistern, {outlet}",
             )
             replace_text(directory / f"{name_flow(flow)}.dat", text)
         hours = totals.rain.shape[1] * totals.seconds / 3600
@@ -170,5 +170,5 @@ class DistrictResult:
 
 
 def name_flow(flow: Flow) -> str:
-    """Return the name of a hydrograph: ``as_is``, or ``drain_050`` for half of the buildings."""
+    """Return the name of a hydrograph: ``as_is``, or ``drain_050`` for half the buildings."""
     return f"{flow.outlet}_{100 * flow.adoption:03g}" if flow.adoption else "as_is"

@@ -1,4 +1,4 @@
-"""A district's run: its parts, handed to workers, and the sums over them."""
+"""The run of a district: its parts, which workers simulate, and the sums over them."""
 
 from __future__ import annotations
 
@@ -41,25 +41,25 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.site import Site, merge_site_file
 from greenroof_ros.model.storm_water import interval_seconds
 
-# A building takes less time in a larger part, but further processors need parts, too. Parts do not
-# depend on the workers, and so neither do the bits of their sums.
+# A building takes less time in a larger part, but other processors need parts, too. Parts do not
+# depend on the number of workers, so neither does the last bit of their sums.
 _MIN_PART, _MAX_PART, _PARTS = 650, 2500, 8
 _REFRESH_S = 0.5
 PRELOADED = ["greenroof_ros.analysis.district.parts"]
-"""modules that every worker needs"""
+"""modules that every worker imports"""
 
 
 @dataclass(frozen=True)
 class DistrictRun:
-    """A district that has been read: what is simulated.
+    """A district that has been read and can be simulated.
 
     Attributes:
-        district: its file.
-        site: what all buildings have in common.
+        district: the contents of its file.
+        site: the site that all buildings have in common.
         buildings: all buildings.
-        runs: the site's run in each cell, with its weather.
-        cells: names of the cells; empty if there is one weather.
-        notes: what a reader must know before the results, in sentences.
+        runs: the site's run in each cell, with the cell's weather.
+        cells: names of the cells; empty if all buildings have the same weather.
+        notes: sentences that a reader must know before the results.
     """
 
     district: District
@@ -76,35 +76,37 @@ class DistrictRun:
 
     @property
     def adoption(self) -> Adoption:
-        """The groups."""
+        """Groups of buildings by adoption."""
         shares = [share for share in self.district.shares if share]
         return Adoption(len(self.buildings), shares, self.district.valve_share)
 
     @property
     def outlets(self) -> tuple[str, ...]:
-        """The kinds of outlets; none is always one, as a comparison and without a valve."""
+        """Kinds of outlets; none is always included, since some cisterns have no valve."""
         return tuple(name for name in OUTLETS if name in (NONE, *self.district.outlets))
 
     @property
     def rain(self) -> Values:
-        """Depth of rain in each interval in each cell (m), shape (cells, intervals)."""
+        """Depth of rain in each cell and interval (m), shape (cells, intervals)."""
         size = round(interval_seconds(self.site) / self.site.tau)
         ticks = self.site.tau * np.array([weather.rain[:-1] for weather in self.weather])
         return np.asarray(np.add.reduceat(ticks, np.arange(0, ticks.shape[1], size), axis=1))
 
     @property
     def files(self) -> dict[str, bytes]:
-        """The input files of the workers, by name."""
+        """Contents of the workers' input files, by name."""
         return {
             SITE_FILE: merge_site_file(self.district.site_file, self.district.ticks).encode(),
             **{weather_file(n): pickle.dumps(cell) for n, cell in enumerate(self.weather)},
         }
 
     def parts(self, scratch: Path) -> Iterator[Part]:
-        """Yield the parts: plans take as long as all others together, and are parts of their own.
+        """Yield the parts.
+
+        The outlet plan takes as long as all others together, so it has parts of its own.
 
         Args:
-            scratch: where workers of this machine write their progress.
+            scratch: directory where workers on this machine write their progress.
         """
         adoption = self.adoption
         together = tuple(name for name in self.outlets if name != PLAN)
@@ -127,11 +129,11 @@ def read_run(path: Path, places: Sequence[Path] = ()) -> DistrictRun:
     """Read the file of a district, and all files that it names.
 
     Args:
-        path: of the file.
-        places: further directories for weather files.
+        path: path of the district's file.
+        places: further directories in which weather files are sought.
 
     Raises:
-        ConfigurationError: a file is wrong.
+        ConfigurationError: if a file is wrong.
     """
     district, site = read_district(path)
     weather, notes = district.weather, list[str]()
@@ -170,13 +172,13 @@ def simulate_district(
 
     Args:
         run: the district.
-        workers: with the input files.
-        progress: is called with what is done, and its share of all.
-        check: is called often; what it raises ends the run.
+        workers: workers that have the input files.
+        progress: called with a text on what is done, and its share of all the work.
+        check: called often; an error that it raises ends the run.
 
     Raises:
-        ConfigurationError: a building's site is wrong.
-        WorkersLostError: no worker is left.
+        ConfigurationError: if a building's site is wrong.
+        WorkersLostError: if no worker is left.
     """
     totals = Totals(
         run.site, run.buildings, run.adoption, run.outlets, run.rain, run.district.sewer_capacity

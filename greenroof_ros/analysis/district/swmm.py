@@ -1,9 +1,9 @@
-"""Hydrographs for EPA's SWMM: time series of inflow, and an example network that takes them.
+"""Hydrographs for EPA's SWMM: time series of inflow, and an example network that receives them.
 
-SWMM reads a time series from a file with a date, a time and a value in each line, and interpolates
+SWMM reads a time series from a file with a date, a time and a value on every line, and interpolates
 between them (Rossman 2015, SWMM User's Manual Version 5.1, EPA-600/R-14/413b, Appendix D,
-[TIMESERIES]). An interval's mean is written at its middle: so the interpolated flow has the same
-volume.
+[TIMESERIES]). The mean of an interval is written at its middle, which preserves the volume of the
+interpolated flow.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ _DATE, _TIME = "%m/%d/%Y", "%H:%M:%S"
 
 
 def format_series(start: datetime, seconds: float, volumes: Values, about: str) -> str:
-    """Return a file of a time series (m3/s), for a network with FLOW_UNITS CMS.
+    """Return the text of a time series (m3/s) for a network with FLOW_UNITS CMS.
 
     Lines that interpolation does not need are left out.
 
     Args:
-        start: start of the first interval; SWMM's clock is in its UTC offset.
+        start: time at which the first interval begins; SWMM's clock has the same offset from UTC.
         seconds: duration of an interval (s).
-        volumes: in each interval (m3), shape (intervals,).
-        about: a comment.
+        volumes: volume in each interval (m3), shape (intervals,).
+        about: comment for the first line.
     """
     flows = np.concatenate((volumes[:1], volumes, volumes[-1:])) / seconds
     middles = seconds * (np.arange(len(volumes)) + 0.5)
@@ -45,12 +45,12 @@ def format_series(start: datetime, seconds: float, volumes: Values, about: str) 
 
 
 def format_network(start: datetime, hours: float, series: str) -> str:
-    """Return the example network for a time and the file of a time series.
+    """Return the example network for a period and a time series.
 
     Args:
-        start: of the time.
-        hours: its length (h).
-        series: the file.
+        start: time at which the period begins.
+        hours: length of the period (h).
+        series: name of the time series' file.
     """
     end = start + timedelta(hours=hours)
     text = (shared_directory() / "config" / "swmm" / NETWORK).read_text(encoding="utf-8")

@@ -1,7 +1,7 @@
-"""The sums over a district: what reaches the sewer at each adoption, with each kind of outlet.
+"""The sums over a district: what reaches the sewer at every adoption with every kind of outlet.
 
-Flows add up at once: nothing is routed, so a real sewer has lower peaks, and later ones. Wet
-weather is that of any cell, as they share one sewer.
+Flows are added without routing, so the peaks in a real sewer are lower and later. Weather is wet if
+it is wet in any cell, because all cells share one sewer.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from greenroof_ros.model.storm_water import (
 )
 
 PEAK_MIN = (5, 15, 60)
-"""Peaks are means over these times (min)."""
+"""times over which the flow is averaged for a peak (min)"""
 _HOUR_S = 3600.0
-# More than the rounding errors of an interval's sums (m3), and no water that matters.
+# More than the rounding errors of an interval's sums, and too little water to matter (m3).
 _NOTHING = 1e-6
-# Unit of the sums of volumes: 2^-40 m3. A million buildings stay below 2^63 of it.
+# The sums of volumes are in units of 2^-40 m3. A million buildings stay below 2^63 units.
 _PER_M3 = 2.0**40
-# Results of which the reduction is given, against the district as it is.
+# Results whose reduction is stated, compared with the district as it is.
 _REDUCED = {
     "wet_discharge": "wet_discharge_m3",
     **{f"peak_{minutes}min": f"peak_{minutes}min_l_s" for minutes in PEAK_MIN},
@@ -51,25 +51,25 @@ AS_IS = Flow(NONE, 0.0)
 
 
 class Totals:
-    """Adds up the results of parts, in any order.
+    """Add up the results of parts, in any order.
 
-    Volumes are added as whole multiples of 2^-40 m3, so that the sums are the same to the bit in
-    any order. What is known of each building has its place.
+    Volumes are added as whole multiples of 2^-40 m3, which makes the sums identical to the bit in
+    any order. The results of every building are stored at its own place.
     """
 
     def __init__(
         self, site: Site, buildings: Buildings, adoption: Adoption, outlets: Sequence[str],
         rain: Values, capacity: float | None,
     ) -> None:
-        """Begin with nothing.
+        """Begin with sums of zero.
 
         Args:
-            site: with what all buildings have in common.
-            buildings: all of them.
+            site: the site that all buildings have in common.
+            buildings: all buildings.
             adoption: their groups.
-            outlets: the kinds; none is one of them.
-            rain: depth in each interval in each cell (m), shape (cells, intervals).
-            capacity: of the sewer, over the connected area (mm/h); None if it is unknown.
+            outlets: kinds of outlets, which include none.
+            rain: depth of rain in each cell and interval (m), shape (cells, intervals).
+            capacity: capacity of the sewer, over the connected area (mm/h); None if unknown.
         """
         self.outlets, self.adoption, self.rain = outlets, adoption, rain
         self.seconds = interval_seconds(site)
@@ -88,14 +88,19 @@ class Totals:
             outlet: {name: np.full(len(buildings), np.nan) for name in METRICS}
             for outlet in outlets
         }
-        """of each building, by outlet and name"""
+        """metrics of each building, by outlet and name"""
         self.wet = np.any([
             find_wet_weather(site.wet_after, Intervals(self.seconds, cell, cell)) for cell in rain
         ], axis=0)
-        """which intervals are in wet weather"""
+        """whether the weather is wet in each interval, shape (intervals,)"""
 
     def add(self, places: slice, result: PartResult) -> None:
-        """Add the part with the buildings at some places; each place and outlet comes once."""
+        """Add the result of a part; every place and outlet may be added only once.
+
+        Args:
+            places: places of the part's buildings.
+            result: result of the part.
+        """
         self.areas[places] = result.areas
         for outlet, volumes in result.hydrographs.items():
             for sums, added in (
@@ -112,23 +117,23 @@ class Totals:
 
     @property
     def flows(self) -> list[Flow]:
-        """The district as it is, and each kind of outlet at each adoption."""
+        """The district as it is, and every kind of outlet at every adoption."""
         return [AS_IS, *(
             Flow(outlet, share) for outlet in self.outlets for share in self.adoption.shares
         )]
 
     def discharge(self, flow: Flow) -> Values:
-        """Return what reaches the sewer in each interval (m3), shape (intervals,).
+        """Return the discharge to the sewer in each interval (m3), shape (intervals,).
 
-        Buildings without a low outlet have the same in every kind; on those without a green roof
-        all rain runs off at once.
+        Buildings without a low outlet discharge the same with every kind of outlet. All rain on
+        buildings without a green roof runs off immediately.
         """
         others = np.where(self._groups < self._adopted(flow), 0.0, self.areas)
         areas = np.bincount(self._buildings.cells, others, len(self.rain))
         return np.asarray(self._add_groups(self._volumes, flow) + areas @ self.rain)
 
     def let_out(self, flow: Flow) -> Values:
-        """Return what leaves through low outlets in each interval (m3), shape (intervals,)."""
+        """Return the water that leaves by low outlets in each interval (m3), shape (intervals,)."""
         return self._add_groups(self._let_out, flow)
 
     def _add_groups(self, sums: Mapping[str, NDArray[np.int64]], flow: Flow) -> Values:
@@ -146,16 +151,16 @@ class Totals:
         )
 
     def _adopted(self, flow: Flow) -> int:
-        """Return how many groups have a green roof."""
+        """Return the number of groups that have a green roof."""
         return sum(share <= flow.adoption for share in self.adoption.shares)
 
     def _parts(self, flow: Flow) -> list[tuple[str, slice]]:
-        """Return the sums of the groups with a green roof: those with a valve, and the others."""
+        """Return the outlet and groups of the buildings that adopted, with and without a valve."""
         count, adopted = len(self.adoption.shares), self._adopted(flow)
         return [(flow.outlet, slice(adopted)), (NONE, slice(count, count + adopted))]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the results, a row for each of :attr:`flows`; units are in the names."""
+        """Return the results, one row per entry of :attr:`flows`; their names include the units."""
         reference = self._row(AS_IS, {})
         return [self._row(flow, reference) for flow in self.flows]
 

@@ -1,1 +1,1 @@
-"""Which cistern: many sizes, targets and outlets over all seasons of a record."""
+"""Size a cistern: compare many volumes, targets and outlets over all seasons of a record."""

@@ -1,4 +1,4 @@
-"""The results that are printed and drawn, and how their numbers are written."""
+"""The results that are printed and drawn, and the format of their numbers."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import NamedTuple
 from greenroof_ros.model.metrics import METRICS
 
 KEPT, COST = "storm_water_kept_share", "cost"
-"""Results beside the metrics: the share of the storm water kept out of the sewer, and the cost."""
+"""Results in addition to the metrics: the share of storm water kept out of the sewer; the cost."""
 
 ENDS = ("", "_min", "_max")
-"""What the names of columns end with: means of the seasons, the lowest, the highest."""
+"""Endings of the columns' names: for the mean, the lowest and the highest of the seasons."""
 
 _METRICS = {metric.name: metric for metric in METRICS}
 
 
 class Spread(NamedTuple):
-    """A result over the seasons."""
+    """The mean, the lowest and the highest value of a result over the seasons."""
 
     mean: float
     low: float
@@ -32,11 +32,11 @@ class Column(NamedTuple):
     unit: str
     form: Callable[[float], str]
     per_roof: bool = False
-    """whether it is also shown for each m2 of green roof"""
+    """whether it is also shown per m2 of green roof"""
 
 
 def format_share(share: float) -> str:
-    """Return a share in whole percents."""
+    """Return a share (1) as text in whole per cent, without the sign."""
     return f"{round(100 * share)}"
 
 
@@ -63,7 +63,7 @@ COLUMNS = {
     "stress_hours": _of_metric("stress_hours", "h", _format_count),
     COST: Column("cost of a season", "in the prices' currency", _format_volume),
 }
-"""the results by their names"""
+"""the results, by name"""
 
 
 def format_spread(spread: Spread, column: Column) -> str:
@@ -75,5 +75,10 @@ def format_spread(spread: Spread, column: Column) -> str:
 
 
 def format_per_roof(spread: Spread, roof: float) -> str:
-    """Return the mean of a volume (m3) for each m2 of a green roof (m2), as text."""
+    """Return the mean of a volume (m3) per m2 of green roof, as text.
+
+    Args:
+        spread: mean, lowest and highest volume (m3).
+        roof: area of the green roof (m2).
+    """
     return f"{1000 * spread.mean / roof:.0f} L/m²"

@@ -19,21 +19,21 @@ from greenroof_ros.model.storm_water import connected_area
 
 NONE = "none"
 OUTLETS = (NONE, DRAIN, PLAN)
-"""What empties the cistern for storms: nothing, or a valve with one of two policies."""
+"""What makes room in the cistern for storms: nothing, or a valve with one of two policies."""
 CONTROLLER = "onoff"
 TAU = 60.0
 """duration of a tick (s)"""
 
 VOLUMES, TARGETS = Range(0.05, 1e5, "m3"), Range(1.0, 1000.0, "mm")
-# R5 of ISO 3, preferred numbers: each is 60 % larger than the one before.
+# Preferred numbers, series R5 of ISO 3: each is 60 % larger than the one before.
 _PREFERRED = (1.0, 1.6, 2.5, 4.0, 6.3)
-# The default volumes begin with the one that holds this depth on the connected area [assumed].
+# The smallest default volume holds at least this depth of rain on the connected area [assumed].
 _SMALLEST_M, _COUNT = 0.004, 8
-# The default targets are the site's, and a day's irrigation in summer above and below it, as
+# The default targets are the site's own, and one day's irrigation in summer above and below it, as
 # assumed for the reserve of drain.
 _DAY_MM = 4.0
 
-# What a site needs to be sized and its file may lack [assumed, as by new-site].
+# What sizing needs and a site file may not contain [assumed, as new-site does].
 _MAINS_ABOVE_SUCTION_M, _MAINS_MM_PER_H = 0.02, 10.0
 _OUTLET_ABOVE_MAINS_M = 0.03
 
@@ -43,11 +43,11 @@ class Design:
     """A site with one cistern, target and outlet.
 
     Attributes:
-        volume: of the cistern up to its overflow (m3).
+        volume: volume of the cistern up to its overflow (m3).
         target: desired water on the roof, as a depth (mm).
         outlet: one of :data:`OUTLETS`.
-        site: with all that.
-        parameters: of the controller, and of the outlet's policy if there is a valve.
+        site: the site with this cistern, target and outlet.
+        parameters: parameters of the controller, and of the outlet's policy if there is a valve.
     """
 
     volume: float
@@ -58,7 +58,11 @@ class Design:
 
 
 def choose_volumes(site: Site) -> list[float]:
-    """Return the default volumes (m3): eight preferred numbers, from 4 to about 100 mm of rain."""
+    """Return the default volumes (m3).
+
+    They are eight preferred numbers, which hold from 4 to about 100 mm of rain on the connected
+    area.
+    """
     smallest = _SMALLEST_M * connected_area(site)
     decade = math.floor(math.log10(smallest))
     numbers = (
@@ -70,7 +74,7 @@ def choose_volumes(site: Site) -> list[float]:
 
 
 def choose_targets(site: Site) -> list[float]:
-    """Return the default targets (mm): the site's, and those a day's irrigation from it."""
+    """Return the default targets (mm): the site's, and one day's irrigation below and above it."""
     own, full = 1000 * site.z_veg, 1000 * site.roof_level(site.z_cap)
     wilting = 1000 * site.roof_level(site.wilting_volume)
     return [
@@ -80,10 +84,10 @@ def choose_targets(site: Site) -> list[float]:
 
 
 def read_numbers(values: Sequence[Any] | None, key: str, allowed: Range) -> list[float] | None:
-    """Return the numbers under a key in rising order, each once.
+    """Return the numbers under a key in ascending order.
 
     Raises:
-        ConfigurationError: one is not in the range, or given twice, or there is none.
+        ConfigurationError: if a number is out of range or appears twice, or if there is none.
     """
     if values is None:
         return None
@@ -91,18 +95,18 @@ def read_numbers(values: Sequence[Any] | None, key: str, allowed: Range) -> list
         values = [values]
     numbers = sorted(allowed.read(value, key=key) for value in values)
     if not numbers:
-        raise ConfigurationError("must have at least one number", key=key)
+        raise ConfigurationError("must list at least one number", key=key)
     for one, other in itertools.pairwise(numbers):
         if one == other:
-            raise ConfigurationError("is given twice", key=key, value=one)
+            raise ConfigurationError("appears twice", key=key, value=one)
     return numbers
 
 
 def read_outlets(names: Sequence[str] | None) -> list[str]:
-    """Return the outlets in the order of :data:`OUTLETS`; all of them if none is given.
+    """Return the named outlets in the order of :data:`OUTLETS`, or all of them if none is named.
 
     Raises:
-        ConfigurationError: there is no such outlet.
+        ConfigurationError: if there is no outlet of a name.
     """
     given = [names] if isinstance(names, str) else list(names or OUTLETS)
     for name in given:
@@ -114,7 +118,7 @@ def read_outlets(names: Sequence[str] | None) -> list[str]:
 
 
 def choose_outlet(site: Site, outlets: Sequence[str]) -> str:
-    """Return the recommended outlet: the site file's, with plan if it has a valve."""
+    """Return the recommended outlet: that of the site file, which is plan if it has a valve."""
     own = PLAN if site.low_outlet_valve else NONE
     return own if own in outlets else outlets[0]
 
@@ -122,31 +126,33 @@ def choose_outlet(site: Site, outlets: Sequence[str]) -> str:
 def make_designs(
     site: Site, volumes: Sequence[float], targets: Sequence[float], outlets: Sequence[str]
 ) -> tuple[list[Design], list[str]]:
-    """Return the designs, by outlet, target and volume, and what was assumed, in sentences.
+    """Return the designs, by outlet, target and volume, and the assumptions, as sentences.
 
     Args:
-        site: the site; of its own cistern only the height is used.
-        volumes: m3, rising.
-        targets: mm, rising.
-        outlets: of :data:`OUTLETS`.
+        site: the site; only the height of its own cistern is used.
+        volumes: volumes of the cistern (m3), in ascending order.
+        targets: targets (mm), in ascending order.
+        outlets: names from :data:`OUTLETS`.
 
     Raises:
-        ConfigurationError: a target is above what the soil holds, or leaves plants no water.
+        ConfigurationError: if the soil cannot hold a target, or plants cannot take up the water
+            at a target.
     """
     full, wilting = site.roof_level(site.z_cap), site.roof_level(site.wilting_volume)
     for target in targets:
         if not wilting < target / 1000 < full:
             raise ConfigurationError(
-                f"must be above {1000 * wilting:.4g} mm, where plants take no more water, and "
+                f"must be above {1000 * wilting:.4g} mm, where plants take up no more water, and "
                 f"below {1000 * full:.4g} mm, above which the soil drains (field_capacity and "
                 "z_soil of the site)", key="targets", value=target,
             )
     notes = [
-        f"Cisterns are as high as the site file's up to the overflow, {site.z_o:g} m, and differ "
-        "in their area. A season begins with half of the cistern full and the roof at its target.",
-        f"The pump is controlled by on/off, which fills the roof to its target, in ticks of "
-        f"{TAU:g} s. No forecast is used: plan keeps what the roof needs for 20 days, and makes "
-        "room in dry weather.",
+        f"All cisterns are as high as the one in the site file, {site.z_o:g} m up to the overflow, "
+        "and differ in their area. A season begins with the cistern half full and the roof at its "
+        "target.",
+        f"An on/off controller, which fills the roof to its target, decides every {TAU:g} s "
+        "whether the pump runs. No forecast is used: plan keeps what the roof needs for 20 days, "
+        "and makes room in dry weather.",
     ]
     topped_up = _add_mains(site, notes)
     designs = []
@@ -176,15 +182,15 @@ def _make_design(site: Site, volume: float, target: float, outlet: str) -> Desig
 
 
 def _add_mains(site: Site, notes: list[str]) -> Site:
-    """Return a site with a mains top-up, without which no share of a demand is met."""
+    """Return a site with a mains top-up, without which no share of the demand is calculated."""
     if site.mains_level is not None:
         return site
     above = min(_MAINS_ABOVE_SUCTION_M, (site.min_outlet_level - site.suction_level) / 2)
     level, flow = site.suction_level + above, _MAINS_MM_PER_H / 1000 / 3600 * site.a2
     notes.append(
-        "Assumed, as the site file has no mains top-up: below a level of "
+        "Assumed, because the site file has no mains top-up: below a level of "
         f"{level:.3g} m, {1000 * above:.3g} mm above the pumps' suction level, mains water flows "
-        f"in at {3600 * flow:.3g} m³/h, {_MAINS_MM_PER_H:g} mm/h over the roof."
+        f"in at {3600 * flow:.3g} m³/h, which is {_MAINS_MM_PER_H:g} mm/h over the roof."
     )
     return replace(site, mains_level=level, mains_flow=flow)
 
@@ -197,22 +203,25 @@ def _without_outlet(site: Site) -> Site:
 
 
 def _add_valve(site: Site, notes: list[str]) -> Site:
-    """Return a site with a valve on a low outlet; a radius that depends on the cistern is NaN."""
+    """Return a site with a valve on a low outlet.
+
+    Its radius is NaN if it is not in the site file, because it depends on the cistern.
+    """
     assert site.mains_level is not None
     if site.low_outlet_valve:
         return site
     if site.low_outlet_level is not None:
         notes.append(
-            "Assumed: the low outlet of the site file, which has no valve, gets one for drain and "
-            "plan, and is closed for none."
+            "Assumed: the low outlet of the site file, which has no valve, is fitted with one for "
+            "drain and plan, and is closed for none."
         )
         return replace(site, low_outlet_valve=True)
     above = min(_OUTLET_ABOVE_MAINS_M, (site.z_o - site.mains_level) / 2)
     level = site.mains_level + above
     notes.append(
-        "Assumed, as the site file has no low outlet: for drain and plan a valve at a level of "
-        f"{level:.3g} m, {1000 * above:.3g} mm above that of the mains, so large that it empties "
-        f"a full cistern down to there in {EMPTIED_H:g} h."
+        "Assumed, because the site file has no low outlet: drain and plan have a valve at a level "
+        f"of {level:.3g} m, {1000 * above:.3g} mm above the level of the mains top-up. It is large "
+        f"enough to empty a full cistern down to that level in {EMPTIED_H:g} h."
     )
     return replace(
         site, low_outlet_level=level, low_outlet_radius=math.nan, low_outlet_valve=True

@@ -1,4 +1,4 @@
-"""The page of a sizing, which a client can be given, and its figures."""
+"""The page of a sizing, which can be handed to a client, and its figures."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 def render(sizes: Sizes, figures: Sequence[Figure]) -> str:
-    """Return the page."""
+    """Return the page as HTML."""
     return make_page(
         __package__, figures, sizes=sizes, columns=sizes.columns,
         number_of=number_of, spread=format_spread, per_roof=format_per_roof, warnings=(),
@@ -45,7 +45,10 @@ _VOLUME = "cistern (m³)"
 
 
 def draw(sizes: Sizes, target: float) -> Figure:
-    """Return the results of a target (mm) over the volume of the cistern, a panel for each."""
+    """Return a figure of the results at a target (mm) over the cistern's volume.
+
+    Every result has a panel.
+    """
     name = f"sizes-{target:g}mm"
     panels = [_draw_panel(sizes, key, column, name) for key, column in sizes.columns.items()]
     rows = [

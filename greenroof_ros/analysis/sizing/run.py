@@ -1,4 +1,4 @@
-"""From a site and a record of weather to the compared sizes."""
+"""Compare cisterns for a site and a weather record."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ JOBS = Range(1, 1024, whole=True)
 _OF_RUN = ("site", "weather", "evapotranspiration", "gaps")
 _OWN = ("volumes", "targets", "outlets", "season", "knee", "jobs", *PRICES)
 OPTIONS = (*_OF_RUN, *_OWN)
-"""names of what a user gives"""
+"""names of what a user can pass"""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Shows what is done, and ends the runs.
+    """Show what has been done, and end the runs if they must end.
 
     Attributes:
-        show: called with the present task, and the share of all that is done, 0 to 1.
+        show: called with the current task and the share of all the work that is done, 0 to 1.
         check: raises an error if the runs must end.
     """
 
@@ -50,12 +50,13 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     """Compare the designs of a site over the seasons of its weather.
 
     Args:
-        given: values of :data:`OPTIONS` by name; None, or none at all, stands for the default.
-        progress: of the runs.
+        given: values of :data:`OPTIONS`, by name; an option that is None or left out has its
+            default.
+        progress: shows the progress of the runs, and can end them.
 
     Raises:
-        ConfigurationError: an input is wrong; its key is the name.
-        WorkersLostError: a process ended unexpectedly.
+        ConfigurationError: if an input is wrong; the key of the error is the option's name.
+        WorkersLostError: if a process ended unexpectedly.
     """
     values = {name: value for name, value in given.items() if value is not None}
     volumes = plans.read_numbers(values.get("volumes"), "volumes", plans.VOLUMES)
@@ -65,7 +66,7 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     jobs = int(JOBS.read(values.get("jobs", 1), key="jobs"))
     prices = _read_prices({name: values[name] for name in PRICES if name in values})
     if "weather" not in values:
-        raise ConfigurationError("is missing: records of at least one season", key="weather")
+        raise ConfigurationError("must cover at least one season, but is missing", key="weather")
     inputs = make_inputs(
         find_controller(plans.CONTROLLER),
         {name: values[name] for name in _OF_RUN if name in values},
@@ -85,7 +86,7 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
 
     shape = len(designs), len(seasons)
     text = f"{number_of(len(designs), 'design')} in {number_of(len(seasons), 'season')}"
-    # Every second cistern of one target and outlet also from other initial states.
+    # Every second cistern of one target and outlet is also run from other initial states.
     outlet = plans.choose_outlet(site, outlets)
     tried = [one for one in designs if (one.target, one.outlet) == (middle, outlet)][::-2]
     cases = [
@@ -118,17 +119,17 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
 
 
 def _read_prices(given: Mapping[str, Any]) -> Prices | None:
-    """Return the prices; None if there are none.
+    """Return the prices, or None if there are none.
 
     Raises:
-        ConfigurationError: one is wrong, or some are missing.
+        ConfigurationError: if a price is out of range, or only some are given.
     """
     if not given:
         return None
     for name in PRICES:
         if name not in given:
             raise ConfigurationError(
-                "is missing: costs need all prices, 0 for what costs nothing, and the years",
+                "is missing: costs need the years and all prices (0 for what costs nothing)",
                 key=name,
             )
     return make_record(Prices, given)

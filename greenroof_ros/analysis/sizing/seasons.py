@@ -1,4 +1,4 @@
-"""The seasons of a record: the same days of each year, if it has all their weather."""
+"""The seasons of a record: the same days of every year for which it is complete."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather
 
-# Of a year that is no leap year.
+# Any year that is not a leap year.
 _YEAR = 2001
 
 
 class Window(NamedTuple):
-    """The days of a season, first and last, as ``05-01/10-31``; it can span the turn of a year."""
+    """The first and the last day of a season, as in ``05-01/10-31``; it may span New Year."""
 
     first: date
     last: date
 
     def __str__(self) -> str:
-        """Return it for people: ``1 May to 31 October``."""
+        """Return the days as a person would write them: ``1 May to 31 October``."""
         return " to ".join(f"{day.day} {day:%B}" for day in self)
 
     @property
     def days(self) -> int:
-        """Its length; in a leap year a season of all days ends a day earlier."""
+        """Number of days; a season of a whole year ends a day earlier in a leap year."""
         return (self.last - self.first).days % 365 + 1
 
     def name(self, year: int) -> str:
@@ -41,16 +41,16 @@ class Window(NamedTuple):
 
 
 def read_window(text: str | None, site: Site) -> Window:
-    """Return the days of a season; by default the half year of irrigation.
+    """Return the days of a season; the default is the half of the year with irrigation.
 
-    That is May to October, south of the equator November to April.
+    This is May to October, or November to April south of the equator.
 
     Args:
-        text: as ``05-01/10-31``; None for the default.
-        site: whose latitude decides; without one it is in the north.
+        text: first and last day, as in ``05-01/10-31``; None for the default.
+        site: the site, whose latitude decides; without one, it is taken to be in the north.
 
     Raises:
-        ConfigurationError: it is not of this form.
+        ConfigurationError: if the text does not have this form.
     """
     if text is None:
         text = "11-01/04-30" if (site.latitude or 0.0) < 0 else "05-01/10-31"
@@ -62,23 +62,23 @@ def read_window(text: str | None, site: Site) -> Window:
     except ValueError:
         raise ConfigurationError(
             "must be the first and the last day, month before day, such as 05-01/10-31 (29 "
-            "February is none)", key="season", value=text,
+            "February is not allowed)", key="season", value=text,
         ) from None
 
 
 def find_seasons(
     inputs: RunInputs, site: Site, weather: Weather, window: Window
 ) -> tuple[dict[str, Run], dict[str, str]]:
-    """Return the run of each complete season, by its name, and what others lack.
+    """Return the run of every complete season, by name, and what the other seasons lack.
 
     Args:
-        inputs: of a run of the site, whose start and length do not matter.
-        site: with ticks of a length that all designs have.
+        inputs: inputs of a run of the site, whose start and length do not matter.
+        site: the site, with the ticks that all designs share.
         weather: the record.
         window: the days of a season.
 
     Raises:
-        ConfigurationError: no season is complete, or one has values that no run may have.
+        ConfigurationError: if no season is complete, or a value of the weather is rejected.
     """
     runs: dict[str, Run] = {}
     incomplete: dict[str, str] = {}
@@ -99,9 +99,9 @@ def find_seasons(
     if not runs:
         seasons = "".join(f"; {name}: {why}" for name, why in incomplete.items())
         raise ConfigurationError(
-            f"has no complete season, {window}: its records are from {to_minutes(weather.first)} "
-            f"to {to_minutes(weather.end)}{seasons}. Name other days as season, or fill missing "
-            "hours (gaps: fill)", file=weather.source,
+            f"does not cover a complete season, {window}: it runs from {to_minutes(weather.first)} "
+            f"to {to_minutes(weather.end)}{seasons}. Choose other days with season, or fill "
+            "missing hours (gaps: fill)", file=weather.source,
         )
     return runs, incomplete
 
@@ -109,7 +109,10 @@ def find_seasons(
 def _find_reason(
     weather: Weather, year: int, window: Window, error: ConfigurationError
 ) -> str:
-    """Return why a season that begins in a year is incomplete; empty if it is not in the record."""
+    """Return why the season that begins in a year is incomplete.
+
+    The text is empty if the record does not touch the season.
+    """
     zone, day = weather.first.tzinfo, window.first.replace(year=year)
     start = datetime.combine(day, datetime.min.time(), zone)
     end = start + timedelta(window.days)
@@ -123,11 +126,11 @@ def _find_reason(
 
 
 def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
-    """Return what a reader must know of site and weather of the seasons, each sentence once.
+    """Return what a reader must know about the site and the weather, every sentence once.
 
     Args:
-        runs: the seasons.
-        site: as the user gives it, since a note on the duration of a tick must not be on ours.
+        runs: the runs of the seasons, by name.
+        site: the user's site, because a note on the duration of a tick must not refer to ours.
     """
     own = (replace(run, site=site) for run in runs.values())
     notes = [note for run in own for note in (*run.weather.notes, *run.notes())]
@@ -140,7 +143,7 @@ def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
     ]
     if filled:
         notes.append(
-            "missing hours of weather were filled in, and missing rain counts as none: "
+            "missing hours of weather were filled in, and missing rain counts as no rain: "
             + ", ".join(filled)
         )
     return list(dict.fromkeys(notes))

@@ -1,4 +1,4 @@
-"""The runs of all designs over all seasons, many at once."""
+"""Run all designs over all seasons, many of them at the same time."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ def simulate_cases(
     cases: Sequence[Case], weather: Sequence[BatchWeather], jobs: int,
     show: Callable[[float], None], check: Callable[[], None],
 ) -> dict[str, Values]:
-    """Return the metrics of cases by their names, each of shape (cases,).
+    """Return the metrics of cases, by name, each of shape (cases,).
 
     Args:
-        cases: to run.
-        weather: of the seasons.
-        jobs: number of processes; 1 to run in this one.
+        cases: the designs and seasons to run.
+        weather: weather of the seasons.
+        jobs: number of processes; with 1, this process does the work.
         show: shows the share that is done, 0 to 1.
         check: raises an error if the runs must end.
 
     Raises:
-        WorkersLostError: a process ended unexpectedly.
+        WorkersLostError: if a process ended unexpectedly.
     """
     def report(share: float) -> None:
         check()
@@ -55,7 +55,7 @@ def simulate_cases(
 
     if jobs == 1:
         return simulate_batch(_make_batch(cases, weather), progress=report).metrics
-    # Each process gets whole seasons: where it does not rain, steps are short.
+    # Every process takes whole seasons, because its steps are short where it does not rain.
     by_season = np.argsort([case.season for case in cases], kind="stable")
     parts = np.array_split(by_season, min(jobs, len(cases)))
     with scratch_directory() as scratch, processes(jobs, {}, [__name__]) as workers:

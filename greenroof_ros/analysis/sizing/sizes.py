@@ -1,4 +1,4 @@
-"""The result of sizing: its table, its sentence, its chart and its page."""
+"""The result of a sizing: its table, its sentence, its charts and its page."""
 
 from __future__ import annotations
 
@@ -48,23 +48,23 @@ _DESIGN = ("volume_m3", "target_mm", "outlet")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sizes:
-    """Cisterns, targets and outlets compared over the seasons of a record.
+    """Cisterns, targets and outlets, compared over the seasons of a record.
 
     Attributes:
-        site: of all designs.
-        designs: by outlet, target and volume.
-        seasons: their names.
-        window: the days of a season, for people.
-        hours: length of a season.
-        values: each metric of each design in each season, shape (designs, seasons), by name.
-        incomplete: seasons that the record has only in part, and what they lack.
-        notes: what was assumed, and what a reader must know of the weather.
-        prices: of water and cistern; None without costs.
-        knee_m3: m3 of water that another m3 of cistern must save in a season.
-        tried: the designs that were also run from other initial states: every second cistern, of
+        site: the site that all designs share.
+        designs: the designs, by outlet, target and volume.
+        seasons: names of the seasons.
+        window: the days of a season, as a person would write them.
+        hours: length of a season (h).
+        values: every metric of each design in each season, by name, shape (designs, seasons).
+        incomplete: seasons that the record covers only in part, and what they lack.
+        notes: what was assumed, and what a reader must know about the weather.
+        prices: prices of water and cistern; None if no costs are calculated.
+        knee_m3: water that another m3 of cistern must save in a season (m3).
+        tried: designs that were also run from other initial states: every second cistern, with
             one target and the recommended outlet.
-        starts: means of each metric of these, from an empty and from a full cistern, shape (2,
-            designs), by name.
+        starts: means of every metric of these designs from an empty and from a full cistern, by
+            name, shape (2, designs).
     """
 
     site: Site
@@ -81,28 +81,28 @@ class Sizes:
     starts: Mapping[str, Values]
 
     def __repr__(self) -> str:
-        """Return how many designs and seasons there are."""
+        """Return the number of designs and seasons as text."""
         designs, seasons = len(self.designs), len(self.seasons)
         return f"<Sizes: {number_of(designs, 'design')}, {number_of(seasons, 'season')}>"
 
     @property
     def volumes(self) -> list[float]:
-        """The volumes of the cistern (m3), rising."""
+        """Volumes of the cistern (m3), in ascending order."""
         return sorted({design.volume for design in self.designs})
 
     @property
     def targets(self) -> list[float]:
-        """The targets (mm), rising."""
+        """Targets (mm), in ascending order."""
         return sorted({design.target for design in self.designs})
 
     @property
     def outlets(self) -> list[str]:
-        """The outlets."""
+        """Names of the outlets."""
         return list(dict.fromkeys(design.outlet for design in self.designs))
 
     @property
     def columns(self) -> dict[str, Column]:
-        """The results that are printed and drawn; costs only with prices."""
+        """Results that are printed and drawn; costs are included only if there are prices."""
         return {name: column for name, column in COLUMNS.items() if name in self.values}
 
     def spread(self, name: str, design: Design) -> Spread:
@@ -114,7 +114,7 @@ class Sizes:
         return Spread(float(known.mean()), float(known.min()), float(known.max()))
 
     def select(self, target: float, outlet: str) -> list[Design]:
-        """Return the designs of a target (mm) and an outlet, by volume."""
+        """Return the designs with a target (mm) and an outlet, by volume."""
         return [
             design for design in self.designs
             if (design.target, design.outlet) == (target, outlet)
@@ -123,12 +123,16 @@ class Sizes:
     # --- what is recommended ----------------------------------------------------------------------
 
     def find_knee(self, target: float, outlet: str) -> Design | None:
-        """Return the smallest cistern beyond which another m3 brings less than it must.
+        """Return the smallest cistern beyond which another m3 does not save enough.
 
         See :mod:`greenroof_ros.analysis.sizing.choice`.
 
+        Args:
+            target: one of :attr:`targets` (mm).
+            outlet: one of :attr:`outlets`.
+
         Returns:
-            None if the largest cistern is not yet beyond it.
+            The design, or None if even a cistern larger than the largest would save enough.
         """
         designs = self.select(target, outlet)
         means = [
@@ -145,24 +149,24 @@ class Sizes:
 
     @property
     def outlet(self) -> str:
-        """The recommended outlet."""
+        """Name of the recommended outlet."""
         return choose_outlet(self.site, self.outlets)
 
     @cached_property
     def recommended(self) -> Design:
-        """The recommended design: lowest target without stress, the site's outlet, the knee."""
+        """The recommended design: the lowest target without stress, the site's outlet, the knee."""
         target = find_target(self.targets, np.array(list(map(self._stress, self.targets))))
         return self.find_knee(target, self.outlet) or self.select(target, self.outlet)[-1]
 
     @property
     def by_interest(self) -> list[float]:
-        """The targets (mm), the recommended one first."""
+        """Targets (mm), beginning with the recommended one."""
         own = self.recommended.target
         return [own, *(target for target in self.targets if target != own)]
 
     @cached_property
     def sentence(self) -> str:
-        """The result in a sentence: the recommended cistern, and the next larger one."""
+        """The result in one sentence: the recommended cistern, and the next larger one."""
         own = self.recommended
         group = self.select(own.target, own.outlet)
         text = self.describe(own)
@@ -174,44 +178,44 @@ class Sizes:
         return f"{text}."
 
     def describe(self, design: Design) -> str:
-        """Return what a design does, in a clause."""
+        """Return a clause that states what a design achieves."""
         met, kept = (self.spread(name, design) for name in ("demand_met_share", KEPT))
         return f"A cistern of {design.volume:g} m³ " + " and ".join((
             "has nothing to irrigate" if np.isnan(met.mean)
             else f"meets {_share(met)} of the demand",
-            "gets no rain" if np.isnan(kept.mean)
+            "receives no rain" if np.isnan(kept.mean)
             else f"keeps {_share(kept)} of the storm water out of the sewer",
         ))
 
     def _stress(self, target: float) -> float:
-        """Return the share of a season's hours in which plants lack water (1), at a target (mm)."""
+        """Return the share of a season's hours in which plants lack water at a target (mm)."""
         designs = self.select(target, self.outlet)
         hours = [self.spread("stress_hours", design).mean for design in designs]
         return float(np.mean(hours)) / self.hours
 
     def describe_target(self) -> str:
-        """Return why the recommended target is recommended, in a sentence."""
+        """Return a sentence that states why this target is recommended."""
         stress, most = self._stress(self.recommended.target), f"{MAX_STRESS:.0%}".replace("%", " %")
         if stress > MAX_STRESS:
-            least = "" if len(self.targets) == 1 else ", and least at this target"
+            least = "" if len(self.targets) == 1 else ", and in the fewest at this target"
             return f"plants lack water in more than {most} of the hours of a season{least}."
         if len(self.targets) == 1:
             return f"plants lack water in at most {most} of the hours of a season."
         return (
-            f"the lowest of {len(self.targets)} at which plants lack water in at most {most} of "
-            "the hours of a season."
+            f"the lowest of {len(self.targets)} targets at which plants lack water in at most "
+            f"{most} of the hours of a season."
         )
 
     def describe_outlet(self) -> str:
-        """Return why the recommended outlet is recommended, in a sentence."""
+        """Return a sentence that states why this outlet is recommended."""
         if self.outlet == PLAN and self.site.low_outlet_valve:
             return "the site file has a valve on the low outlet."
         if self.outlet == NONE and not self.site.low_outlet_valve:
             return "the site file has no valve."
-        return "the first of those that were compared."
+        return "the first of the outlets that were compared."
 
     def describe_knee(self) -> str:
-        """Return why the recommended cistern is recommended, in a sentence."""
+        """Return a sentence that states why this cistern is recommended."""
         amount = f"another m³ of cistern saves less than {self.knee_m3:g} m³ of water in a season"
         what = "mains water and storm water in the sewer together"
         if self.prices is not None:
@@ -224,18 +228,18 @@ class Sizes:
             return "the only one that was compared."
         if self.find_knee(self.recommended.target, self.outlet) is None:
             return (
-                f"the largest of all: there is no size from which on {amount} ({what}), so larger "
-                "ones are worth a try."
+                f"the largest of all: there is no size beyond which {amount} ({what}), so larger "
+                "ones are worth trying."
             )
         if self.recommended.volume == self.volumes[0]:
             return (
-                f"the smallest of all; from this size on {amount} ({what}), so smaller ones are "
-                "worth a try."
+                f"the smallest of all; beyond this size {amount} ({what}), so smaller ones are "
+                "worth trying."
             )
-        return f"from this size on {amount} ({what})."
+        return f"beyond this size {amount} ({what})."
 
     def format_knee(self, target: float, outlet: str) -> str:
-        """Return the knee as text; the smallest and the largest cistern are only limits of it."""
+        """Return the knee as text; the smallest and the largest cistern only set limits to it."""
         knee = self.find_knee(target, outlet)
         if knee is None:
             return f"above {self.volumes[-1]:g} m³"
@@ -243,7 +247,7 @@ class Sizes:
         return "at most " * is_limit + f"{knee.volume:g} m³"
 
     def describe_starts(self) -> str:
-        """Return how much the initial state of a season matters, in a sentence."""
+        """Return sentences that state how much the initial state of a season matters."""
         ratios = [abs(np.log(one.volume / self.recommended.volume)) for one in self.tried]
         place = int(np.argmin(ratios))  # the recommended cistern, or one next to it
         design = self.tried[place]
@@ -256,31 +260,31 @@ class Sizes:
             for met, mains, wet in (empty, half, full)
         )
         return (
-            f"Each season begins with half of the cistern full. With {design.volume:g} m³ and a "
-            f"target of {design.target:g} mm this gives {half_text}"
-            f"{' on average' * (len(self.seasons) > 1)}; from an empty cistern {empty_text}, and "
-            f"from a full one {full_text}."
+            f"Every season begins with the cistern half full. With {design.volume:g} m³ and a "
+            f"target of {design.target:g} mm, the result is {half_text}"
+            f"{' on average' * (len(self.seasons) > 1)}. If the cistern is empty at the beginning, "
+            f"it is {empty_text}, and if it is full, {full_text}."
         )
 
     # --- tables and files -------------------------------------------------------------------------
 
     @property
     def _names(self) -> list[str]:
-        """The names of all results: the metrics, and those beside them."""
+        """Names of all results: the metrics, and those in addition to them."""
         order = [*(metric.name for metric in METRICS), KEPT, COST]
         return [name for name in order if name in self.values]
 
     @property
     def table(self) -> polars.DataFrame:
-        """The results, a row for each design: means over the seasons, with lowest and highest.
+        """Results, with one row per design: means over the seasons, with lowest and highest.
 
-        The columns have the names of ``summary.json``; ``_min`` and ``_max`` are added for the
+        The columns are named as in ``summary.json``, with ``_min`` and ``_max`` added for the
         lowest and the highest season. ``storm_water_kept_share`` is the share of the rain on roof
-        and catchment that did not reach the sewer in wet weather, and ``cost``, with prices, is
-        that of a season's water and a year's cistern.
+        and catchment that did not reach the sewer in wet weather. If there are prices, ``cost`` is
+        the cost of a season's water and of the cistern for a year.
 
         Raises:
-            ConfigurationError: polars is not installed.
+            ConfigurationError: if polars is not installed.
         """
         return _frame([
             {
@@ -294,10 +298,10 @@ class Sizes:
 
     @property
     def table_of_seasons(self) -> polars.DataFrame:
-        """The results of each season, a row for each design and season; see :attr:`table`.
+        """Results of every season, with one row per design and season; see :attr:`table`.
 
         Raises:
-            ConfigurationError: polars is not installed.
+            ConfigurationError: if polars is not installed.
         """
         return _frame(self._rows())
 
@@ -313,15 +317,15 @@ class Sizes:
         ]
 
     def plot(self, target: float | None = None) -> altair.ConcatChart:
-        """Return a chart of the results over the volume of the cistern, with a line per outlet.
+        """Return a chart of the results over the cistern's volume, with a line per outlet.
 
-        A line is the mean of the seasons; its band reaches from the lowest to the highest.
+        A line shows the mean of the seasons, and its band reaches from the lowest to the highest.
 
         Args:
-            target: mm, one of :attr:`targets`; by default the recommended one.
+            target: one of :attr:`targets` (mm); by default the recommended one.
 
         Raises:
-            ConfigurationError: altair is not installed.
+            ConfigurationError: if altair is not installed.
         """
         with require_extra("study"):
             from greenroof_ros.analysis.sizing.page import draw
@@ -332,10 +336,12 @@ class Sizes:
         """Write the page ``sizes.html``, the table ``sizes.csv``, and the figures; return the page.
 
         Args:
-            directory: is made if there is none; earlier files of the same names are replaced.
+            directory: where to write; it is created if it does not exist, and earlier files of
+                the same names are replaced.
 
         Raises:
-            ConfigurationError: it cannot be written, or the packages of a page are not installed.
+            ConfigurationError: if the directory cannot be written to, or the packages that a page
+                needs are not installed.
         """
         with require_extra("study"):
             from greenroof_ros.analysis.sizing.page import draw, render
@@ -352,7 +358,7 @@ class Sizes:
         return page
 
     def to_csv(self) -> str:
-        """Return the results of each design in each season, with what was assumed as comments."""
+        """Return all results of all seasons as CSV, with the assumptions as comments."""
         text = io.StringIO()
         for note in self.list_remarks():
             text.write(f"# {note}\n")
@@ -365,9 +371,9 @@ class Sizes:
         return text.getvalue()
 
     def list_remarks(self) -> list[str]:
-        """Return :attr:`notes`, and which seasons were left out.
+        """Return :attr:`notes`, and a remark on every season that was left out.
 
-        Each begins with a capital letter, unless it begins with the name of a file.
+        Every remark begins with a capital letter, unless it begins with the name of a file.
         """
         left_out = (f"season {name} is left out: {why}" for name, why in self.incomplete.items())
         return [

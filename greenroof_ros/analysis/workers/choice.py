@@ -1,4 +1,4 @@
-"""Where a command's work is done: its options, and the workers that they ask for."""
+"""The options that choose where a command's work is done, and the workers that they choose."""
 
 from __future__ import annotations
 
@@ -19,15 +19,20 @@ from greenroof_ros.common.processes import Signals
 
 
 def add_worker_arguments(parser: argparse.ArgumentParser, what: str) -> None:
-    """Add the options that choose the workers; ``what`` they are handed, such as ``runs``."""
+    """Add the options that choose the workers.
+
+    Args:
+        parser: the command's parser.
+        what: the work that is handed to them, such as ``runs``.
+    """
     parser.add_argument(
         "--jobs", type=make_number_type(1, 1024, int), metavar="N",
-        help=f"{what} at a time (default: one per core)",
+        help=f"run N {what} at a time (default: one per core)",
     )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS",
         help=f"hand the {what} to a Dask cluster, such as tcp://10.0.0.1:8786, instead of "
-        "processes of this machine; its workers need greenroof_ros[dask,study]",
+        "processes on this machine; its workers need greenroof_ros[dask,study]",
     )
 
 
@@ -35,12 +40,12 @@ def check_workers(arguments: argparse.Namespace) -> None:
     """Check the options of a command that hands work to workers.
 
     Raises:
-        ConfigurationError: both a cluster and a number of processes are asked for, or the weather
-            is not a directory.
+        ConfigurationError: if both a cluster and a number of processes are requested, or the
+            weather is not a directory.
     """
     refuse((
         arguments.scheduler is not None and arguments.jobs is not None, "--jobs", arguments.jobs,
-        "cannot be used with --scheduler: the cluster sets how many",
+        "cannot be combined with --scheduler: the cluster sets the number",
     ))
     weather: Path | None = arguments.weather
     refuse((
@@ -50,11 +55,13 @@ def check_workers(arguments: argparse.Namespace) -> None:
 
 
 def describe_end(error: Exception, signals: Signals | None) -> tuple[str, int]:
-    """Return why work ended early, and the exit code.
+    """Return why the work ended early, and the exit code.
+
+    A signal to all processes, as a batch system sends it, also ends the workers.
 
     Args:
-        error: that ended it. A signal to all processes, as of a batch system, ends workers, too.
-        signals: those of the command; None before it takes any.
+        error: error that ended the work.
+        signals: signals that the command has received; None before it handles any.
     """
     received = None if signals is None else signals.received
     if received is None:
@@ -65,16 +72,16 @@ def describe_end(error: Exception, signals: Signals | None) -> tuple[str, int]:
 def open_workers(
     arguments: argparse.Namespace, files: Mapping[str, bytes], preload: Sequence[str]
 ) -> AbstractContextManager[Workers]:
-    """Return the workers that a command line asks for.
+    """Return the workers that a command line requests.
 
     Args:
-        arguments: arguments with the options of :func:`add_worker_arguments`.
+        arguments: arguments with the options from :func:`add_worker_arguments`.
         files: contents of the input files, by name.
-        preload: modules that processes of this machine import once for all.
+        preload: modules that are imported once for all processes on this machine.
 
     Raises:
-        ConfigurationError: the scheduler does not answer, has no worker, or workers with other
-            versions; raised when the context is entered.
+        ConfigurationError: if the scheduler does not answer, has no worker, or has workers with
+            other versions; raised when the context is entered.
     """
     if arguments.scheduler is None:
         return processes(arguments.jobs or len(os.sched_getaffinity(0)), files, preload)

@@ -21,29 +21,29 @@ from greenroof_ros.experiment.summary import versions
 with require_extra("dask"):
     import dask
 
-    # Its log would repeat an error message in a hundred lines.
+    # Otherwise its log would repeat every error message in a hundred lines.
     quiet = dict.fromkeys(("distributed", "distributed.client", "tornado.application"), 100)
     dask.config.set({"logging": quiet})
     from distributed import Client, WorkerPlugin, get_worker
 
 _CONNECT_S = 10
-# A worker that its nanny restarts is back sooner.
+# A worker that its nanny restarts is back sooner than this.
 _NO_WORKER_S = 15.0
-# Time between two requests to a scheduler for its workers.
+# Time between two requests for the scheduler's list of workers.
 _POLL_S = 2.0
-# The longest wait for the workers to delete their files.
+# Longest time to wait until the workers have deleted their files.
 _DELETE_S = 5.0
 
 
 class InputFiles(WorkerPlugin):
-    """Keeps the input files on a worker; Dask sends them to each worker once."""
+    """Keep the input files on a worker; Dask sends them to every worker once."""
 
     def __init__(self, files: Mapping[str, bytes]) -> None:
-        """Set the contents by name."""
+        """Set the contents of the files, by name."""
         self._files = files
 
     def setup(self, worker: Any) -> None:
-        """Write the files, before the worker gets its first task."""
+        """Write the files before the worker receives its first task."""
         self._directory = tempfile.TemporaryDirectory(dir=worker.local_directory)
         self.path = Path(self._directory.name)
         write_inputs(self._files, self.path)
@@ -54,7 +54,7 @@ class InputFiles(WorkerPlugin):
 
 
 def _on_worker(plugin: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function on a worker with the directory of the input files."""
+    """Call a function on a worker, with the directory of the input files as first argument."""
     files = get_worker().plugins[plugin]
     assert isinstance(files, InputFiles)
     return function(files.path, *arguments)
@@ -65,15 +65,15 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
     """Work on the workers of a Dask scheduler.
 
     Args:
-        address: such as ``tcp://10.0.0.1:8786``.
+        address: address of the scheduler, such as ``tcp://10.0.0.1:8786``.
         files: contents of the input files, by name.
 
     Raises:
-        ConfigurationError: the scheduler does not answer or has no worker, or the versions on a
-            worker differ from this process's.
-        WorkersLostError: the scheduler or all its workers disappeared during work.
+        ConfigurationError: if the scheduler does not answer or has no worker, or if the versions
+            on a worker differ from those of this process.
+        WorkersLostError: if the scheduler or all its workers disappeared during the work.
     """
-    lost = WorkersLostError(f"the Dask scheduler at {address} is gone")
+    lost = WorkersLostError(f"the connection to the Dask scheduler at {address} is lost")
     try:
         client = Client(address, timeout=_CONNECT_S)
     except (OSError, ValueError, TypeError) as error:
@@ -83,7 +83,8 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
     plugin = f"greenroof_ros-{client.id}"
 
     def delete() -> None:
-        with suppress(Exception):  # the scheduler is gone, and a repeated command sends them again
+        # If the scheduler is gone, the files are too: a repeated command sends them again.
+        with suppress(Exception):
             client.unregister_worker_plugin(plugin)
 
     with client:
@@ -91,7 +92,7 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
             client.wait_for_workers(1, timeout=_CONNECT_S)
             _check_versions(client.run(versions))
             client.register_plugin(InputFiles(files), plugin)
-        except asyncio.TimeoutError as error:  # in Python 3.10 not the built-in one
+        except asyncio.TimeoutError as error:  # not the built-in one in Python 3.10
             raise ConfigurationError(
                 "has no worker", key="--scheduler", value=address
             ) from error
@@ -123,25 +124,32 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
                 partial(executor.submit, task), lambda future: future.result(), check,
                 sum(client.nthreads().values()),
             )
-        except CancelledError as error:  # not by this process: the scheduler is gone
+        except CancelledError as error:  # this process did not cancel: the scheduler is gone
             raise lost from error
         finally:
-            # Cancels running tasks: after an interrupt no one waits for their results.
+            # This cancels running tasks, because nobody waits for their results after an interrupt.
             executor.shutdown(wait=False)
-            # In a thread, because a worker or scheduler that hangs would never answer.
+            # This runs in a thread, because a worker or scheduler that hangs would never answer.
             deleting = Thread(target=delete, daemon=True)
             deleting.start()
             deleting.join(_DELETE_S)
 
 
 def _check_versions(workers: Mapping[str, Mapping[str, str]]) -> None:
-    """Refuse workers with other versions, which could compute other numbers."""
+    """Reject workers with other versions, which could compute other numbers.
+
+    Args:
+        workers: versions of the packages on each worker, by its address.
+
+    Raises:
+        ConfigurationError: if a version on a worker differs from this process's.
+    """
     here = versions()
     for address, theirs in workers.items():
         for package in here.keys() | theirs.keys():
             if theirs.get(package) != here.get(package):
                 raise ConfigurationError(
-                    f"its worker {address} has {package} {theirs.get(package, 'not at all')}, "
-                    f"this process {here.get(package, 'not at all')}; make them the same",
+                    f"its worker {address} uses {package} {theirs.get(package, '(missing)')}, but "
+                    f"this process {here.get(package, '(missing)')}; install the same version",
                     key="--scheduler",
                 )

@@ -1,4 +1,4 @@
-"""The input files of tasks; each worker gets them once, and not with each task."""
+"""The input files of tasks, which every worker receives once and not with every task."""
 
 from __future__ import annotations
 
@@ -9,7 +9,12 @@ from greenroof_ros.common.files import add_path_to_errors
 
 
 def write_inputs(files: Mapping[str, bytes], directory: Path) -> None:
-    """Write the contents of input files, by name, to a directory, where tasks read them."""
+    """Write the input files to a directory from which tasks read them.
+
+    Args:
+        files: contents of the files, by name.
+        directory: the directory.
+    """
     for name, content in files.items():
         with add_path_to_errors(directory / name):
             (directory / name).write_bytes(content)

@@ -1,6 +1,6 @@
-"""Workers that are processes of this machine, or this one.
+"""Workers that are processes on this machine, or this process itself.
 
-A Dask cluster's are in :mod:`greenroof_ros.analysis.workers.cluster`.
+The workers of a Dask cluster are in :mod:`greenroof_ros.analysis.workers.cluster`.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from greenroof_ros.common.processes import end_with, scratch_directory
 
 
 class WorkersLostError(BrokenExecutor):
-    """The workers cannot go on; the message states what is gone."""
+    """The workers cannot continue; the message states what was lost."""
 
 
 class Workers(NamedTuple):
     """The means to hand out work."""
 
     submit: Callable[..., Future[Any]]
-    """schedules a function; its first argument will be the directory of the input files, and
-    the given arguments are the others"""
+    """schedules a function, which is called with the directory of the input files, followed by
+    the arguments that were passed"""
     result: Callable[[Future[Any]], Any]
     """returns what the function of a future returned, or raises what it raised"""
     check: Callable[[], None]
@@ -46,7 +46,11 @@ class Workers(NamedTuple):
 
 @contextmanager
 def this_process(files: Mapping[str, bytes]) -> Iterator[Workers]:
-    """Work in this process, one task after the other, each when it is submitted."""
+    """Work in this process: every task runs when it is submitted.
+
+    Args:
+        files: contents of the input files, by name.
+    """
     with scratch_directory() as inputs:
         write_inputs(files, inputs)
 
@@ -62,21 +66,22 @@ def this_process(files: Mapping[str, bytes]) -> Iterator[Workers]:
 def processes(
     jobs: int, files: Mapping[str, bytes], preload: Sequence[str]
 ) -> Iterator[Workers]:
-    """Work in parallel processes of this machine.
+    """Work in parallel processes on this machine.
 
     Args:
         jobs: number of processes.
         files: contents of the input files, by name.
-        preload: modules that the fork server imports once, and not each worker.
+        preload: modules that the fork server imports once for all workers.
 
     Raises:
-        WorkersLostError: a process ended unexpectedly, or was killed.
+        WorkersLostError: if a process ended unexpectedly or was killed.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([*preload])
-    # A terminal's Ctrl-C also reaches the fork server, which would print a traceback. So it is
-    # blocked in the server and its workers from the start; this process has it a moment later.
-    resource_tracker.ensure_running()  # first, as it unblocks it
+    # Ctrl-C on a terminal also reaches the fork server, which would print a traceback. So the
+    # signal is blocked in the server and its workers from the start; this process receives it a
+    # moment later.
+    resource_tracker.ensure_running()  # first, because it unblocks the signal
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         forkserver.ensure_running()
@@ -91,23 +96,24 @@ def processes(
         try:
             task = partial(_to_file, inputs)
             yield Workers(partial(executor.submit, task), _from_file, lambda: None, jobs)
-        except (BrokenProcessPool, EOFError, ConnectionError) as error:  # or as a worker starts
+        # The other errors occur if a worker is killed while it starts.
+        except (BrokenProcessPool, EOFError, ConnectionError) as error:
             raise WorkersLostError(
-                "a worker process was killed, perhaps because memory ran out; then use fewer --jobs"
+                "a worker process was killed; if memory ran out, use fewer --jobs"
             ) from error
         finally:
             for process in multiprocessing.active_children():
                 process.kill()
-            # It waits for the executor's thread, which nobody can wait for after a shutdown that
-            # does not. At the end of Python that thread closes a pipe to which Python still writes.
+            # This waits for the executor's thread; after a shutdown without waiting, nothing can
+            # wait for it, and when Python ends it closes a pipe to which Python still writes.
             executor.shutdown(cancel_futures=True)
 
 
 def _to_file(directory: Path, function: Callable[..., Any], *arguments: Any) -> Path:
-    """Call a function in a worker, and return a file with its result.
+    """Call a function in a worker, and return the path of a file with its result.
 
-    If a worker is killed while it sends a large result to the executor, the executor waits for the
-    rest forever.
+    A large result is not sent to the executor itself, because the executor would wait forever for
+    the rest if the worker were killed while sending it.
     """
     result = function(directory, *arguments)
     path = Path(tempfile.gettempdir(), uuid4().hex)
@@ -124,10 +130,10 @@ def _from_file(future: Future[Path]) -> Any:
 
 
 def _prepare(scratch: str, command: int) -> None:
-    """Prepare a worker: its directory for temporary files, no warnings, and its end.
+    """Prepare a worker: set its directory for temporary files, silence warnings, and tie its end.
 
-    Warnings of single runs would break the progress bar. The worker ends with the command itself,
-    because its parent, the fork server, stays while any of its children runs.
+    Warnings from single runs would break the progress bar. The worker ends together with the
+    command itself, because its parent, the fork server, stays while any of its children runs.
 
     Args:
         scratch: directory for temporary files, which the command deletes.
