@@ -1,6 +1,7 @@
-"""The speed of the graph and of the controller, as ratios measured in one run: ``make bench``.
+"""Measure the speed of the graph and the controller, as ratios within one run: ``make bench``.
 
-Times on shared machines mean little, but ratios of times measured together, round by round, do.
+Times on a shared machine mean little, but ratios of times that are measured together, round by
+round, are comparable.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ ECHOES = 7200
 
 
 def echo(role: str) -> None:
-    """Run one of the two processes of the yardstick, which send a Float64 back and forth."""
+    """Run one of the two processes that send a Float64 back and forth, as a yardstick."""
     import rclpy
     from rclpy.node import Node
     from std_msgs.msg import Float64
@@ -70,7 +71,7 @@ def echo(role: str) -> None:
 
 
 def measure_echo(domain: int) -> float:
-    """Return the round trip between two processes (s)."""
+    """Return the time of a round trip between two processes (s)."""
     command = [sys.executable, __file__]
     answerer = subprocess.Popen(
         [*command, "answerer"], env=environment(domain), stderr=subprocess.DEVNULL
@@ -87,23 +88,23 @@ def measure_echo(domain: int) -> float:
 
 
 class Graph(NamedTuple):
-    """A run of the graph, as a user starts it."""
+    """The times of a run of the graph that is started as a user would start it."""
 
     tick: float
     """wall time of a tick (s)"""
     around: float
-    """wall time from the start of the command to its end, except the ticks (s)"""
+    """wall time from the start of the command to its end, without the ticks (s)"""
     echo: float
-    """round trip between two processes (s), the mean of just before and just after"""
+    """time of a round trip between two processes (s), the mean of just before and just after"""
 
     @property
     def trips(self) -> float:
-        """A tick in round trips."""
+        """Duration of a tick, in round trips (1)."""
         return self.tick / self.echo
 
 
 def measure_graph(domain: int, *arguments: str) -> Graph:
-    """Run the graph; it draws its bar on a terminal."""
+    """Run the graph on a terminal, so it draws its progress bar, and return its times."""
     before = measure_echo(domain)
     environ = {**environment(domain), "TERM": "xterm"}
     with tempfile.TemporaryDirectory() as directory:
@@ -136,7 +137,7 @@ def _drain(leader: int) -> None:
 
 
 def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
-    """Return the time of a tick of ``simulate`` (s), with metrics, and its decision times."""
+    """Return the time of a tick of ``simulate`` with metrics (s), and its decision times (s)."""
     from greenroof_ros.common.command_line import Parser
     from greenroof_ros.experiment.closed_loop import Simulation
     from greenroof_ros.experiment.options import add_run_arguments, build_run
@@ -152,7 +153,7 @@ def measure_simulated(*arguments: str) -> tuple[float, dict[str, float]]:
 
 
 def measure_buildings(count: int = 1000) -> tuple[float, float]:
-    """Return the times of a minute's tick of many buildings at once, and of one of them (s)."""
+    """Return the times of a one-minute tick of many buildings together, and of one building (s)."""
     from dataclasses import replace
 
     import numpy as np
@@ -182,7 +183,10 @@ def measure_buildings(count: int = 1000) -> tuple[float, float]:
 
 
 def measure_do_mpc(steps: int = 30) -> float:
-    """Return a do-mpc step's time (s) on the same problem: smooth plant, horizon 10, same cost."""
+    """Return the time of a do-mpc step on the same problem (s).
+
+    The problem has a smooth plant, a horizon of 10 steps and the same cost.
+    """
     import casadi
     import do_mpc
     import numpy as np
@@ -243,12 +247,12 @@ def measure_do_mpc(steps: int = 30) -> float:
 MEASURED = {
     "tick": "tick of `greenroof run` / echo round trip of two processes",
     "bare": "the same without the recorder",
-    "around": "start and end of `greenroof run` beyond its ticks (s)",
-    "mean": "decision of `lookahead` on an ensemble / of `mpc`, mean of all ticks",
+    "around": "start and end of `greenroof run` without its ticks (s)",
+    "mean": "decision of `lookahead` on an ensemble / decision of `mpc`, mean of all ticks",
     "p99": "the same, 99th percentile",
-    "plan": "longest decision of `lookahead`, with a plan / of `mpc`, mean",
+    "plan": "longest decision of `lookahead`, with a plan / mean decision of `mpc`",
     "do_mpc": "do-mpc step / MPC step of `simulate`",
-    "many": "tick of 1,000 buildings at once / of one",
+    "many": "tick of 1,000 buildings together / tick of one building",
 }
 
 
@@ -257,7 +261,7 @@ def main() -> None:
     rows: dict[str, list[float]] = {key: [] for key in MEASURED}
     with reserved_domain() as domain:
         for number in range(ROUNDS):
-            load = os.getloadavg()[0]  # of the minute before
+            load = os.getloadavg()[0]  # over the last minute
             recorded = measure_graph(domain)
             bare = measure_graph(domain, "--no-record")
             (step, mpc), peer = measure_simulated(), measure_do_mpc()
@@ -272,7 +276,7 @@ def main() -> None:
             many, one = measure_buildings()
             rows["many"].append(many / one)
             print(
-                f"round {number + 1} of {ROUNDS}, load {load:.1f} before: "
+                f"round {number + 1} of {ROUNDS}, load before it {load:.1f}: "
                 f"echo {recorded.echo * 1e6:.0f} us, tick {recorded.tick * 1e6:.0f} us, "
                 f"MPC step {step * 1e6:.0f} us, do-mpc {peer * 1e6:.0f} us, "
                 f"1,000 buildings {many * 1e6:.0f} us",

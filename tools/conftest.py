@@ -1,4 +1,4 @@
-"""Gives the campaigns' processes the same environment as the tests' processes."""
+"""Give the campaigns' processes the same environment as the tests' processes."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
-"""A district beside EPA's SWMM 5: the same roofs and cisterns, and the time that each takes.
+"""Compare a district with EPA's SWMM 5: the same roofs and cisterns, and the time that each takes.
 
 ``python tools/district_beside_swmm.py --weather DIR`` draws the buildings of the example district
-and simulates them here and in SWMM: green roofs as its low-impact-development units (soil and
-drainage mat), ordinary roofs as impervious areas, cisterns as storage units with outlets by Eq.
-(2). SWMM cannot pump a cistern's water onto a roof, so nothing is irrigated, and there is no mains
-water. It prints both wall times, and what reaches the sewer.
+and simulates them with this package and with SWMM. In SWMM, green roofs are low-impact-development
+units (soil and drainage mat), ordinary roofs are impervious areas, and cisterns are storage units
+with outlets according to Eq. (2). SWMM cannot pump a cistern's water onto a roof, so nothing is
+irrigated, and there is no mains water. The command prints both times and the volumes that reach the
+sewer.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def read(buildings: int, hours: float, weather: Path, directory: Path) -> Distri
 
 
 def simulate_here(run: DistrictRun, outlet: str, directory: Path) -> float:
-    """Return what all buildings send to the sewer (m3)."""
+    """Simulate with this package, and return the discharge of all buildings to the sewer (m3)."""
     totals = Totals(run.site, run.buildings, run.adoption, run.outlets, run.rain, None)
     for part in run.parts(directory):
         only = replace(part, outlets=(outlet,))
@@ -63,7 +64,13 @@ def simulate_here(run: DistrictRun, outlet: str, directory: Path) -> float:
 
 
 def format_model(run: DistrictRun, sites: Sequence[Site], states: Sequence[float]) -> str:
-    """Return SWMM's input file of buildings with an orifice."""
+    """Return SWMM's input file for buildings with an orifice.
+
+    Args:
+        run: the district.
+        sites: sites of its buildings.
+        states: initial volumes in the cisterns (m3).
+    """
     start = run.runs[0].start.replace(tzinfo=None)
     hours = run.runs[0].steps * run.site.tau / 3600
     end = start + timedelta(hours=hours)
@@ -80,7 +87,7 @@ def format_model(run: DistrictRun, sites: Sequence[Site], states: Sequence[float
         capacity = site.field_capacity or 0.0
         if site.z_soil not in kinds:
             kind = kinds[site.z_soil] = f"GREEN{len(kinds)}"
-            # Conductivity and its slope: 36 mm/h [assumed], and loam of SWMM's manual.
+            # Conductivity 36 mm/h [assumed]; its slope is that of loam in SWMM's manual.
             mat = 1000 * (site.drainage_storage or 0.0) / 0.55
             sections["LID_CONTROLS"] += [
                 f"{kind} GR", f"{kind} SURFACE 5 0 0.1 1 5",
@@ -144,15 +151,17 @@ INPUT NO
 
 
 def read_discharge() -> float:
-    """Return what all buildings sent to the sewer (m3), from SWMM."""
+    """Return the discharge of all buildings to the sewer in SWMM (m3)."""
     totals = solver.system_get_routing_totals()
     return float(totals.outflow + totals.flooding)
 
 
 def main() -> None:
-    """Measure and print."""
+    """Run both models and print the comparison."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--weather", type=Path, required=True, help="of Toronto, YYYY_M.csv")
+    parser.add_argument(
+        "--weather", type=Path, required=True, help="directory of Toronto's files, YYYY_M.csv"
+    )
     parser.add_argument("--buildings", type=int, default=1000)
     parser.add_argument("--hours", type=float, default=4416)
     arguments = parser.parse_args()

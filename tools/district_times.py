@@ -1,8 +1,8 @@
-"""Time and memory of districts, on one process, on several, and on a Dask cluster of this machine.
+"""Measure the time and memory of districts: in one process, in several, and on a Dask cluster here.
 
 ``python tools/district_times.py --weather DIR`` runs the example district with 100, 1,000 and
-10,000 buildings in each way, by the command that a user gives, and prints a table. Its processor
-time says what the work costs when other programs use the machine as well.
+10,000 buildings in each of these ways, using the command that a user would type, and prints a
+table. The processor time shows the cost of the work even if other programs use the machine.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class Watched:
-    """Memory and processor time of some processes and all that they start."""
+    """Watch the memory and processor time of some processes and of all processes they start."""
 
     def __init__(self, roots: list[int]) -> None:
         self._roots, self._end = roots, threading.Event()
         self.memory = 0.0
-        """the maximum of all together (MB)"""
+        """maximum memory of all processes together (MB)"""
         self._cpu: dict[int, float] = {}
         self._before = {process: _cpu_s(process) for process in self._tree()}
         self._thread = threading.Thread(target=self._watch)
@@ -43,7 +43,7 @@ class Watched:
 
     @property
     def cpu(self) -> float:
-        """Of all together, since the start (s)."""
+        """Processor time of all processes together since the start (s)."""
         return sum(seconds - self._before.get(one, 0.0) for one, seconds in self._cpu.items())
 
     def end(self) -> None:
@@ -77,7 +77,7 @@ def _cpu_s(process: int) -> float:
 
 
 def _proportional_mb(process: int) -> float:
-    """Return the memory of a process (MB); what it shares with others is divided among them."""
+    """Return the memory of a process, with a proportional part of what it shares (MB)."""
     try:
         text = Path(f"/proc/{process}/smaps_rollup").read_text()
     except OSError:
@@ -89,7 +89,7 @@ def _proportional_mb(process: int) -> float:
 
 @contextmanager
 def cluster(workers: int, directory: Path) -> Iterator[Dask]:
-    """Start a Dask cluster on this machine."""
+    """Start a Dask cluster on this machine, and stop it at the end."""
     dask = Dask(directory)
     try:
         for _ in range(workers):
@@ -104,7 +104,7 @@ def cluster(workers: int, directory: Path) -> Iterator[Dask]:
 def measure(
     buildings: int, outlets: str, hours: int, way: str, count: int, weather: Path, directory: Path
 ) -> str:
-    """Run a district once, and return a row of the table; its results are in the directory."""
+    """Run a district once, write its results to a directory, and return a row of the table."""
     text = EXAMPLE.read_text(encoding="utf-8")
     for old, new in (
         ("buildings: 1000 ", f"buildings: {buildings} "),
@@ -149,9 +149,11 @@ def measure(
 
 
 def main() -> None:
-    """Measure what the command line asks for, and print the table."""
+    """Run the measurements that the command line requests, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--weather", type=Path, required=True, help="of Toronto, YYYY_M.csv")
+    parser.add_argument(
+        "--weather", type=Path, required=True, help="directory of Toronto's files, YYYY_M.csv"
+    )
     parser.add_argument("--buildings", type=int, nargs="+", default=[100, 1000, 10_000])
     parser.add_argument("--outlets", nargs="+", default=["none, orifice, drain"])
     parser.add_argument("--hours", type=int, default=4416)

@@ -1,6 +1,6 @@
-"""Make a notebook, with its outputs, from a script in percent format: python tools/notebook.py.
+"""Make a notebook with its outputs from a script in percent format: python tools/notebook.py.
 
-A line that begins with ``# %%`` begins a cell; ``# %% [markdown]`` begins one of comments.
+A line that begins with ``# %%`` starts a code cell, and ``# %% [markdown]`` starts a text cell.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def notebook_of(script: Path) -> nbformat.NotebookNode:
     for kind, text in re.findall(r"^# %%(.*)\n((?:(?!# %%).*\n)*)", script.read_text(), re.M):
         cell = new_markdown_cell(re.sub("^# ?", "", text, flags=re.M).strip()) if kind else (
             new_code_cell(text.strip()))
-        cell["id"] = f"cell-{len(cells)}"  # or else it would differ each time
+        cell["id"] = f"cell-{len(cells)}"  # otherwise it would be different every time
         cells.append(cell)
     return new_notebook(cells=cells, metadata={"kernelspec": {
         "name": "python3", "display_name": "Python 3", "language": "python",
@@ -32,7 +32,7 @@ def notebook_of(script: Path) -> nbformat.NotebookNode:
 
 
 def executed(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """Return a notebook with its outputs; a cell that fails is an error."""
+    """Run a notebook and return it with its outputs; a cell that fails is an error."""
     done = NotebookClient(notebook, timeout=300, record_timing=False).execute()
     for cell in done.cells:
         for output in cell.get("outputs", ()):
@@ -43,7 +43,7 @@ def executed(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
 
 
 def packed(picture: bytes) -> bytes:
-    """Return the same PNG, compressed as well as possible: a third of Altair's size."""
+    """Return a PNG compressed as well as possible, which is a third of the size from Altair."""
     chunks, place = list[tuple[bytes, bytes]](), 8
     while place < len(picture):
         (length,) = struct.unpack_from(">I", picture, place)

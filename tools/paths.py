@@ -1,7 +1,7 @@
-"""Import paths of the tools: importing this puts the checkout, its test helpers and tools first.
+"""Put the checkout, its test helpers and its tools first on the import path.
 
-A tool may run with a package installed elsewhere, or with none. Files that pytest collects get the
-same paths from ``pythonpath`` in ``pyproject.toml``.
+A tool may run while the package is installed elsewhere, or not at all. For files that pytest
+collects, ``pythonpath`` in ``pyproject.toml`` sets the same paths.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Compute what the controllers of scenarios reach: ``python tools/reference_scores.py [NAME...]``.
+"""Compute the scores of the scenarios' controllers: ``python tools/reference_scores.py [NAME...]``.
 
-The scores are written into config/scenarios.csv, with which gr.score compares. All of them take
-about ten minutes.
+The scores are written to config/scenarios.csv, to which gr.score compares other controllers.
+Computing all of them takes about ten minutes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ A_WEEK_LATE = "a week late"
 
 
 def delay_by_a_week(archive: Path, late: Path) -> None:
-    """Write an archive of forecasts with all its times a week later."""
+    """Write a copy of archived forecasts in which all times are a week later."""
     head, *rows = archive.read_text(encoding="utf-8").splitlines()
     lines = [head]
     for row in rows:
@@ -42,7 +42,7 @@ def compute(scenario: str, controller: str) -> Score:
     known = scenarios[scenario]
     inputs = {**known.controllers[controller]}
     name = inputs.pop("controller")
-    # The scenario's other options are for its own kind of forecast.
+    # The scenario's other options only apply to its own kind of forecast.
     own = {**dict.fromkeys(key for key in known.inputs if key.startswith("forecast_"))}
     if "forecast" in inputs and inputs["forecast"] != known.inputs.get("forecast"):
         inputs = {**own, **inputs}
@@ -54,7 +54,7 @@ def compute(scenario: str, controller: str) -> Score:
 
 
 def main() -> None:
-    """Write the scores of the scenarios named on the command line, or of all."""
+    """Write the scores of the scenarios named on the command line, or of all scenarios."""
     wanted = sys.argv[1:] or [*scenarios]
     path = shared_directory() / "config" / REFERENCES
     rows = read_references() if path.exists() else []

@@ -1,4 +1,4 @@
-"""A run of EPA's SWMM 5, for the tests and for ``district_beside_swmm.py``."""
+"""Run EPA's SWMM 5, for the tests and for ``district_beside_swmm.py``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Result = TypeVar("Result")
 
 
 class Errors(NamedTuple):
-    """Shares of the water that SWMM loses (%)."""
+    """Continuity errors of SWMM: shares of the water that it loses (%)."""
 
     runoff: float
     routing: float
@@ -24,12 +24,12 @@ def run_swmm(
     """Run a model to its end.
 
     Args:
-        model: SWMM's input file; its report stands next to it afterwards.
-        read: reads results from the solver at the end.
-        after_step: called after each step.
+        model: SWMM's input file; its report is written next to it.
+        read: function that reads results from the solver at the end.
+        after_step: function that is called after every step.
 
     Returns:
-        What was read, and SWMM's errors of continuity.
+        The results that were read, and SWMM's continuity errors.
     """
     solver.swmm_open(*(str(model.with_suffix(suffix)) for suffix in (".inp", ".rpt", ".out")))
     try:

@@ -1,14 +1,14 @@
-"""A rainwater tank's water balance in daily and monthly steps, independent of the package.
+"""Compute a cistern's water balance in daily and monthly steps, independently of the package.
 
-As rainwater practitioners compute it: the yield-after-spillage rule of Jenkins, Pearson, Moore, Sun
-and Valentine (1978), Feasibility of rainwater collection systems in California, UC Berkeley; and
-Fewkes and Butler (2000), Simulating the performance of rainwater collection and reuse systems using
-behavioural models, Building Services Engineering Research and Technology 21(2), 99-106, who compare
-it with yield before spillage and with other steps; likewise Mitchell (2007), How important is the
-selection of computational analysis method to the accuracy of rainwater tank behaviour modelling?,
-Hydrological Processes 21(21), 2850-2861.
+This is the method of rainwater practitioners: the yield-after-spillage rule of Jenkins, Pearson,
+Moore, Sun and Valentine (1978), Feasibility of rainwater collection systems in California, UC
+Berkeley. Two papers compare it with yield before spillage and with other steps: Fewkes and Butler
+(2000), Simulating the performance of rainwater collection and reuse systems using behavioural
+models, Building Services Engineering Research and Technology 21(2), 99-106; and Mitchell (2007),
+How important is the selection of computational analysis method to the accuracy of rainwater tank
+behaviour modelling?, Hydrological Processes 21(21), 2850-2861.
 
-``python tools/water_balance.py SITE WEATHER [WEATHER ...]`` compares it with ``gr.size``.
+``python tools/water_balance.py SITE WEATHER [WEATHER ...]`` compares the method with ``gr.size``.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ import pandas as pd
 
 @dataclass(frozen=True)
 class House:
-    """What the balance needs of a site: areas (m2), depths of water on the roof (mm)."""
+    """The values of a site that the balance needs: areas (m2), depths of water on the roof (mm)."""
 
     roof: float
     catchment: float
-    """times its runoff coefficient"""
+    """area of the catchment times its runoff coefficient"""
     target: float
     full: float
     """field capacity"""
     stressed: float
-    """below it plants evaporate less"""
+    """depth below which plants transpire less"""
     wilted: float
-    """down to it"""
+    """depth at which plants stop transpiring"""
 
 
-# Water arrives in such portions (mm), and a part of each percolates.
+# Water arrives in portions of this depth (mm), and part of each portion percolates.
 _PORTION_MM = 0.1
 
 
 def find_demand(weather: pd.DataFrame, house: House, *, percolates: bool) -> pd.Series:
-    """Return what must be pumped at the end of each day to bring the roof to its target (mm).
+    """Return the water that must be pumped at the end of each day to reach the target (mm).
 
     Args:
         weather: daily ``rain`` and ``evapotranspiration`` of plants that lack no water (mm).
-        house: with the roof.
-        percolates: whether a share of the arriving water percolates also below field capacity, the
-            square of the filled share of the soil, as in HBV; otherwise the roof is a bucket.
+        house: the site.
+        percolates: whether a share of the arriving water, the square of the filled share of the
+            soil as in HBV, percolates even below field capacity; otherwise the roof is a bucket.
     """
     def hold(level: float) -> float:
         """Return the share of the arriving water that stays."""
@@ -71,14 +71,14 @@ def find_demand(weather: pd.DataFrame, house: House, *, percolates: bool) -> pd.
 def find_yield(
     inflow: pd.Series, demand: pd.Series, capacity: float, stored: float, *, after_spillage: bool
 ) -> float:
-    """Return the rainwater that meets a demand (m3), all in the same steps.
+    """Return the volume of rainwater that meets a demand (m3).
 
     Args:
-        inflow: into the tank (m3).
-        demand: of it (m3).
-        capacity: that can be used (m3).
-        stored: of that at the start (m3).
-        after_spillage: whether the tank spills before it is used in a step, or after that.
+        inflow: volume that flows into the cistern in each step (m3).
+        demand: volume that is demanded in each step (m3).
+        capacity: usable volume of the cistern (m3).
+        stored: part of the usable volume that is filled at the start (m3).
+        after_spillage: whether the cistern spills before water is taken in a step, or afterwards.
     """
     total = 0.0
     for arriving, wanted in zip(inflow, demand, strict=True):
@@ -95,15 +95,15 @@ def find_yield(
 def find_share(
     weather: pd.DataFrame, house: House, capacity: float, stored: float, rule: str
 ) -> float:
-    """Return the share of the demand of a season that the tank meets (1).
+    """Return the share of a season's demand that the cistern meets (1).
 
     Args:
-        weather: of the season's days.
+        weather: weather of the season's days.
         house: the site.
-        capacity: that can be used (m3).
-        stored: of that at the start (m3).
-        rule: one of :data:`RULES`; in months the demand is that of monthly tables,
-            evapotranspiration less rain.
+        capacity: usable volume of the cistern (m3).
+        stored: part of the usable volume that is filled at the start (m3).
+        rule: one of :data:`RULES`; with monthly steps the demand is that of monthly tables,
+            evapotranspiration minus rain.
     """
     demand = find_demand(weather, house, percolates="percolation" in rule)
     if rule.startswith("monthly"):
@@ -119,12 +119,12 @@ RULES = ("daily YAS, percolation", "daily YBS, percolation", "daily YAS, bucket"
 
 
 def compare(sizes: object, weather: dict[str, pd.DataFrame], target: float) -> pd.DataFrame:
-    """Return the share of the demand that is met: of ``gr.size``, and of each rule, by volume.
+    """Return the share of the demand that is met, by volume, from ``gr.size`` and from every rule.
 
     Args:
-        sizes: of ``gr.size``, with the outlet ``none``.
-        weather: days of each season.
-        target: mm.
+        sizes: result of ``gr.size`` with the outlet ``none``.
+        weather: weather of the days of each season.
+        target: water to keep on the roof (mm).
     """
     rows = []
     for design in sizes.select(target, "none"):  # type: ignore[attr-defined]
@@ -152,7 +152,7 @@ def compare(sizes: object, weather: dict[str, pd.DataFrame], target: float) -> p
 
 
 def main() -> None:
-    """Print the comparison of a site's cisterns, over the complete seasons of a record."""
+    """Print the comparison for a site's cisterns over the complete seasons of a record."""
     import greenroof_ros as gr
     from greenroof_ros.analysis.api.arguments import read_weather
 
