@@ -54,7 +54,7 @@ GROUPS = {
     "see what it does, or did": {
         "watch": Command("watch", "show a run or a site on a page in a browser"),
         "status": Command("status", "print the current state, with an exit code for scripts"),
-        "bridge": Command("bridge", "publish on MQTT for Home Assistant, which can stop the pump"),
+        "bridge": Command("bridge", "publish on MQTT for Home Assistant; it can stop the pump"),
         "report": Command("report", "make figures and tables of runs, studies and bags"),
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },

@@ -1,1 +1,1 @@
-"""Runs: options, the closed loop in one process, the clairvoyant bound, summaries."""
+"""Runs: their options, the closed loop in one process, the clairvoyant bound and summaries."""

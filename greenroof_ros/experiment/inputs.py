@@ -1,6 +1,6 @@
-"""What a user gives for a run, and the one way to build a run from it.
+"""The inputs of a run that a user specifies, and the one way to build a run from them.
 
-Command line, Python and the grid of a study give the same inputs by the same names, which
+The command line, Python and the grid of a study set the same inputs under the same names, which
 :func:`make_inputs` checks. A new input is a field of :class:`RunInputs`.
 """
 
@@ -44,17 +44,17 @@ from greenroof_ros.weather.series import GAPS, REFUSE, Weather, WeatherSeries
 
 @dataclass(frozen=True)
 class RunInputs:
-    """What a user gives for a run; no file is read yet.
+    """The inputs of a run; no file has been read yet.
 
     Attributes:
-        controller: decides how much to pump.
+        controller: choice of the controller, which decides how much to pump.
         parameters: parameters of the controller; those left out have their defaults, some of which
             depend on the site.
-        site: its file, or a site.
-        weather: its files, or records, which are used as they are if they are complete, or a data
-            frame.
-        forecast: what the controller knows of the coming weather.
-        sensor_and_pump: how level sensor and pumps differ from the paper's.
+        site: file of the site, or a site.
+        weather: weather files; or records, which are used unchanged if they are complete; or a
+            data frame.
+        forecast: what the controller knows about the coming weather.
+        sensor_and_pump: how the level sensor and the pumps differ from the paper's.
     """
 
     controller: ControllerChoice = field(default_factory=partial(find_controller, DEFAULT))
@@ -64,20 +64,20 @@ class RunInputs:
     forecast: ForecastChoice = field(default_factory=ForecastChoice)
     sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
     start: str = entry(
-        "time of the first tick, ISO 8601; without an offset from UTC it is the wall clock of the "
-        "site's time_zone, or else in the weather's zone or offset",
+        "time of the first tick (ISO 8601); without an offset from UTC it is in the site's "
+        "time_zone, or else in the weather's zone or offset",
         default=DEFAULT_START,
     )
     hours: float | None = entry(
         "length of the run, by default N of the site", 1e-9, 1e9, unit="h", default=None
     )
     initial: str | None = entry(
-        "initial levels of cistern and roof, of Table II of the paper, or site, the site file's "
-        "own (default: site, or low-low if the file gives none)",
+        "initial levels of cistern and roof from Table II of the paper, or site for those in the "
+        "site file (default: site, or low-low if the file contains none)",
         default=None,
     )
     cistern: float | None = entry(
-        "instead of a named state: initial volume in the cistern, with that on the roof", 0.0, 1e9,
+        "instead of a named state: initial volume in the cistern; also set the roof's", 0.0, 1e9,
         unit="m3", default=None,
     )
     roof: float | None = entry(
@@ -85,14 +85,15 @@ class RunInputs:
     )
     evapotranspiration: str | None = entry(
         "fao56: computed with FAO-56 Penman-Monteith; hargreaves: from temperature alone, with "
-        "FAO-56 Eq. 52; monthly: the site's monthly_evapotranspiration; or the name of the "
-        "weather's own column, for example published (default: the weather's own, otherwise the "
-        "first of these three whose inputs are available)", default=None,
+        "FAO-56 Eq. 52; monthly: the site's monthly_evapotranspiration; or the name of a "
+        "column of the weather file, for example published (default: the file's own column, "
+        "otherwise the first of these three for which the data suffice)", default=None,
     )
     gaps: str = entry(
-        "what to do if an hour of the run is missing in the weather and the gap is not short. "
-        "refuse: name the hours; fill: treat missing rain as none, and replace other values by the "
-        "mean at that time of day over the three days before and after", choices=GAPS,
+        "what to do if an hour of the run is missing from the weather and the gap is not short. "
+        "refuse: stop and list the hours; fill: treat missing rain as no rain, and replace other "
+        "values with the mean at that time of day over the three days before and after",
+        choices=GAPS,
         default=REFUSE,
     )
 
@@ -100,7 +101,7 @@ class RunInputs:
         """Read and check the site.
 
         Raises:
-            ConfigurationError: it is wrong.
+            ConfigurationError: if the site is wrong.
         """
         return check_site(self.site) if isinstance(self.site, Site) else read_site(self.site)
 
@@ -108,14 +109,14 @@ class RunInputs:
         self, site: Site,
         read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather,
     ) -> tuple[Weather, Records | None]:
-        """Read the weather; return also the records, None if they are from files.
+        """Read the weather, and also return the records, or None if they are from files.
 
         Args:
             site: the site.
-            read: see :meth:`build`.
+            read: function that reads weather files; see :meth:`build`.
 
         Raises:
-            ConfigurationError: it is wrong.
+            ConfigurationError: if the weather is wrong.
         """
         records = self.weather if isinstance(self.weather, Records) else None
         if is_frame(self.weather):
@@ -128,7 +129,7 @@ class RunInputs:
         return complete_records(records, *what), records
 
     def _find_zone(self, site: Site) -> tzinfo | None:
-        """Return the zone of times without an offset, if site or data frame have one."""
+        """Return the zone of times without an offset, if the site or the data frame has one."""
         if site.time_zone is not None:
             return site.zone
         return find_zone(self.weather) if is_frame(self.weather) else None
@@ -136,15 +137,16 @@ class RunInputs:
     def build(
         self, read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather
     ) -> Run:
-        """Read the files, and return the run, checked.
+        """Read the files, check the run, and return it.
 
         Args:
-            read: reads weather files; runs that are built together can share what it has read.
+            read: function that reads weather files; runs that are built together can share what it
+                has read.
 
         Raises:
-            ConfigurationError: an input is wrong, or a file; weather or forecasts do not cover the
-                run; or it has values that the nodes would refuse. The error's key is the name of
-                the input, as for :func:`make_inputs`.
+            ConfigurationError: if an input or a file is wrong, weather or forecasts do not cover
+                the run, or the nodes would reject a value. The error's key is the name of the
+                input, as for :func:`make_inputs`.
         """
         file = self.site if isinstance(self.site, Path) else None
         site = self.read_site()
@@ -153,7 +155,7 @@ class RunInputs:
             given = self.cistern, self.roof
         elif self.cistern is not None or self.roof is not None:
             lacking = "cistern" if self.cistern is None else "roof"
-            raise ConfigurationError("is missing: both volumes must be given", key=lacking)
+            raise ConfigurationError("is missing; specify both volumes", key=lacking)
         initial, (x1, x2) = find_state(site, self.initial, given)
         weather, records = self.read_records(site, read)
         start = read_start(self.start, self._find_zone(site) or weather.first.tzinfo)
@@ -161,7 +163,7 @@ class RunInputs:
         series = WeatherSeries(weather, site, start, steps)
         _refuse_what_nodes_refuse(site, series, x1, x2)
         parameters = self.controller.complete_parameters(site, self.parameters)
-        if "min_on" in parameters:  # the controller knows its pumps
+        if "min_on" in parameters:  # the controller knows the limits of its pumps
             min_on = max(parameters["min_on"], self.sensor_and_pump.pump_min_on)
             parameters["min_on"] = min_on
         forecast = make_forecast(
@@ -175,7 +177,7 @@ class RunInputs:
 
 
 def find_needs(controller: ControllerChoice, parameters: Mapping[str, Any]) -> tuple[bool, float]:
-    """Return whether forecasts have all members, and how far an outlet's plan looks ahead (h)."""
+    """Return whether forecasts have all members, and the time an outlet's plan looks ahead (h)."""
     outlet_horizon = find_horizon(parameters)
     return controller.ensemble or outlet_horizon > 0, outlet_horizon
 
@@ -185,9 +187,9 @@ INPUTS: dict[str, Parameter] = {
         Parameter("site", None, meaning="site file"),
         Parameter(
             "weather", None, meaning="weather files, joined in order of time, or a pattern such as "
-            "'weather/2021_*.csv': CSV in this project's format, hourly bulk files of Environment "
-            "and Climate Change Canada, or hourly CSV of Open-Meteo's archive, whose rain and "
-            "radiation are moved from the end of their hour to its start "
+            "'weather/2021_*.csv': CSV in this project's format, hourly bulk files from "
+            "Environment and Climate Change Canada, or hourly CSV from Open-Meteo's archive, whose "
+            "rain and radiation are moved from the end of their hour to its start "
             "(default: config/weather/toronto_2021-07.csv)",
         ),
         *parameters_of(RunInputs),
@@ -195,28 +197,28 @@ INPUTS: dict[str, Parameter] = {
             "forecast", PERFECT, meaning="what the controller knows about the coming weather. "
             "perfect: all of it; errors: a forecast as good as "
             "real ones; ensemble: several of these; a file, or a directory of files: archived "
-            "forecasts, in this project's CSV, or CSV or JSON of Open-Meteo. All but perfect are "
-            "issued every 6 hours, archived forecasts at their own times",
+            "forecasts in this project's CSV format, or CSV or JSON from Open-Meteo. errors and "
+            "ensemble are issued every 6 hours, and archived forecasts at their own times",
         ),
         *choice.INPUTS.values(),
         *sensor_and_pump.PARAMETERS.values(),
     )
 }
-"""the inputs of a run by their names, apart from its controller and the controller's parameters"""
+"""the inputs of a run, by name, apart from its controller and the controller's parameters"""
 _SCALARS = {parameter.name for parameter in parameters_of(RunInputs)}
 
 
 def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunInputs:
-    """Return the inputs of a run from their values by name: of options, keywords or a grid.
+    """Return the inputs of a run from their values by name: options, keywords or a grid's keys.
 
     Args:
-        controller: controller of the run.
+        controller: choice of the controller.
         given: values of :data:`INPUTS` and of the controller's parameters; None stands for the
-            default. ``site`` may be a site, ``weather`` one name of a file or several, records or a
-            data frame, ``start`` a date or a datetime, and ``initial`` the two volumes.
+            default. ``site`` may be a site; ``weather`` the names of one or several files, records
+            or a data frame; ``start`` a date or a datetime; and ``initial`` the two volumes.
 
     Raises:
-        ConfigurationError: a name is unknown, or a value is wrong; the error's key is the name.
+        ConfigurationError: if a name is unknown or a value is wrong; the error's key is the name.
     """
     values = {name: value for name, value in given.items() if value is not None}
     own = {name: values.pop(name) for name in controller.parameters if name in values}
@@ -272,7 +274,7 @@ def _find_site(site: Any) -> Path | Site:
         return Path(site)
     if not isinstance(site, Site):
         raise ConfigurationError(
-            "must be a site file, or what gr.read_site returns", key="site", value=site
+            "must be a site file, or a site from gr.read_site", key="site", value=site
         )
     return site
 
@@ -286,14 +288,14 @@ def _find_weather(weather: Any) -> Any:
     ):
         kind = type(weather)
         raise ConfigurationError(
-            "must be a file, a pattern or a list of them, or a data frame of polars or pandas, not "
+            "must be a file, a pattern or a list of them, or a polars or pandas data frame, not "
             f"of type {kind.__module__}.{kind.__qualname__}", key="weather",
         )
     return tuple(find_files(map(os.fspath, names), "weather"))
 
 
 def _refuse_what_nodes_refuse(site: Site, series: WeatherSeries, x1: float, x2: float) -> None:
-    """Refuse values that the graph's nodes would: simulation and graph give the same numbers."""
+    """Reject values that the graph's nodes reject, because both must produce the same numbers."""
     topics = read_topics()
     for name, value in (
         ("/cistern/level", site.cistern_level(x1)),
@@ -304,6 +306,6 @@ def _refuse_what_nodes_refuse(site: Site, series: WeatherSeries, x1: float, x2: 
         topic = topics[name]
         if value > topic.high:
             raise ConfigurationError(
-                f"the run has {value:g} {topic.unit} on {name}, but at most {topic.high:g} is "
+                f"the run contains {value:g} {topic.unit} on {name}, but at most {topic.high:g} is "
                 "accepted (msg_defs/topics.yaml); is a unit wrong?"
             )

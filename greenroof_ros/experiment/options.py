@@ -1,4 +1,4 @@
-"""The options of a run and of its output, which several commands share."""
+"""The options of a run and of its output, which are shared by several commands."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from greenroof_ros.model.initial_state import INITIAL_STATES
 def add_run_arguments(
     parser: Parser, arguments: Sequence[str] | None = None
 ) -> None:
-    """Add the options that decide a run's numbers, the same for ``simulate`` and ``run``.
+    """Add the options that decide a run's numbers, which are the same in ``simulate`` and ``run``.
 
     Args:
-        parser: parser of the command.
-        arguments: the command line that it will parse; ``sys.argv`` if None.
+        parser: the command's parser.
+        arguments: command line that it will parse; ``sys.argv`` if None.
 
     Raises:
-        ConfigurationError: there is no such controller.
+        ConfigurationError: if there is no such controller.
     """
     group = parser.add_argument_group("the run")
     add_controller_arguments(parser, group, arguments)
@@ -58,20 +58,20 @@ def add_controller_arguments(
     """Add the options for the controller's name and for the parameters of that controller.
 
     Args:
-        parser: parser of the command.
-        group: for the controller's name; its parameters get a group of their own.
-        arguments: the command line that is searched for its name; ``sys.argv`` if None.
-        default: the controller if none is named.
+        parser: the command's parser.
+        group: group for the controller's name; its parameters have a group of their own.
+        arguments: command line that is searched for the name; ``sys.argv`` if None.
+        default: name of the controller if the command line contains none.
 
     Raises:
-        ConfigurationError: there is no such controller.
+        ConfigurationError: if there is no such controller.
     """
     group.add_argument(
         "--controller", default=default, metavar="NAME",
         help=f"{', '.join(BUILT_IN)}, or package.module:Class for your own; in a graph "
         "also external, a node that you run yourself (default: %(default)s)",
     )
-    # Its parameters are options, so its name is needed before the rest is parsed.
+    # The controller's parameters are options, so its name is needed before the rest is parsed.
     name = Parser(add_help=False, exit_on_error=False)
     name.add_argument("--controller", nargs="?", default=default)
     given = name.parse_known_args(arguments)[0].controller or default
@@ -103,7 +103,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
 
 
 def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:
-    """Add the option of an input; its value is None unless it is given."""
+    """Add the option of an input; its value is None if the option is left out."""
     about = [] if parameter.unit in ("", "1") else [parameter.unit]
     if isinstance(parameter.default, (int, float)) or math.isfinite(parameter.low):
         kind = int if parameter.whole else float
@@ -119,29 +119,30 @@ def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings:
 
 
 def option_of(name: str) -> str:
-    """Return the option of an input."""
+    """Return the name of an input's option."""
     return f"--{name.replace('_', '-')}"
 
 
-# How messages name the inputs of a command line.
+# Names of the inputs in messages about a command line.
 _OPTIONS = {name: option_of(name) for name in ("controller", *INPUTS)}
 
 
 def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
-    """Add the options that decide where a run goes and how fast; return their group.
+    """Add the options for the output and the pace of a run, and return their group.
 
     Args:
-        parser: parser of the command.
+        parser: the command's parser.
     """
     group = parser.add_argument_group("output and pace")
     group.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="directory of the run, new or empty (default: a dated one under runs/)",
+        help="write the run to DIR, which must be new or empty (default: a dated directory in "
+        "runs/)",
     )
     group.add_argument(
         "--speed", type=make_number_type(1e-9, 1e9, word="max"), default=0.0,
         metavar="{max|FACTOR}",
-        help="simulated time per wall time; 1 is real time (default: max)",
+        help="set the simulated time per wall time; 1 is real time (default: max)",
     )
     group.add_argument(
         "--json", action="store_true", help="print the summary as JSON instead of a table"
@@ -150,7 +151,7 @@ def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
 
 
 def _read_options(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
-    """Return the options that a command has and a command line gives."""
+    """Return the values of the options that the command has and the command line contains."""
     values = {name: getattr(arguments, name, None) for name in names}
     return {name: value for name, value in values.items() if value is not None}
 
@@ -158,10 +159,10 @@ def _read_options(arguments: argparse.Namespace, names: Iterable[str]) -> dict[s
 def read_controller(
     arguments: argparse.Namespace
 ) -> tuple[ControllerChoice, dict[str, float]]:
-    """Return the controller that a command line asks for, and the parameters that it gives.
+    """Return the controller and the parameters that a command line specifies.
 
     Raises:
-        ConfigurationError: an option, or a file that it names, is wrong.
+        ConfigurationError: if an option, or a file that it names, is wrong.
     """
     controller = find_controller(arguments.controller)
     given = {}
@@ -172,12 +173,12 @@ def read_controller(
 
 
 def build_run(arguments: argparse.Namespace) -> Run:
-    """Build and check the run that a command line asks for.
+    """Build and check the run that a command line specifies.
 
     For a command without ``--controller``, only site, weather and initial state matter.
 
     Raises:
-        ConfigurationError: an option, or a file that it names, is wrong.
+        ConfigurationError: if an option, or a file that it names, is wrong.
     """
     with rename_keys(_OPTIONS):
         given = _read_options(arguments, INPUTS)

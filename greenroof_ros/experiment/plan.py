@@ -17,14 +17,14 @@ from greenroof_ros.forecast.resampling import PerfectForecast
 from greenroof_ros.model.plant import command_to, maximum_pump_flow
 from greenroof_ros.model.soil import soil_of
 
-# Length of a step (s); maximum number of steps, since their levels need memory; nodes below and
-# above the target.
+# Length of a step (s); maximum number of steps, because their levels need memory; numbers of nodes
+# below and above the target.
 _STEP_S, _MAX_STEPS = 300.0, 10_000
 _NODES = 3000, 1000
 
 
 class PlanResult(NamedTuple):
-    """A plan that was carried out."""
+    """The result of a plan that was carried out."""
 
     total_m3: float
     """total deviation (m3, summed over the ticks)"""
@@ -33,7 +33,7 @@ class PlanResult(NamedTuple):
 
 
 class _PlanController:
-    """Fills the roof to the levels of a plan for the whole run."""
+    """Fill the roof to the levels of a plan for the whole run."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
 
@@ -64,7 +64,7 @@ class _PlanController:
         self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Return the command for the present tick; the run ends in the state of the last."""
+        """Return the command for the current tick; the run ends in the state of the last tick."""
         self._tick += 1
         if self._tick == self._steps:
             return 0.0
@@ -79,19 +79,20 @@ class _PlanController:
         return min(command, self._max_command)
 
     def skip(self) -> None:
-        """Count the tick, in which the pumps may not run."""
+        """Count a tick in which the pumps may not run."""
         self._tick += 1
 
     def statistics(self) -> None:
-        """Return nothing: it has no solver."""
+        """Return None, because there is no solver."""
 
 
 def simulate_plan(run: Run, max_command: float = 1.0) -> PlanResult:
     """Carry out a plan for a whole run, with an exact sensor and a perfect forecast.
 
-    :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the run, after which nothing
-    counts, in steps of five minutes, or of a ten-thousandth of a long run. It does not simplify the
-    soil. Its total bounds the minimum possible total from above, on every site.
+    :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the run in steps of five
+    minutes, or of a ten-thousandth of a long run. The time after the run does not count, and the
+    soil is not simplified. On every site, the total deviation of the plan is an upper bound of the
+    minimum possible total.
 
     Args:
         run: weather, site, pumps, initial state and length; its controller, its forecast and the
@@ -110,12 +111,12 @@ def simulate_plan(run: Run, max_command: float = 1.0) -> PlanResult:
 
 
 def find_pumping_ticks(run: Run, first: int = 0, last: int | None = None) -> NDArray[np.bool_]:
-    """Return whether frost and quiet hours let the pumps run in some ticks, shape (ticks,).
+    """Return whether frost and quiet hours allow the pumps to run in each tick, shape (ticks,).
 
     Args:
         run: the run.
-        first: the first tick.
-        last: the tick after the last; by default N.
+        first: first tick.
+        last: tick after the last one; by default N.
     """
     n, hours = run.steps if last is None else last, run.site.quiet
     may_pump = np.asarray(np.frombuffer(run.series.frost[first:n]) == 0)

@@ -25,7 +25,8 @@ from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.series import Weather, WeatherSeries
 
-# From this distance on, a weather file is not of the site (km): rain and wind differ within a city.
+# A weather file from this distance or further does not represent the site (km): rain and wind
+# differ even within a city.
 _FAR_KM = 50.0
 
 
@@ -34,21 +35,21 @@ class Run:
     """Everything that decides a run's numbers.
 
     Attributes:
-        site_file: where the site was read from; None if a program gave it.
-        site: Table I.
+        site_file: file of the site; None if a program passed the site.
+        site: parameters of the site.
         weather: hourly records.
         series: the weather, tick by tick.
-        forecast: what the controller knows of the weather.
+        forecast: what the controller knows about the weather.
         start: time of tick 0.
-        steps: N; the states are x_0..x_N.
+        steps: number of steps, N; the states are x_0..x_N.
         controller: the chosen controller.
-        parameters: the controller's.
+        parameters: parameters of the controller.
         initial: name of the initial state, or ``custom``.
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
-        forecast_choice: which forecasts the controller gets.
-        sensor_and_pump: how its level sensor and pumps differ from the paper's.
-        records: those that a program gave for weather; None if they are from files.
+        forecast_choice: choice of the forecasts that the controller receives.
+        sensor_and_pump: how the level sensor and the pumps differ from the paper's.
+        records: weather records that a program passed; None if they are from files.
     """
 
     site_file: Path | None
@@ -68,25 +69,25 @@ class Run:
     records: Records | None = None
 
     def __deepcopy__(self, _: object) -> Run:
-        """Return the run itself: it does not change, and its weather can be years."""
+        """Return the run itself: it never changes, and its weather can cover years."""
         return self
 
     def time_ns(self, tick: int) -> int:
-        """Return the time of a tick (ns since 1970), as on the graph's clock."""
+        """Return the time of a tick on the graph's clock (ns since 1970)."""
         return epoch_ns(self.start) + tick * round(self.site.tau * 1e9)
 
     def count_ticks_between(self, every_s: float) -> int:
-        """Return how many ticks there are from one kept tick to the next: a time (s), rounded."""
+        """Return the number of ticks from one kept tick to the next, for a time (s), rounded."""
         return max(1, round(every_s / self.site.tau))
 
     @property
     def look_ahead_s(self) -> float:
-        """How far the controller looks ahead (s)."""
+        """Time for which the controller looks ahead (s)."""
         horizon = self.parameters.get("horizon") or 0.0
         return float(look_ahead_ends(self.site, horizon, find_horizon(self.parameters))[-1])
 
     def notes(self) -> list[str]:
-        """Return what a reader must know before the results, in sentences."""
+        """Return sentences that a reader must know before the results."""
         return [
             *self._note_short(), *_note_far(self.weather, self.site),
             *filter(None, [self.weather.rain_note]), *note_full_roof(self.site, self.x2),
@@ -100,21 +101,25 @@ class Run:
             end = self.start + timedelta(seconds=length)
             yield (
                 f"the run of {duration(length)} is shorter than the look-ahead of "
-                f"{duration(self.look_ahead_s)}, so the controller also plans for what comes after "
+                f"{duration(self.look_ahead_s)}, so the controller also plans for the time after "
                 f"its end, {to_minutes(end)}"
             )
 
     def make_controller(self) -> Controller:
-        """Make the run's controller."""
+        """Create the run's controller."""
         return self.controller.make(self.site, self.parameters)
 
     def make_outlet(self, controller: Controller) -> OutletPolicy | None:
-        """Make the policy that commands the outlet's valve; None if there is none."""
+        """Create the policy that commands the outlet's valve next to a controller, if any.
+
+        Args:
+            controller: the run's controller.
+        """
         return self.controller.make_outlet(self.site, self.parameters, controller)
 
 
 def _note_far(weather: Weather, site: Site) -> Iterator[str]:
-    """Yield a sentence for each weather file whose place is far from the site's."""
+    """Yield a sentence for every weather file whose place is far from the site."""
     if site.latitude is None or site.longitude is None:
         return
     for file, place in weather.places.items():
@@ -122,21 +127,21 @@ def _note_far(weather: Weather, site: Site) -> Iterator[str]:
         if away > _FAR_KM:
             yield (
                 f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
-                f"{format_place(site.latitude, site.longitude)}: is it the right weather?"
+                f"{format_place(site.latitude, site.longitude)}; is it the right weather?"
             )
 
 
 def count_ticks(site: Site, length: float | None, key: str, unit_s: float = 3600.0) -> int:
-    """Return how many ticks a length of time has, such as a run's N; the site's own N if None.
+    """Return the number of ticks in a length of time, such as N for a run.
 
     Args:
-        site: site with the duration of a tick.
-        length: length of the run (h), or of something else in another unit.
-        key: the option or key that gives it, for messages.
-        unit_s: its unit (s).
+        site: the site, which sets the duration of a tick.
+        length: length of the run (h), or of another time in its unit; None for the site's own N.
+        key: option or key that sets the length, for messages.
+        unit_s: unit of the length (s).
 
     Raises:
-        ConfigurationError: it is not a whole number of ticks, at least one.
+        ConfigurationError: if the length is not a whole number of ticks, or less than one.
     """
     if length is None:
         return site.N
@@ -144,7 +149,7 @@ def count_ticks(site: Site, length: float | None, key: str, unit_s: float = 3600
     steps = round(seconds / site.tau) if math.isfinite(seconds) else 0
     if steps < 1 or not math.isclose(steps * site.tau, seconds, rel_tol=1e-9):
         raise ConfigurationError(
-            f"must be a whole number of ticks of {site.tau:g} s, at least one",
+            f"must be a whole number of ticks of {site.tau:g} s, and at least one",
             key=key, value=length,
         )
     return steps

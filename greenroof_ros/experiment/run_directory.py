@@ -19,15 +19,15 @@ from greenroof_ros.experiment.run import Run
 from greenroof_ros.formats.own_csv import write_records
 from greenroof_ros.model.site import format_site
 
-# Parent of the runs' directories, unless a user gives one.
+# Parent of the runs' directories, unless a user chooses one.
 _RUNS = Path("runs")
 
 
 def make_run_directory(output: Path | None, controller: str) -> Path:
-    """Make the directory of a run: ``output``, or a dated one under ``runs/``.
+    """Create the directory of a run: ``output``, or a dated one under ``runs/``.
 
     Raises:
-        ConfigurationError: it is not empty, or cannot be made or written.
+        ConfigurationError: if the directory is not empty, or cannot be created or written to.
     """
     with writable(output or _RUNS):
         directory = output or _make_dated_directory(controller)
@@ -46,8 +46,8 @@ def writable(directory: Path, option: str = "--output") -> Iterator[None]:
     """Turn a failure to write into a :class:`ConfigurationError` that names the directory.
 
     Args:
-        directory: the directory that is written.
-        option: the option that names it.
+        directory: the directory to which something is written.
+        option: option that names it.
     """
     try:
         yield
@@ -58,7 +58,7 @@ def writable(directory: Path, option: str = "--output") -> Iterator[None]:
 
 
 def _make_dated_directory(controller: str) -> Path:
-    """Make a directory named after this second; if there is one, add -2 to the name, and so on."""
+    """Create a directory named after this second, with -2 and so on appended if it exists."""
     name = f"{datetime.now().astimezone().strftime('%Y-%m-%dT%H-%M-%S')}-{controller}"
     _RUNS.mkdir(exist_ok=True)
     for number in count(1):
@@ -72,18 +72,18 @@ def _make_dated_directory(controller: str) -> Path:
 def write_configuration(
     directory: Path, run: Run, nodes: dict[str, object]
 ) -> Path:
-    """Copy the files that a run was made from, and write the parameters of its nodes.
+    """Copy the files from which a run was built, and write the parameters of its nodes.
 
     Args:
         directory: directory of the run.
-        run: what was asked for.
+        run: the run.
         nodes: parameters of the plant that the run does not set; the recorder shares peer_limit.
 
     Returns:
         The ROS 2 parameter file that all nodes of the run read.
 
     Raises:
-        ConfigurationError: the directory cannot be written.
+        ConfigurationError: if the directory cannot be written to.
     """
     configuration = directory / "configuration"
     with writable(directory):
@@ -137,11 +137,11 @@ def write_configuration(
 
 
 def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, object]]) -> Path:
-    """Write the ROS 2 parameter file of some nodes, and return it.
+    """Write the ROS 2 parameter file of some nodes, and return its path.
 
     Args:
         directory: directory of the file.
-        parameters: parameters of each node, by its name.
+        parameters: parameters of each node, by the node's name.
     """
     file = directory / "parameters.yaml"
     of_nodes = {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()}

@@ -1,4 +1,4 @@
-"""The summary of a run, ``summary.json``, which exists from its start on."""
+"""The summary of a run, ``summary.json``, which exists from the start of the run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from greenroof_ros.recording.events_table import EVENTS, event_rows, format_even
 SUMMARY = "summary.json"
 # The site file's name in the configuration of a run.
 SITE_FILE = "site.yaml"
-# Status of a run. It is RUNNING until the run ends, and for ever if its process was killed.
+# Status of a run. It is RUNNING until the run ends, and remains so if the process was killed.
 RUNNING, DONE, FAILED, INTERRUPTED = "running", "done", "failed", "interrupted"
 
 
@@ -37,16 +37,16 @@ def make_summary(
     messages: Mapping[str, int] | None = None,
     **happened: Any,
 ) -> dict[str, Any]:
-    """Assemble the summary of a completed run, the same for ``simulate`` and the graph.
+    """Assemble the summary of a completed run, in the same form for ``simulate`` and the graph.
 
     Args:
-        run: what was asked for.
-        metrics: its results, by :data:`greenroof_ros.model.metrics.METRICS`.
+        run: the run.
+        metrics: its results, by their names in :data:`greenroof_ros.model.metrics.METRICS`.
         weeks: total deviation of each week (m3).
         events: events of rain.
         wall_s: duration in wall time (s).
-        solver: the controller's statistics; None if it has no solver.
-        messages: number of messages of each topic in the bag.
+        solver: statistics of the controller; None if it has no solver.
+        messages: number of messages on each topic in the bag.
         happened: what happened during the run, as for :func:`make_unfinished_summary`.
     """
     return {
@@ -73,15 +73,15 @@ def make_unfinished_summary(
     parameter_changes: Sequence[Mapping[str, Any]] = (),
     parameter_change_count: int = 0,
 ) -> dict[str, Any]:
-    """Assemble the summary of an unfinished run: without metrics, which are of whole runs.
+    """Assemble the summary of an unfinished run, without metrics, which describe whole runs.
 
     Args:
-        run: what was asked for.
-        status: one of those above.
-        reason: why it ended.
-        last_tick: the last tick that the plant reported.
-        refused: number of values refused until then, by topic.
-        parameter_changes: the newest parameters changed until then, with their tick.
+        run: the run.
+        status: one of the statuses above.
+        reason: why the run ended.
+        last_tick: last tick that the plant reported.
+        refused: number of values rejected until then, by topic.
+        parameter_changes: latest changes of parameters until then, with their ticks.
         parameter_change_count: number of all changes.
     """
     repeats_from = run.forecast.repeats_from
@@ -114,7 +114,7 @@ def make_unfinished_summary(
 
 
 def describe_setting(run: Run) -> dict[str, Any]:
-    """Return where and when a run takes place, and what a reader must know before its results."""
+    """Return the place and time of a run, and what a reader must know before its results."""
     weather = run.weather
     layer = {} if run.site.drainage_storage is None else {"layer_m3": run.site.initial_layer}
     return {
@@ -135,14 +135,14 @@ def describe_setting(run: Run) -> dict[str, Any]:
 
 
 def write(summary: Mapping[str, Any], directory: Path) -> None:
-    """Write a summary into the directory of its run, if possible whole or not at all.
+    """Write a summary to the directory of its run, if possible either whole or not at all.
 
-    With the summary of a run that is done comes the table of its events. A full disk has no room
-    for a second file; the old file is then overwritten, so that a run can still record that it
-    ended.
+    The table of events is written together with the summary of a completed run. If the disk is so
+    full that there is no room for a second file, the old file is overwritten, which allows the run
+    to record that it ended.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: if the summary cannot be written.
     """
     path = directory / SUMMARY
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
@@ -154,14 +154,14 @@ def write(summary: Mapping[str, Any], directory: Path) -> None:
                 stream.write(text)
                 stream.truncate()
         except OSError:
-            # The error of a write does not name its file.
+            # The error from a write does not name the file.
             raise OSError(error.errno, error.strerror, str(path)) from error
     if "events" in summary:
         replace_text(directory / EVENTS, format_events(summary["events"]))
 
 
 def find_site_file(run: Path) -> Path:
-    """Return the path of a run's site file; a live site keeps it in a directory of its own."""
+    """Return the path of a run's site file, which a live site keeps in a directory of its own."""
     configuration = run / "configuration"
     return next(iter((configuration / "site").glob("*")), configuration / SITE_FILE)
 
@@ -169,8 +169,8 @@ def find_site_file(run: Path) -> Path:
 def versions() -> dict[str, str]:
     """Return the versions of the software that computes a run's numbers.
 
-    ``source`` is a hash of this package's source files. It is not a commit, since an installed
-    package does not know its commit, and changed files have none.
+    ``source`` is a hash of this package's source files and not a commit, because an installed
+    package does not know its commit, and changed files do not belong to one.
     """
     result = {
         "greenroof_ros": __version__,
@@ -186,14 +186,14 @@ def versions() -> dict[str, str]:
 
 
 def format_versions(by_name: Mapping[str, str]) -> str:
-    """Write versions for people, with the hash under a name that they understand."""
+    """Return versions as text for people, with a name for the hash that they understand."""
     names = {"source": "hash of its source files"}
     return ", ".join(f"{names.get(name, name)} {version}" for name, version in by_name.items())
 
 
 @functools.cache
 def _source() -> str:
-    """Return twelve digits that identify this package's code; a version has many commits."""
+    """Return twelve digits that identify this package's code, since a version has many commits."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
     for file in sorted(package.rglob("*.py")):

@@ -18,7 +18,7 @@ from greenroof_ros.model.place import format_place
 from greenroof_ros.model.sensor_and_pump import SensorAndPump
 
 _PERIOD = ("from", "until")
-# The metrics of storm water that are shown if there is any, and those that are in files alone.
+# The storm-water metrics that are shown if there is any storm water, and those only in files.
 _STORM_WATER = {
     "discharge_m3", "wet_discharge_m3", "peak_discharge_5min_l_s", "overflow_m3", "overflow_days",
     "retention_share",
@@ -26,12 +26,12 @@ _STORM_WATER = {
 _IN_FILES = {
     f"peak_discharge_{minutes}min_{unit}" for minutes in (5, 15, 60) for unit in ("l_s", "mm_h")
 } - _STORM_WATER
-# Storm water is collected if this share of the roof's rain or more flows into the cistern.
+# Storm water is collected if at least this share of the roof's rain flows into the cistern.
 _COLLECTED = 0.1
 
 
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield each metric: in capitals above its limit, left out if it is 0 as it should be."""
+    """Yield every metric: in capitals if it is above its limit, and not if it is 0 as expected."""
     left_out = _IN_FILES if _collects_storm_water(summary) else _IN_FILES | _STORM_WATER
     for metric in METRICS:
         value = summary.get(metric.name, 0)
@@ -41,7 +41,7 @@ def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def _collects_storm_water(summary: Mapping[str, Any]) -> bool:
-    """Whether a catchment drains into the cistern, or a valve lets water out of it.
+    """Return whether a catchment drains to the cistern, or a valve lets water out of it.
 
     The inlet of the paper's cistern, 0.3 m2, collects next to nothing.
     """
@@ -50,7 +50,7 @@ def _collects_storm_water(summary: Mapping[str, Any]) -> bool:
 
 
 def _event_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the number of events of rain, with what happened in the largest."""
+    """Yield the number of events of rain, with a description of the largest."""
     events = summary.get("events")
     if events and _collects_storm_water(summary):
         largest = max(events, key=lambda event: float(event["rain_mm"]))
@@ -61,12 +61,12 @@ def _event_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def _limit(value: float | None) -> str:
-    """Return a parameter's value as text; null means no limit."""
+    """Return the value of a parameter as text; None means no limit."""
     return "no limit" if value is None else f"{value:g}"
 
 
 def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the initial volumes of a run (m3), and their description."""
+    """Return the initial volumes of a run as text (m3), and their description."""
     volumes, tanks = [initial["cistern_m3"], initial["roof_m3"]], "in cistern / on roof"
     if initial.get("layer_m3"):
         volumes.append(initial["layer_m3"])
@@ -75,7 +75,7 @@ def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
-    """Return a table whose lines are a word, a number and its description."""
+    """Return a table in which every line is a word, a number and its description."""
     table = Table(title=title, title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column(justify="right")
@@ -86,7 +86,7 @@ def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
 
 
 def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield what is shown at the end of a run: a word, a number and its description."""
+    """Yield the lines that are shown at the end of a run: a word, a number and its description."""
     parameters = {key: value for key, value in summary["parameters"].items() if value is not None}
     yield from setting_rows(summary)
     yield "controller", summary["controller"], _listed(parameters)
@@ -105,7 +105,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         yield "REFUSED", str(sum(refused.values())), f"values: {topics}"
     left_out = summary["parameter_change_count"] - len(summary["parameter_changes"])
     if left_out:
-        yield "CHANGED", f"{left_out} times", "before the newest changes, which follow"
+        yield "CHANGED", f"{left_out} times", "before the latest changes, which follow"
     for change in summary["parameter_changes"]:
         tick = change["tick"]
         yield (
@@ -134,7 +134,8 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     if max_issue is not None and max_issue < horizon:
         yield (
             "FORECAST", f"{max_issue} h",
-            f"is the longest issue, the horizon {horizon:g} h: no rain is assumed after its end",
+            f"is the longest forecast, but the horizon is {horizon:g} h: no rain is assumed after "
+            "its end",
         )
     if SensorAndPump(**summary["sensor_and_pump"]) != SensorAndPump():
         yield "sensor and pump", "", _listed(summary["sensor_and_pump"])
@@ -146,7 +147,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield site and weather of a run, its initial state and its length."""
+    """Yield lines on the site and the weather of a run, its initial state and its length."""
     start = datetime.fromisoformat(summary["start"])
     end = start + timedelta(seconds=summary["steps"] * summary["tau_s"])
     places = [format_place(*place) for place in summary["weather_places"]]
@@ -166,7 +167,7 @@ def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def print_notes(console: Console, summary: Mapping[str, Any]) -> None:
-    """Print what a reader must know before the results."""
+    """Print the notes that a reader must know before the results."""
     for note in summary["notes"]:
         console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
 
@@ -179,7 +180,7 @@ def _listed(values: Mapping[str, Any]) -> str:
 
 
 def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
-    """Print a summary: as a table with the run's directory, or as JSON alone."""
+    """Print a summary: as a table with the run's directory, or as JSON without it."""
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
     else:

@@ -44,7 +44,7 @@ def test_a_site_is_written_and_simulated(tmp_path: Path) -> None:
     """In a script, without a question: a site of minute ticks whose runs have nothing to note."""
     ended = new_site(tmp_path, *GIVEN)
     assert (ended.returncode, ended.stderr) == (0, "")
-    assert ended.stdout.startswith("written: my_site.yaml, at 43.63 N, 79.40 W\n")
+    assert ended.stdout.startswith("written: my_site.yaml, for a house at 43.63 N, 79.40 W\n")
     site = read_site(tmp_path / "my_site.yaml")
     assert (site.a1, site.z_o, site.a2, site.a_in, site.tau) == (2.5, 2.0, 120.0, 200.0, 60.0)
     # Neubrandenburg's stress begins at 35.1 mm; 0.96 * 4 mm more, rounded down to 0.1 mm.
@@ -97,8 +97,8 @@ def test_outlets_ready_to_be_used(tmp_path: Path) -> None:
     assert drain_hours(valve, 2.0) == pytest.approx(12, rel=0.03)
     file.write_text(format_new_site(HOUSE, valve=True))
     assert read_site(file) == valve
-    head, tail = text.split("# Or an orifice")
-    file.write_text(head + "# Or an orifice" + uncommented(tail, *keys))
+    head, tail = text.split("# Or add an orifice")
+    file.write_text(head + "# Or add an orifice" + uncommented(tail, *keys))
     orifice = read_site(file)
     assert not orifice.low_outlet_valve and orifice.low_outlet_level == 1.0
     assert drain_hours(orifice, 2.0) == pytest.approx(12, rel=0.03)
@@ -183,26 +183,26 @@ def test_forms_of_places(tmp_path: Path) -> None:
     zone = ("--time-zone", "Europe/Berlin", "-o", "berlin.yaml")
     ended = new_site(tmp_path, *GIVEN[:-1], "13.40,52.52", *zone)
     assert ended.returncode == 2
-    assert f"'13.4,52.52': is not in Europe/Berlin, +1 h from UTC: it {PLACE}" in ended.stderr
+    assert f"'13.4,52.52': is not in Europe/Berlin, +1 h from UTC; it {PLACE}" in ended.stderr
     assert new_site(tmp_path, *GIVEN[:-1], "52.52,13.40", *zone).returncode == 0
     assert read_site(tmp_path / "berlin.yaml").utc_offset == 1.0
 
 
 @pytest.mark.parametrize(
     ("options", "message"), [
-        (GIVEN[2:], "--roof: must be given, since there is no terminal to ask on"),
-        (GIVEN[:2], "--catchment, --cistern, --place: must be given, since there is no terminal"),
+        (GIVEN[2:], "--roof: must be specified, because there is no terminal"),
+        (GIVEN[:2], "--catchment, --cistern, --place: must be specified, because there is no"),
         ((*GIVEN, "--roof", "12,5"), "--roof: must be a number from 0.1 to 1000000, with a d"),
         ((*GIVEN, "--roof", "nan"), "argument --roof: must be a number from 0.1 to 1000000, not n"),
         ((*GIVEN, "--cistern", "-5"), "argument --cistern: must be a number from 0.01 to 1000"),
         ((*GIVEN, "--cistern", "5m3"), "argument --cistern: must be a number from 0.01 to 1000"),
         ((*GIVEN, "--substrate", "moss"), "--substrate: 'moss' must be one of neubrandenburg, ber"),
         ((*GIVEN, "--substrate-depth", "10"), "--substrate-depth: must be a number from 0.02 to 2"),
-        ((*GIVEN, "--emitters", "10"), "error: --emitters = 10: needs --emitter-flow as well"),
-        ((*GIVEN, "--emitter-flow", "2"), "error: --emitter-flow = 2.0: needs --emitters as well"),
+        ((*GIVEN, "--emitters", "10"), "error: --emitters = 10: also needs --emitter-flow"),
+        ((*GIVEN, "--emitter-flow", "2"), "error: --emitter-flow = 2.0: also needs --emitters"),
         (
             (*GIVEN, "--pump-flow", "9", "--irrigation-rate", "3"),
-            "error: --pump-flow and --irrigation-rate: each give the pump's flow: leave all but",
+            "error: --pump-flow and --irrigation-rate: all set the pump's flow: use only one",
         ),
         ((*GIVEN, "--target", "108"), "z_veg = 0.108: must be below z_soil = 0.108 m"),
         ((*GIVEN, "--time-zone", "Mars"), "--time-zone: must be the IANA name of a time zone"),
@@ -242,7 +242,7 @@ def test_a_target_at_which_plants_lack_water_is_noted(tmp_path: Path) -> None:
     """Water stress begins at 35.1 mm, and cm were meant."""
     ended = new_site(tmp_path, *GIVEN, "--target", "5")
     assert ended.stderr == (
-        "note: plants lack water at the target, 5 mm: they begin to at 35.1 mm\n"
+        "note: plants lack water at the target of 5 mm: they begin to lack it at 35.1 mm\n"
     )
 
 
@@ -255,8 +255,8 @@ def test_the_first_run_is_in_summer(tmp_path: Path) -> None:
 def test_an_unusual_share_is_noted(tmp_path: Path) -> None:
     ended = new_site(tmp_path, *GIVEN, "--runoff-coefficient", "0.09")
     assert ended.stderr == (
-        "note: --runoff-coefficient 0.09 is unusual: is the unit right? Usually it is 0.75 to "
-        "0.95\n"
+        "note: --runoff-coefficient 0.09 is unusual; is the unit right? The value is usually "
+        "0.75 to 0.95\n"
     )
 
 
@@ -264,7 +264,7 @@ def test_an_unusual_answer_is_noted(tmp_path: Path) -> None:
     """Litres instead of m3, but a large roof is nothing strange."""
     ended = new_site(tmp_path, *GIVEN, "--cistern", "5000", "--roof", "3000")
     assert ended.stderr == (
-        "note: --cistern 5000 m3 is unusual: is the unit right? Usually it is 1 to 50\n"
+        "note: --cistern 5000 m3 is unusual; is the unit right? The value is usually 1 to 50\n"
     )
 
 
@@ -306,19 +306,20 @@ def test_questions(tmp_path: Path) -> None:
     terminal.press("Area of the green roof (m2, usually 20 to 2000): ", "a hundred\r")
     terminal.press("must be a number from 0.1 to 1000000, not a hundred")
     terminal.press("Area of the green roof", "120\r")
-    terminal.press("Volume of the cistern below its overflow (m3, usually 1 to 50): ", "5\r")
+    terminal.press("Volume of the cistern up to its overflow (m3, usually 1 to 50): ", "5\r")
     terminal.press("such as 43.63,-79.40): ", "-79.40,43.63\r")
     terminal.press("is it 43.63,-79.4?")
     terminal.press("such as 43.63,-79.40): ", "43.63, -79.40\r")
     assert terminal.end() == 0, terminal.shown
-    assert "Area whose rain" not in terminal.shown
+    assert "Area that drains" not in terminal.shown
     asked = (tmp_path / "my_site.yaml").read_text()
     assert new_site(tmp_path, *GIVEN, "-o", "given.yaml").returncode == 0
     assert asked == (tmp_path / "given.yaml").read_text()
 
 
 @pytest.mark.parametrize(("key", "code", "end"), [
-    ("\x03", 130, "interrupted"), ("\x04", 2, "error: --cistern: is missing: no answer"),
+    ("\x03", 130, "interrupted"),
+    ("\x04", 2, "error: --cistern: is missing, because there was no answer"),
 ])
 def test_an_end_at_a_question(tmp_path: Path, key: str, code: int, end: str) -> None:
     """By Ctrl-C or Ctrl-D: a line, and nothing is written."""

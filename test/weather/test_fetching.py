@@ -178,7 +178,7 @@ def test_months_before_a_station_are_missing_and_a_station_without_hours_is_an_e
 ):
     done = run(service, tmp_path, "--years", "1999", "--eccc", "48549")
     assert done.returncode == 2
-    assert "the service has no hourly records of these years" in done.stderr
+    assert "the service has no hourly records for these years" in done.stderr
 
 
 @pytest.mark.parametrize("ended_by", [signal.SIGKILL, signal.SIGINT])
@@ -199,7 +199,7 @@ def test_what_came_before_the_end_is_not_requested_again(service, tmp_path, ende
     if ended_by == signal.SIGINT:
         assert process.returncode == 130
         assert "Traceback" not in errors
-        assert "2 of 4 parts are kept in out.csv.part; the same command continues" in errors
+        assert "2 of 4 parts are kept in out.csv.part; run the same command again" in errors
     done = run(service, tmp_path, "--years", "2021-2024")
     assert done.returncode == 0, done.stderr
     starts = [query["start_date"][:4] for query in service.requests]
@@ -232,7 +232,7 @@ def test_parts_whose_request_is_unknown_are_not_used(service, tmp_path, claim):
         file.write_bytes(claim)
     done = run(service, tmp_path, "--years", "2022-2023")
     assert (done.returncode, len(service.requests)) == (2, 2)
-    assert "keeps parts of another request" in done.stderr
+    assert "keeps parts from another request" in done.stderr
 
 
 def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
@@ -246,13 +246,13 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
 
 @pytest.mark.parametrize(("options", "reason"), [
     (["--years", "2024-2015"], "must begin with the earlier year: 2015-2024"),
-    (["--years", "last"], "must be a year, or two such as 2015-2024, not last"),
-    (["--years", "2020-"], "must be a year, or two such as 2015-2024, not 2020-"),
+    (["--years", "last"], "must be a year, or two years such as 2015-2024, not last"),
+    (["--years", "2020-"], "must be a year, or two years such as 2015-2024, not 2020-"),
     (["--years", "1940-1950"], "must not begin before 1971"),
     (["--years", "99999"], "years = 99999: must end with"),
     (["--years", "2020-2199"], "years = 2199: must end with"),
     (["--years", "2199", "--eccc", "48549"], "years = 2199: is in the future"),
-    (["--years", "2020", "--eccc", "6158359"], "6158359 is a climate identifier"),
+    (["--years", "2020", "--eccc", "6158359"], "not the climate identifier 6158359"),
     (["--years", "2020", "--eccc", "-1"], "must be a number such as 48549"),
     (["--years", "2020", "--url", "ftp://a"], "must begin with http"),
     (["--years", "2020", "--pause", "nan"], "--pause"),
@@ -308,7 +308,7 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
     )
     assert not {"\33", "\7", "\u202e"} & {*done.stderr}
     other = run(service, tmp_path, "--years", "2022-2023", "--url", paid.replace("models=", "m="))
-    assert "keeps parts of another request" in other.stderr
+    assert "keeps parts from another request" in other.stderr
     done = run(service, tmp_path, "--years", "2022-2023", "--url", paid)
     assert done.returncode == 0 and len(service.requests) == 3
     assert "0815" not in (tmp_path / "out.csv").read_text() + done.stdout + done.stderr
@@ -345,12 +345,12 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
     ("refusal", 1, "400 Bad Request: .*out of allowed range"),
     ("fewer", 1, "sent no shortwave_radiation"),
     ("tomorrow", 1, "Daily API request limit exceeded"),
-    ("html", 8, "sent no JSON, or a part of it: <!DOCTYPE html>"),
+    ("html", 8, "sent no JSON, or only part of it: <!DOCTYPE html>"),
     ("half", 8, "broke off after"),
     ("short", 8, "sent 8808 hours of 8832"),
     ("odd", 8, "sent 0 hours of 8832"),
-    ("other", 8, "sent hours from 2009-12-31T00:00 on, not from 2019-12-31"),
-    ("deep", 8, "sent no JSON, or a part of it"),
+    ("other", 8, "sent hours that begin at 2009-12-31T00:00, not at 2019-12-31"),
+    ("deep", 8, "sent no JSON, or only part of it"),
 ])
 def test_what_does_not_pass_is_tried_once_and_what_may_pass_eight_times(
     service, tmp_path, fault, requests, reason
@@ -408,7 +408,7 @@ def test_parts_of_another_request_are_not_mixed_in(service, tmp_path):
     service.faults = ["", "refusal"]
     failure(service, tmp_path, archive(service, range(2019, 2021)))
     other = eccc_station(1, SITE, range(2019, 2020), TODAY, f"{service.address}/bulk_data_e.html")
-    assert "keeps parts of another request" in refusal(prepare_directory, tmp_path, other)
+    assert "keeps parts from another request" in refusal(prepare_directory, tmp_path, other)
     prepare_directory(tmp_path, archive(service, range(2018, 2021)))
 
 

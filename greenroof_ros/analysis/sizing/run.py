@@ -66,7 +66,9 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     jobs = int(JOBS.read(values.get("jobs", 1), key="jobs"))
     prices = _read_prices({name: values[name] for name in PRICES if name in values})
     if "weather" not in values:
-        raise ConfigurationError("must cover at least one season, but is missing", key="weather")
+        raise ConfigurationError(
+            "is missing; specify records that cover at least one season", key="weather"
+        )
     inputs = make_inputs(
         find_controller(plans.CONTROLLER),
         {name: values[name] for name in _OF_RUN if name in values},

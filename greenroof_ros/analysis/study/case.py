@@ -1,4 +1,4 @@
-"""A case of a study: the inputs of a run, with its files, and how the table describes it."""
+"""A case of a study: the inputs of a run with its files, and its description in the table."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from greenroof_ros.model.sensor_and_pump import SensorAndPump
 from greenroof_ros.recording.results_table import format_exactly
 from greenroof_ros.weather.series import REFUSE
 
-# Keys for the digests of a case's forecast files in the data of its identity.
+# Keys of the digests of a case's forecast files in the data of its identity.
 _DIGESTS = {"file": "forecast_file", "skill": "skill_file"}
 
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file of runs. The content is sent to each worker once, and not with each case."""
+    """An input file of runs, whose content is sent to every worker once and not with every case."""
 
     name: str
-    """unique in the study"""
+    """name that is unique in the study"""
     content: bytes
 
     def __getstate__(self) -> dict[str, str]:
-        """Return what a worker gets with a case: the name."""
+        """Return what a worker receives with a case, which is only the name."""
         return {"name": self.name}
 
     @cached_property
@@ -46,15 +46,15 @@ class Case:
     """One run of a study, with everything that affects its numbers.
 
     Attributes:
-        inputs: all inputs of the run, even those that the grid leaves out.
+        inputs: complete inputs of the run, with values for everything that the grid leaves out.
         site: site file.
-        weather: weather files, in the order of time, to be joined.
-        weather_name: one name for them, unique in the study.
+        weather: weather files, in order of time, which are joined.
+        weather_name: one name for these files, unique in the study.
         forecast_files: files of forecasts, by the attribute of the choice that names them.
-        bound_block: time (s) that shares a variable when the minimum possible deviation is
-            computed; 0 to compute no bound.
-        together: duration of a tick (s) and N, if it can run with others that have the same; None
-            if it runs alone.
+        bound_block: time that shares a variable when the minimum possible deviation is computed
+            (s); 0 to compute no bound.
+        together: duration of a tick (s) and N, if the case can run together with others for which
+            they are the same; None if it runs alone.
     """
 
     inputs: RunInputs
@@ -77,7 +77,7 @@ class Case:
 
     @property
     def hours(self) -> float:
-        """Length (h)."""
+        """Length of the run (h)."""
         return self.inputs.hours or 0.0
 
     @property
@@ -87,7 +87,7 @@ class Case:
 
     @cached_property
     def identity(self) -> str:
-        """Twelve hexadecimal digits, the same for equal cases on any machine at any time."""
+        """Twelve hexadecimal digits that are always the same for equal cases, on any machine."""
         inputs = self.inputs
         content = {
             **self.columns(),
@@ -104,7 +104,7 @@ class Case:
 
     @property
     def bound_identity(self) -> str:
-        """Identity of the inputs that do not depend on the controller, and of the bound's block."""
+        """Identity of the inputs that do not depend on the controller, with the bound's block."""
         return f"{self.plain.identity}-{format_exactly(self.bound_block)}"
 
     @property
@@ -114,7 +114,7 @@ class Case:
 
     @property
     def plain(self) -> Case:
-        """The case with on/off control, no forecast, and an exact sensor and pump."""
+        """The same case with on/off control, without a forecast, and with exact sensor and pump."""
         return replace(self, forecast_files={}, inputs=replace(
             self.inputs, controller=find_controller("onoff"), parameters={},
             forecast=ForecastChoice(), sensor_and_pump=SensorAndPump(),
@@ -123,7 +123,7 @@ class Case:
     def columns(self) -> dict[str, Any]:
         """Return the columns of the table that describe the case.
 
-        Its parameters, and those of sensor and pumps, are not among them.
+        They do not include its parameters, nor those of the sensor and the pumps.
         """
         inputs = self.inputs
         return {
@@ -142,7 +142,7 @@ class Case:
         }
 
     def find_inputs(self, directory: Path) -> RunInputs:
-        """Return the inputs with their files in a directory."""
+        """Return the inputs, with the paths of their files in a directory."""
         return replace(
             self.inputs, site=directory / self.site.name,
             weather=tuple(directory / file.name for file in self.weather),
@@ -153,7 +153,7 @@ class Case:
 def place_files(
     choice: ForecastChoice, files: Mapping[str, InputFile], directory: Path
 ) -> ForecastChoice:
-    """Return a choice of forecasts with its files in a directory."""
+    """Return a choice of forecasts, with the paths of its files in a directory."""
     places: dict[str, Any] = {key: directory / file.name for key, file in files.items()}
     if "skill" in places:
         places["skill"] = str(places["skill"])
@@ -161,5 +161,5 @@ def place_files(
 
 
 def collect_contents(cases: Iterable[Case]) -> dict[str, bytes]:
-    """Return the contents of all input files of cases, by name."""
+    """Return the contents of all input files of some cases, by name."""
     return {file.name: file.content for case in cases for file in case.files}

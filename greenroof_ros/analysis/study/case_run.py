@@ -1,4 +1,4 @@
-"""The runs of a study, alone or many at once, on any machine."""
+"""The runs of a study, one by one or many together, on any machine."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Outcome:
     """The results of a run.
 
     Attributes:
-        results: columns of the table; the same in every repetition.
-        files: content of the files that are kept, by name.
+        results: columns of the table, which are the same in every repetition.
+        files: contents of the files that are kept, by name.
     """
 
     results: dict[str, Any]
@@ -41,12 +41,12 @@ class Outcome:
 def group_cases(
     cases: Sequence[Case], workers: int, trajectory_every: float | None
 ) -> list[tuple[Case, ...]]:
-    """Return cases in groups, each of which a worker runs at once; most are groups of one.
+    """Return the cases in groups, each of which one worker runs; most groups have one case.
 
     Args:
         cases: cases to run.
-        workers: number of groups that are run at the same time.
-        trajectory_every: as for :func:`run_case`.
+        workers: number of groups that run at the same time.
+        trajectory_every: time between samples, as for :func:`run_case` (s).
     """
     together: dict[object, list[Case]] = {}
     for case in cases:
@@ -54,7 +54,7 @@ def group_cases(
         together.setdefault(case.identity if alone else case.together, []).append(case)
     groups: list[tuple[Case, ...]] = []
     for alike in together.values():
-        # Those with the same weather next to each other.
+        # Cases with the same weather are next to each other.
         alike.sort(key=lambda case: (case.weather_name, case.start))
         if len(alike) < _MIN_GROUP:
             parts = len(alike)
@@ -69,13 +69,13 @@ def group_cases(
 def run_cases(
     directory: Path, cases: Sequence[Case], trajectory_every: float | None, progress: ShareFile
 ) -> list[Outcome | Exception]:
-    """Run a group of :func:`group_cases`; return the outcome of each case, or why it failed.
+    """Run a group from :func:`group_cases`; return the outcome of each case, or its error.
 
     Args:
         directory: directory with the cases' input files.
         cases: cases to run.
-        trajectory_every: as for :func:`run_case`.
-        progress: gets the share that is done.
+        trajectory_every: time between samples, as for :func:`run_case` (s).
+        progress: file to which the share that is done is written.
     """
     if len(cases) == 1:
         return [run_case(directory, cases[0], trajectory_every)]
@@ -85,7 +85,7 @@ def run_cases(
     for case in cases:
         try:
             runs[case.identity] = case.find_inputs(directory).build(read)
-        except Exception as error:  # of this case alone
+        except Exception as error:  # it concerns only this case
             results[case.identity] = error
     summaries = simulate_runs(list(runs.values()), progress.write)
     for identity, made in zip(runs, summaries, strict=True):
@@ -99,11 +99,11 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
     Args:
         directory: directory with the case's input files.
         case: case to run.
-        trajectory_every: time between the samples of the trajectory (s), rounded to whole ticks, at
-            least one; None to keep only the results.
+        trajectory_every: time between the samples of the trajectory (s), rounded to at least one
+            whole tick; None to keep only the results.
 
     Raises:
-        ConfigurationError: the case is wrong.
+        ConfigurationError: if the case is wrong.
     """
     run = case.find_inputs(directory).build()
     simulation, files = Simulation(run), dict[str, bytes]()
@@ -117,13 +117,13 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
 
 
 def _make_outcome(results: Mapping[str, Any], files: Mapping[str, bytes]) -> Outcome:
-    """Return the outcome of a run, from the content of its ``summary.json`` and further files."""
+    """Return the outcome of a run from the content of its ``summary.json`` and of other files."""
     events = format_events(results["events"]).encode()
     return Outcome(summary_columns(results), {**files, EVENTS: events})
 
 
 def bound_case(directory: Path, case: Case) -> float:
-    """Return the minimum total deviation (m3) that a controller with commands up to 1 could reach.
+    """Return the minimum total deviation that a controller with commands up to 1 could reach (m3).
 
     See :func:`greenroof_ros.experiment.clairvoyant.clairvoyant_bound`.
     """
@@ -132,10 +132,10 @@ def bound_case(directory: Path, case: Case) -> float:
 
 
 def bound_discharge(directory: Path, case: Case) -> dict[str, float]:
-    """Return the columns of the minimum discharge in wet weather, for on/off control's irrigation.
+    """Return the columns of the minimum discharge in wet weather with on/off control's irrigation.
 
-    Of the frontier it is the point where mains water costs as much as ``plan`` assumes. Its mains
-    water is left out at a site without a mains top-up.
+    They describe the point of the frontier at which mains water costs as much as ``plan`` assumes.
+    Its mains water is left out if the site has no mains top-up.
     """
     run = case.plain.find_inputs(directory).build()
     point = simulate_frontier(run).at(PRICE)

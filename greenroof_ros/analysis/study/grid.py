@@ -1,4 +1,4 @@
-"""The grid of a study: a YAML file with lists of values; every combination is a run."""
+"""The grid of a study: a YAML file with lists of values, every combination of which is a run."""
 
 from __future__ import annotations
 
@@ -53,23 +53,23 @@ _BLOCKS = {
     "these",
 }
 _NEEDED = ("site", "weather", "initial", "controllers")
-# The inputs that a window gives, besides its files.
+# The inputs that a window sets, in addition to its files.
 _OF_WINDOW = ("start", "hours", "evapotranspiration", "gaps")
 # Names that the directory of a study uses itself.
 _STUDY_FILES = ("grid.yaml", "study.json")
 
 
 class _Setting(NamedTuple):
-    """A controller with its parameters, and the forecasts that it gets."""
+    """A controller with its parameters, and the forecasts that it receives."""
 
     controller: ControllerChoice
     parameters: YamlMapping
     forecasts: list[YamlMapping]
-    """its own instead of the grid's, for instance if it uses none; empty for the grid's"""
+    """forecasts instead of the grid's, for instance if it uses none; empty for the grid's"""
 
 
 def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
-    """Read a grid such as ``config/studies/paper.yaml`` and check every run in it.
+    """Read a grid such as ``config/studies/paper.yaml``, and check every run in it.
 
     Args:
         path: path of the grid.
@@ -80,7 +80,7 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
         sensor_and_pump, controllers with their parameters, forecasts.
 
     Raises:
-        ConfigurationError: the grid, or a file that it names, is wrong. Nothing has run yet.
+        ConfigurationError: if the grid, or a file that it names, is wrong; nothing has run then.
     """
     cases = list(_Grid(path, weather).cases())
     identities: set[str] = set()
@@ -97,14 +97,14 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
 
 
 class _Grid:
-    """A grid file while it is read.
+    """A grid file while it is being read.
 
-    Each block is a mapping or a list of mappings; every list in a mapping multiplies the runs.
+    Every block is a mapping or a list of mappings, and every list in a mapping multiplies the runs.
     """
 
     def __init__(self, path: Path, weather: Path | None) -> None:
         self._path = path
-        # In this order, so that a copy of the package's grids runs unchanged.
+        # This order makes a copy of one of the package's grids run unchanged.
         self._places = [
             path.parent, *([] if weather is None else [weather]), shared_directory() / "config",
         ]
@@ -115,7 +115,7 @@ class _Grid:
         )
         self._files: dict[tuple[Path, bytes], InputFile] = {}
         self._weathers: dict[tuple[InputFile, ...], str] = {}
-        # Each file is read once for all runs that use it alike.
+        # Every file is read once for all runs that use it in the same way.
         self._read_bytes = functools.cache(Path.read_bytes)
         self._read_weather = functools.cache(read_weather)
         self._carry = functools.cache(self._carry_forecast)
@@ -141,10 +141,14 @@ class _Grid:
     def _complete(
         self, inputs: RunInputs, site: Site, file: InputFile, runs: dict[tuple[object, ...], Run]
     ) -> Case:
-        """Return the case of some inputs, after a check of the run."""
+        """Check a run, and return its case.
+
+        Raises:
+            ConfigurationError: if the run is wrong.
+        """
         parameters = inputs.controller.complete_parameters(site, inputs.parameters)
-        # Runs that need the same records are built once; forecasts with errors need the same ones
-        # as perfect forecasts.
+        # Runs that need the same records are built once; forecasts with errors need the same
+        # records as perfect forecasts.
         seeded = "seed" in inputs.forecast.option_names
         alike = replace(inputs, forecast=ForecastChoice()) if seeded else inputs
         others = replace(
@@ -189,7 +193,7 @@ class _Grid:
                 yield site, self._input(path, format_site(site).encode())
 
     def _expand_windows(self) -> Iterator[tuple[YamlMapping, list[YamlMapping]]]:
-        """Yield the inputs that each window defines, and its forecasts."""
+        """Yield the inputs that every window sets, and its forecasts."""
         for window in self._expand(
             self._mapping, "weather", ("file", "start"), (*_OF_WINDOW, "year", "forecast"),
             whole=("file", "forecast"),
@@ -206,7 +210,7 @@ class _Grid:
             yield YamlMapping(given, lines), list(self._expand_forecasts(forecasts))
 
     def _expand_forecasts(self, mapping: YamlMapping) -> Iterator[YamlMapping]:
-        """Yield each forecast under ``forecast:`` with each combination of its options."""
+        """Yield every forecast under ``forecast:`` with every combination of its options."""
         for block in self._expand(mapping, "forecast", ("model",), OPTIONS):
             model, skill = str(block["model"]), block.get("skill")
             if model not in MODELS and (Path(model).suffix or self._is_directory(model)):
@@ -221,7 +225,7 @@ class _Grid:
             yield YamlMapping({"forecast": model, **given}, lines)
 
     def _expand_states(self, site: Site) -> Iterator[YamlMapping]:
-        """Yield the inputs of each initial state, by its name, volumes (m3) or levels (m)."""
+        """Yield the inputs of every initial state, from its name, volumes (m3) or levels (m)."""
         areas, names = {"cistern": site.a1, "roof": site.a2}, set()
         levels = {f"{key}_level": key for key in areas}
         for state in self._expand(self._mapping, "initial", ("name",), (*areas, *levels)):
@@ -229,10 +233,10 @@ class _Grid:
             for level, key in levels.items():
                 if level in state:
                     if key in state:
-                        raise self._refuse(state, level, f"cannot be given with {key}")
+                        raise self._refuse(state, level, f"cannot be combined with {key}")
                     given[key] = self._number(state, level) * areas[key]
             if state["name"] in names:
-                raise self._refuse(state, "name", "is given twice")
+                raise self._refuse(state, "name", "appears twice")
             names.add(state["name"])
             lines = {**dict.fromkeys(("initial", *areas), state.lines["name"]), **state.lines}
             yield YamlMapping(given, lines | {
@@ -240,7 +244,7 @@ class _Grid:
             })
 
     def _expand_controllers(self) -> Iterator[_Setting]:
-        """Yield each controller with each combination of its parameters."""
+        """Yield every controller with every combination of its parameters."""
         section = self._mapping["controllers"]
         if not isinstance(section, YamlMapping):
             raise self._refuse(self._mapping, "controllers", f"must hold {_BLOCKS['controllers']}")
@@ -251,7 +255,7 @@ class _Grid:
             if controller.name in references:
                 raise self._refuse(
                     section, reference,
-                    f"is named {controller.name}, as {references[controller.name]} is; rename its "
+                    f"is named {controller.name}, like {references[controller.name]}; rename its "
                     "class",
                 )
             references[controller.name] = reference
@@ -266,7 +270,7 @@ class _Grid:
                 yield _Setting(controller, YamlMapping(parameters, block.lines), forecasts)
 
     def _bound_block(self, site: Site) -> float:
-        """Return ``bound_block:`` (s), whole ticks of a site or 0; a minute without such a key."""
+        """Return ``bound_block:``, whole ticks of a site or 0 (s); without the key, a minute."""
         if "bound_block" not in self._mapping:
             return BLOCK_S
         seconds = self._number(self._mapping, "bound_block")
@@ -281,15 +285,15 @@ class _Grid:
         return any((place / name).is_dir() for place in self._places)
 
     def _find(self, mapping: YamlMapping, key: str, name: str | None = None) -> list[Path]:
-        """Return the files of a name or pattern in the first directory that has some.
+        """Return the files with a name or pattern, from the first directory that contains some.
 
         Args:
-            mapping: mapping of the grid.
+            mapping: a mapping in the grid.
             key: key of the name.
-            name: name to use instead of the value of the key.
+            name: name that replaces the value of the key.
 
         Raises:
-            ConfigurationError: there is no such file in any of the directories.
+            ConfigurationError: if there is no such file in any of the directories.
         """
         name = str(mapping[key]) if name is None else name
         for place in self._places:
@@ -308,11 +312,11 @@ class _Grid:
     def _input(self, path: Path, content: bytes | None = None) -> InputFile:
         """Return a file's content under a name that is unique in the study.
 
-        It is the file's own name, with the folder's name in front if another file has that name.
+        This is the file's own name, preceded by the folder's name if another file has that name.
 
         Args:
             path: path of the file.
-            content: content to use instead of the file's own; None for its own.
+            content: content that replaces the file's own.
         """
         path = path.resolve()
         key = path, self._read_bytes(path) if content is None else content
@@ -325,7 +329,7 @@ class _Grid:
     def _carry_forecast(
         self, choice: ForecastChoice, site: Site
     ) -> tuple[ForecastChoice, dict[str, InputFile]]:
-        """Return a choice of forecasts with the names of its files in the study, and the files.
+        """Return a choice of forecasts with the study's names of its files, and the files.
 
         A directory becomes one file in the project's own format.
         """
@@ -347,15 +351,15 @@ class _Grid:
         self, mapping: YamlMapping, key: str, needed: Collection[str], further: Collection[str],
         whole: Collection[str] = (),
     ) -> Iterator[YamlMapping]:
-        """Yield each combination of the values in each block under a key.
+        """Yield every combination of the values in every block under a key.
 
         Args:
-            mapping: has the key.
-            key: key of a block, or of a list of them; a text stands for a block with only what is
-                needed first.
-            needed: keys of a block.
-            further: its other keys.
-            whole: keys with lists that do not multiply the runs.
+            mapping: mapping that contains the key.
+            key: key of a block or of a list of blocks; a text stands for a block that contains
+                only the first needed key.
+            needed: keys that a block must contain.
+            further: keys that it may contain.
+            whole: keys whose lists do not multiply the runs.
         """
         for block in self._list(mapping, key):
             if isinstance(block, str) and needed:
@@ -373,7 +377,7 @@ class _Grid:
     def _list(self, mapping: YamlMapping, key: str) -> list[Any]:
         """Return a value as a list; a single value becomes a list of one.
 
-        Whole numbers may be given as ``{from: 1, to: 50}``.
+        A range of whole numbers may be written as ``{from: 1, to: 50}``.
         """
         value = mapping[key]
         values = value if isinstance(value, list) else [value]
@@ -391,7 +395,11 @@ class _Grid:
     def _check_keys(
         self, mapping: YamlMapping, needed: Collection[str], further: Collection[str]
     ) -> None:
-        """Refuse a mapping that lacks a needed key or has an unknown one."""
+        """Reject a mapping in which a needed key is missing or a key is unknown.
+
+        Raises:
+            ConfigurationError: if there is such a key.
+        """
         known = dict.fromkeys((*needed, *further))
         for key in mapping:
             if key not in known:
@@ -414,12 +422,12 @@ class _Grid:
     def _at(
         self, lines: Mapping[str, int], otherwise: str, prefix: str = ""
     ) -> Iterator[None]:
-        """Add the line of the grid to an error that is found elsewhere.
+        """Add the line of the grid to an error that is raised elsewhere.
 
         Args:
             lines: lines of the inputs, by their names in errors.
             otherwise: input whose line is used if the error names none of them.
-            prefix: prefix of the message.
+            prefix: beginning of the message.
         """
         try:
             yield
@@ -430,7 +438,7 @@ class _Grid:
 
 
 def _label(value: Any) -> str:
-    """Return a value of a site as a part of a file's name; quiet hours are a list."""
+    """Return a value of a site as part of a file's name; quiet hours are a list."""
     if isinstance(value, list):
         return "+".join(map(_label, value))
     return value if isinstance(value, str) else format_exactly(value)

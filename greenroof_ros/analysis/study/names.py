@@ -1,4 +1,4 @@
-"""Names of a study's runs, by what differs between them, and the groups that a report compares."""
+"""Names of a study's runs, from their differences, and the groups that a report compares."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from greenroof_ros.analysis.study.case import Case
 from greenroof_ros.recording.results_table import find_differing_keys, format_exactly
 
 _SEASON_HOURS = 168
-"""shorter runs are no season, although they may start on one day of several years (h)"""
+"""minimum length of a season (h); shorter runs are none, even if they start on the same day of
+several years"""
 
 
 class Names:
-    """Names of a study's cases: the controller, and the facts that differ between cases."""
+    """Names of a study's cases: the controller, and the facts in which the cases differ."""
 
     def __init__(self, cases: Sequence[Case]) -> None:
-        """Find what differs between all cases, and between the cases of each controller."""
+        """Find the differences between all cases, and between the cases of each controller."""
         self._forecasts = len({_name_forecast(case) for case in cases}) > 1
         self._values = {
             name: find_differing_keys(
@@ -34,8 +35,8 @@ class Names:
     def columns(self, case: Case) -> dict[str, str]:
         """Return the columns that group the runs of a study.
 
-        Runs are compared if they agree in ``window`` and initial state. Of these, the runs with one
-        ``case`` differ only in their seeds and, if ``season`` is not empty, in the year.
+        Runs are compared if they agree in ``window`` and initial state. Among them, runs with the
+        same ``case`` differ only in their seeds and, if ``season`` is not empty, in the year.
         """
         window, name = self._name_window(case), self._name_setting(case)
         return {
@@ -47,13 +48,13 @@ class Names:
         }
 
     def _name_setting(self, case: Case) -> str:
-        """Return the controller with its parameters, and those of sensor and pump, but no seed."""
+        """Return the controller with its parameters and those of sensor and pump, without seeds."""
         values, name = _read_values(case), case.controller
         shown = (key for key in self._values[name] if key != "noise_seed")
         return _add_values(name, {key: values[key] for key in shown})
 
     def _name_window(self, case: Case) -> dict[str, str]:
-        """Return the facts that runs share with those that they are compared with, in words."""
+        """Return, in words, the facts that a run shares with the runs to which it is compared."""
         facts = {
             "site": case.site.name, "weather": case.weather_name,
             "start": f"from {case.inputs.start}", "hours": f"{format_exactly(case.hours)} h",
@@ -65,7 +66,7 @@ class Names:
 
 
 def _find_season(case: Case) -> tuple[object, ...]:
-    """Return what a season's runs of several years have in common; its first item is the start."""
+    """Return what the runs of a season in several years share; the first item is the start."""
     inputs = case.inputs
     return (
         f"{case.start:%m-%dT%H:%M}" if case.hours >= _SEASON_HOURS else "", case.site.name,
@@ -79,14 +80,14 @@ def _read_values(case: Case) -> dict[str, float | str]:
 
 
 def _name_forecast(case: Case) -> str:
-    """Name the forecasts of a case, without their seed."""
+    """Return a name for the forecasts of a case, without their seed."""
     choice = case.inputs.forecast
     options = {key: value for key, value in choice.options().items() if key != "seed"}
     return _add_values(f"forecast {choice}", options)
 
 
 def _add_values(name: str, values: Mapping[str, float | str]) -> str:
-    """Return a name followed by values."""
+    """Return a name followed by its values."""
     texts = (
         f"{key} {value if isinstance(value, str) else format_exactly(value)}"
         for key, value in values.items()

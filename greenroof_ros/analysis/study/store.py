@@ -30,18 +30,17 @@ _LOCK = ".lock"
 
 
 class StudyStore:
-    """Stores each run's outcome when it arrives, whole or not at all.
+    """Store the outcome of every run when it arrives, either whole or not at all.
 
     Attributes:
         directory: directory of the study.
-        cases: its runs.
+        cases: runs of the study.
         trajectory_every: time between the samples of each run's trajectory (s), 0 for every tick;
             None to keep only the results.
         outcomes: outcomes of finished runs, without their files, by identity.
-        failures: reasons of failed runs, by identity; runs in neither were not run.
-        bounds: minimum possible total deviations (m3) that are known, by bound_identity.
-        discharge_bounds: columns of the minimum discharges that are known, by
-            discharge_bound_identity.
+        failures: reasons why runs failed, by identity; a run in neither was not run.
+        bounds: known minimum possible total deviations (m3), by bound_identity.
+        discharge_bounds: columns of the known minimum discharges, by discharge_bound_identity.
     """
 
     def __init__(
@@ -54,19 +53,21 @@ class StudyStore:
     ) -> None:
         """Begin a study, or continue one.
 
-        A damaged outcome, for instance after a power cut, does not count: the run is made again and
+        A damaged outcome, for instance after a power cut, does not count: the run is repeated and
         replaces it.
 
         Args:
-            directory: of the study: new, empty, or from an earlier start of the same study.
-            grid: its file.
-            cases: its runs.
+            directory: directory of the study: new, empty, or from an earlier start of the same
+                study.
+            grid: file of the grid.
+            cases: runs of the study.
             trajectory_every: see the attribute.
 
         Raises:
-            ConfigurationError: the directory holds something else, or a study with another grid,
-                trajectories or code; it cannot be written; another process uses it; or an outcome
-                cannot be read now, for instance on a network drive. That outcome is kept.
+            ConfigurationError: if the directory contains something else, or a study with another
+                grid, trajectories or code; if it cannot be written to; if another process uses it;
+                or if an outcome cannot be read now, for instance on a network drive. That outcome
+                is kept.
         """
         self.directory = directory
         self.cases, self.trajectory_every = cases, trajectory_every
@@ -102,7 +103,7 @@ class StudyStore:
         killed = _LOCK in there and there <= {_LOCK, configuration.name}
         if there and not killed and not file.is_file():
             raise ConfigurationError(
-                "exists, is not empty and is not a study; nothing is overwritten",
+                "exists and is neither empty nor a study, and nothing is overwritten",
                 key="--output", value=str(self.directory),
             )
         self._lock()
@@ -118,7 +119,7 @@ class StudyStore:
             shutil.rmtree(cut_short)
 
     def _lock(self) -> None:
-        """Keep other processes out while this one lives."""
+        """Keep other processes out while this one runs."""
         try:
             self._lock_file = acquire_file_lock(self.directory / _LOCK)
         except LockedError:
@@ -127,19 +128,23 @@ class StudyStore:
             ) from None
 
     def _check(self, file: Path, identity: dict[str, Any]) -> None:
-        """Refuse to continue a study that was begun with something else."""
+        """Reject a study that was begun with another identity.
+
+        Raises:
+            ConfigurationError: if the study's file is damaged, or differs in the identity.
+        """
         try:
             begun = json.loads(file.read_text(encoding="utf-8"))
         except (ValueError, RecursionError) as error:
             raise ConfigurationError(f"is not valid JSON: {error}", file=file) from error
         for key, what in (
             ("runs", "another grid, or other files"),
-            ("trajectory_every", "other trajectories, or none"),
+            ("trajectory_every", "other trajectories, or without trajectories"),
             ("versions", "other versions of the code or its packages"),
         ):
             if not isinstance(begun, dict) or begun.get(key) != identity[key]:
                 raise ConfigurationError(
-                    f"holds a study begun with {what}; use those, or give another directory",
+                    f"holds a study begun with {what}; use those, or choose another directory",
                     key="--output", value=str(self.directory),
                 )
 
@@ -147,7 +152,7 @@ class StudyStore:
         """Write an outcome; if the process is killed meanwhile, the outcome does not exist.
 
         Raises:
-            OSError: for instance on a full disk.
+            OSError: if writing fails, for instance because the disk is full.
         """
         part, whole = self._runs / f"{case.identity}.part", self._runs / case.identity
         about = _with_digest({"results": outcome.results})
@@ -155,13 +160,13 @@ class StudyStore:
         for name, content in {**outcome.files, _OUTCOME: about.encode()}.items():
             with add_path_to_errors(part / name):
                 (part / name).write_bytes(content)
-        if whole.exists():  # a damaged one
+        if whole.exists():  # a damaged outcome
             shutil.rmtree(whole)
         part.replace(whole)
         self.outcomes[case.identity] = replace(outcome, files={})
 
     def write_bound(self, case: Case, bound: float) -> None:
-        """Store the minimum possible total deviation (m3) of a case."""
+        """Store the minimum possible total deviation of a case (m3)."""
         self.bounds[case.bound_identity] = bound
         replace_text(self._bounds, _with_digest(self.bounds))
 
@@ -204,7 +209,7 @@ class StudyStore:
 
 
 def _with_digest(values: Mapping[str, Any]) -> str:
-    """Return values as JSON with their digest, which shows any later damage."""
+    """Return values as JSON with their digest, which reveals any later damage."""
     text = json.dumps(values, sort_keys=True)
     about = {**values, _DIGEST: hashlib.sha256(text.encode()).hexdigest()}
     return json.dumps(about, indent=2) + "\n"
@@ -214,7 +219,7 @@ def _read(file: Path) -> dict[str, Any]:
     """Return the values that :func:`_with_digest` wrote; empty if the file is missing or damaged.
 
     Raises:
-        ConfigurationError: it exists but cannot be read now.
+        ConfigurationError: if the file exists but cannot be read now.
     """
     try:
         text = file.read_text(encoding="utf-8")
@@ -225,5 +230,5 @@ def _read(file: Path) -> dict[str, Any]:
         return {}
     except OSError as error:
         raise ConfigurationError(
-            f"cannot be read: {error.strerror}; the study was not changed", file=file
+            f"cannot be read: {error.strerror}; the study is unchanged", file=file
         ) from error

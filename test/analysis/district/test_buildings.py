@@ -100,7 +100,7 @@ def test_listed_buildings(tmp_path: Path, form: str) -> None:
     assert list(buildings.values["catchment_area"]) == [240.5, 120, 90]
     assert set(buildings.values["substrate_depth"]) <= {0.08, 0.108}
     assert run.notes[-1] == (
-        "buildings.csv: not keys of a site, and not used: address"
+        "buildings.csv: these columns are not keys of a site and are not used: address"
     )
 
 
@@ -125,7 +125,7 @@ weather: {{file: {WEATHER}, start: 2021-07-07T00:00, hours: 72}}
 
 
 WRONG_CSV = {
-    "line 3: id = 'A': is the building of line 2, too": CSV.replace("B,", "A,"),
+    "line 3: id = 'A': is also the building in line 2": CSV.replace("B,", "A,"),
     "line 1: must have a column 'id'": CSV.replace("id,", "name,"),
     "line 1: must have a column 'cell'": CSV.replace("cell,", "zone,"),
     "line 1: 'catchment_area': is the name of two columns": CSV.replace("a1", "catchment_area"),
@@ -134,7 +134,7 @@ WRONG_CSV = {
     "line 2: catchment_area = '': must be a number from": CSV.replace("120", ""),
     "line 2: catchment_area = 'nan': must be a number from": CSV.replace("120", "nan"),
     "line 3: cell = 'north': must be one of the cells east, west": CSV.replace("east", "north"),
-    "line 3: id = '': must have a name or number": CSV.replace("B,", ","),
+    "line 3: id = '': must be a name or number": CSV.replace("B,", ","),
     "line 3: must have 5 cells, like the header, not 4": CSV.replace(",Lane 2", ""),
     "has a header but no records": CSV.partition("\n")[0] + "\n",
     "is empty": "",
@@ -156,8 +156,8 @@ WRONG = {
     "buildings = 0: must be a whole number from 1 to 1000000": ("buildings: 8", "buildings: 0"),
     "buildings = 2000000: must be": ("buildings: 8", "buildings: 2000000"),
     "buildings = 8.5: must be a whole": ("buildings: 8", "buildings: 8.5"),
-    "buildings: must be given, or file": ("buildings: 8", "seed: 8"),
-    "line 3: buildings = 8: cannot be given with file": (
+    "buildings: is missing; set it, or set file": ("buildings: 8", "seed: 8"),
+    "line 3: buildings = 8: cannot be combined with file": (
         "buildings: 8", "buildings: 8\nfile: x.csv",
     ),
     "adoption.3 = 1.5: must be a number from 0 to 1": ("0.5, 1.0]", "0.5, 1.5]"),
@@ -173,17 +173,19 @@ WRONG = {
     "draw.catchment: cannot differ between buildings; did you mean catchment_area": (
         "catchment_area:", "catchment:",
     ),
-    "draw.tau: cannot differ between buildings; is the same": ("  cistern_volume:", "  tau:"),
+    "draw.tau: cannot differ between buildings; all buildings share it":
+        ("  cistern_volume:", "  tau:"),
     "draw.cistern_volume.low = 7: must be below high = 6": ("low: 1.0", "low: 7"),
     "draw.cistern_volume.low = 1.0: needs low and high, or mean and sd": (", high: 6.0", ""),
-    "draw.catchment_area.mean = 200: needs sd as well": (", sd: 120", ""),
+    "draw.catchment_area.mean = 200: also needs sd": (", sd: 120", ""),
     "draw.catchment_area.mean = 0: must be": ("mean: 200", "mean: 0"),
     "draw.catchment_area.sd = -120: must be": ("sd: 120", "sd: -120"),
-    "draw.catchment_area: leaves 0 of the distribution": ("low: 60, high: 1000", "low: 1e8"),
+    "draw.catchment_area: has only a share of 0 of its distribution":
+        ("low: 60, high: 1000", "low: 1e8"),
     "draw.cistern_volume: must be a number from 0.01 to 100000 m3, but": ("low: 1.0", "low: -5"),
     "draw.substrate_depth.values: must list at least one": ("[0.08, 0.108]", "[]"),
     "draw.substrate_depth.values.2 = 'deep': must be": ("0.108", "deep"),
-    "draw.cistern_volume.times = 'cistern_volume': must be a key that is not itself": (
+    "draw.cistern_volume.times = 'cistern_volume': must be a key that is not multiplied itself": (
         "high: 6.0", "high: 6.0, times: cistern_volume",
     ),
     "draw.cistern_volume.times = 'roof': did you mean roof_area": (

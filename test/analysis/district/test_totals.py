@@ -117,12 +117,14 @@ def test_a_warning_of_valves_that_are_too_large(simulated: Simulated) -> None:
     assert 2.0 < drain["low_outlet_peak_5min_mm_h"] < highest
     (warning,) = warn(run, rows)
     assert warning.startswith(
-        f"the cisterns empty together: in dry weather up to {drain['dry_peak_5min_mm_h']:.3g} mm/h "
-        "(valve, drain, all 8 buildings), more than the sewer's 2 mm/h"
+        "the cisterns empty at the same time: in dry weather they let out up to "
+        f"{drain['dry_peak_5min_mm_h']:.3g} mm/h (valve, drain, all 8 buildings), which is more "
+        "than the sewer's 2 mm/h"
     )
     (of_drain, of_plan) = describe_valves(rows, 8)
     assert of_drain.startswith(
-        "Valve, drain, all 8 buildings: none of what the valves let out leaves them in wet weather."
+        "Valve, drain, all 8 buildings: none of the water that the valves let out leaves them in "
+        "wet weather."
     )
     assert of_plan.startswith("Valve, plan")
 
@@ -148,8 +150,8 @@ def test_sentences_of_one_building_and_of_none_all_and_the_same(simulated: Simul
     assert summarise(run, rows) == (
         f"With green roofs and cisterns on all 8 buildings (valve, drain), 99.6{space}% less storm "
         "water reaches the sewer in wet weather, the sewer no longer overflows and the peak over "
-        f"an hour is 50{space}% lower. On 40{space}% of them, as much storm water reaches the "
-        "sewer in wet weather, the sewer overflows as much and the peak over an hour is "
+        f"an hour is 50{space}% lower. On 40{space}% of them, just as much storm water reaches the "
+        "sewer in wet weather, the sewer overflows just as much and the peak over an hour is "
         f"0.1{space}% higher."
     )
     assert summarise(of_one, [before, row(0.4, 0, 1, 1, 1), row(1.0, 1, 0, 0, 0)]) == (
@@ -162,7 +164,7 @@ def test_sentences_of_one_building_and_of_none_all_and_the_same(simulated: Simul
     assert name_share(0.9999, 1000) == "all 1,000 buildings"
     dry = {**before, "sewer_overflow_m3": 0.0}
     assert summarise(run, [dry, {**row(0.5, 4, 1, 1, 1)}]).endswith(
-        "is the same and the sewer, which has room for the buildings as they are, overflows."
+        "is the same and the sewer, which is large enough for the buildings as they are, overflows."
     )
     assert [percent(share).replace(space, "") for share in (0, 1e-9, 0.004, -0.003, 0.9996, 1)] == [
         "0%", "0%", "0.4%", "-0.3%", "100%", "100%"

@@ -56,7 +56,7 @@ def test_assumptions_are_named() -> None:
     assumed = [note for note in notes if note.startswith("Assumed")]
     assert len(assumed) == 2
     assert "a level of 0.77 m, 20 mm above the pumps' suction level" in assumed[0]
-    assert "0.688 m³/h, 10 mm/h over the roof" in assumed[0]
+    assert "0.688 m³/h, which is 10 mm/h over the roof" in assumed[0]
     assert "a level of 0.8 m, 30 mm above that of the mains" in assumed[1]
     assert designs[0].site.mains_flow == pytest.approx(0.688 / 3600)
 
@@ -78,4 +78,4 @@ def test_an_orifice_gets_a_valve() -> None:
     site = read_site(VALVE, {"low_outlet_valve": False})
     designs, notes = make_designs(site, [5.0], [39.0], OUTLETS)
     assert [design.site.low_outlet_level is None for design in designs] == [True, False, False]
-    assert sum("which has no valve, gets one" in note for note in notes) == 1
+    assert sum("which has no valve, is fitted with one" in note for note in notes) == 1

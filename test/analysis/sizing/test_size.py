@@ -127,7 +127,7 @@ def test_the_table_has_each_design_and_season(sized: Path) -> None:
             2 * value["mains_m3"] + value["wet_discharge_m3"] + 20 * value["volume_m3"]
         )
     comments = (sized / "out" / "sizes.csv").read_text().partition("volume_m3")[0]
-    assert "half of the cistern full" in comments and "filled in" in comments
+    assert "the cistern half full" in comments and "filled in" in comments
 
 
 def test_python_gives_the_same(sized: Path, sizes: Sizes) -> None:
@@ -201,7 +201,7 @@ def test_a_season_without_rain_or_irrigation() -> None:
     """Shares of nothing are left out, of sentences, tables and pages."""
     dry = gr.size(**{**OPTIONS, "season": "07-03/07-03", "outlets": ["none"], "volumes": [2, 5]})
     assert dry.sentence == (
-        "A cistern of 2 m³ meets all of the demand and gets no rain; 5 m³: 100 %."
+        "A cistern of 2 m³ meets all of the demand and receives no rain; 5 m³: 100 %."
     )
     kept = dry.spread("storm_water_kept_share", dry.designs[0])
     assert format_spread(kept, COLUMNS["storm_water_kept_share"]) == "none"
@@ -212,7 +212,7 @@ def test_a_knee_at_the_ends_of_the_volumes(sizes: Sizes) -> None:
     """No cistern saves a million m3 for each m3, and each saves at least none."""
     never, always = (replace(sizes, knee_m3=amount) for amount in (1e6, 0.0))
     assert never.recommended.volume == 2
-    assert never.describe_knee().startswith("the smallest of all; from this size on another")
+    assert never.describe_knee().startswith("the smallest of all; beyond this size another")
     assert never.format_knee(never.targets[0], "plan") == "at most 2 m³"
     assert always.recommended.volume == 10
     assert always.describe_knee().startswith("the largest of all")
@@ -258,16 +258,16 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"volumes": [-5.0]}, "volumes = -5.0: must be"),
     ({"volumes": [float("nan")]}, "volumes = nan: must be"),
     ({"volumes": ["5"]}, "volumes = '5': must be"),
-    ({"volumes": [5, 10, 5.0]}, "volumes = 5.0: is given twice"),
-    ({"volumes": []}, "volumes: must have at least one"),
+    ({"volumes": [5, 10, 5.0]}, "volumes = 5.0: appears twice"),
+    ({"volumes": []}, "volumes: must list at least one"),
     ({"targets": [90]}, "targets = 90.0: must be above 2.16 mm.*below 68.04 mm"),
     ({"targets": [0.039]}, "targets = 0.039: must be a number from 1 to 1000 mm"),
     ({"outlets": ["dry"]}, "outlets = 'dry': is unknown; did you mean drain"),
-    ({"season": "05-01/10-31"}, "no complete season, 1 May to 31 October"),
+    ({"season": "05-01/10-31"}, "does not cover a complete season, 1 May to 31 October"),
     ({"season": "summer"}, "season = 'summer': must be the first and the last day"),
     ({"knee": -1}, "knee = -1: must be"),
     ({"jobs": 0}, "jobs = 0: must be"),
-    ({"mains_price": 2.0}, "storm_water_price: is missing: costs need all prices"),
+    ({"mains_price": 2.0}, "storm_water_price: is missing: costs need the years and all"),
     ({"mains_price": -2.0, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 30},
      "mains_price = -2.0: must be"),
     ({"mains_price": 2, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 0},
@@ -297,10 +297,10 @@ def test_a_site_without_its_place(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("options", "message"), [
     (["--volumes", "5,0"], "--volumes: must be a number from 0.05 to 100000, with a decimal"),
-    (["--volumes", "5", "5"], "error: --volumes = 5.0: is given twice"),
-    (["--cistern-price", "600"], "error: --mains-price: is missing: costs need all prices"),
-    (["--season", "04-01/10-31"], "has no complete season, 1 April to 31 October"),
-    (["--output", "mine"], "error: --output = 'mine': holds letter.txt, which is not of a sizing"),
+    (["--volumes", "5", "5"], "error: --volumes = 5.0: appears twice"),
+    (["--cistern-price", "600"], "error: --mains-price: is missing: costs need the years and all"),
+    (["--season", "04-01/10-31"], "does not cover a complete season, 1 April to 31 October"),
+    (["--output", "mine"], "error: --output = 'mine': holds letter.txt, which is not the result"),
 ])
 def test_wrong_options(tmp_path: Path, options: list[str], message: str) -> None:
     """Exit code 2, one line, no traceback."""

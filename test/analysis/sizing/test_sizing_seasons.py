@@ -83,6 +83,6 @@ def test_a_season_across_the_turn_of_the_year() -> None:
 
 def test_a_record_that_is_too_short(tmp_path: Path) -> None:
     """The message says what there is, and what would help."""
-    with pytest.raises(ConfigurationError, match=r"no complete season, 1 May to 31 October.*from "
-                       r"2021-05-01.*Name other days as season"):
+    with pytest.raises(ConfigurationError, match=r"a complete season, 1 May to 31 October.*from "
+                       r"2021-05-01.*Choose other days with season"):
         seasons(frame("2021-05-01", "2021-05-31T23:00"), None)

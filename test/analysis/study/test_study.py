@@ -126,7 +126,7 @@ def test_killed_while_it_began(tmp_path: Path) -> None:
 def test_what_was_begun_is_not_mixed_with_something_else(finished: Path) -> None:
     """Another grid, other trajectories, other versions."""
     before = (finished / "out" / "results.csv").read_bytes()
-    assert "begun with other trajectories, or none" in refusal(finished, trajectory_every=None)
+    assert "begun with other trajectories, or without" in refusal(finished, trajectory_every=None)
     grid(finished, edit_grid("hours: 0.25", "hours: 0.5"))
     assert "begun with another grid, or other files" in refusal(finished)
     grid(finished)

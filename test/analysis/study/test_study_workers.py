@@ -243,8 +243,8 @@ def test_dask(dask: Dask, tmp_path: Path) -> None:
     done = len(stored(tmp_path))
     assert "Traceback" not in errors
     assert errors.splitlines()[-1] == (
-        f"error: the Dask scheduler at {dask.address} is gone: {done} of 12 cases are stored; "
-        "run the same command again to continue"
+        f"error: the connection to the Dask scheduler at {dask.address} is lost: {done} of 12 "
+        "cases are stored; run the same command again to continue"
     )
     assert (process.returncode, shown) == (1, "")
     status = [row["status"] for row in rows_of(tmp_path / "out" / "results.csv")]
