@@ -1,7 +1,7 @@
-"""Many sites at once: on/off control and a policy of the outlet, in seasons of minute ticks.
+"""Simulate many sites together, under on/off control and outlet policies, over whole seasons.
 
-The same ticks, metrics and forecasts as :class:`.closed_loop.Simulation` has for one site, on
-arrays. :mod:`greenroof_ros.model.plants` states how closely they agree.
+Ticks, metrics and forecasts are those of :class:`.closed_loop.Simulation` for one site, but on
+arrays. :mod:`greenroof_ros.model.plants` states how closely the results agree.
 """
 
 from __future__ import annotations
@@ -38,28 +38,28 @@ Rows = NDArray[np.intp]
 
 _Observer = TypeVar("_Observer", bound="Observer")
 
-# Sites that are stepped together: their arrays fit in the processor's cache.
+# Number of sites that are stepped together, whose arrays fit in the processor's cache.
 _TOGETHER = 8000
-# Ticks between two reports of progress.
+# Number of ticks between two reports of progress.
 _BLOCK = 1440
 
 
 class Observer(Protocol):
-    """Observes sites that are stepped together."""
+    """Observe sites that are stepped together."""
 
     def add(self, tick: int) -> None:
-        """Add what has moved in a tick, and the state at its end."""
+        """Add the water that moved in a tick, and the state at its end."""
 
 
 @dataclass(frozen=True, eq=False)
 class BatchWeather:
-    """Weather tick by tick, for all sites on which it falls; each array has shape (steps + 1,).
+    """Weather tick by tick for all sites that share it; every array has shape (steps + 1,).
 
     Attributes:
-        run: from which it is; its forecasts are those of plans.
-        rain: m/s.
-        evapotranspiration: evapotranspiration off a bed with crop coefficient 1 (m/s).
-        frost: 1 in frost, else 0.
+        run: run with this weather, whose forecasts the plans use.
+        rain: rain rate (m/s).
+        evapotranspiration: evapotranspiration of a bed with crop coefficient 1 (m/s).
+        frost: 1 in frost, otherwise 0.
     """
 
     run: Run
@@ -69,7 +69,7 @@ class BatchWeather:
 
     @classmethod
     def of_run(cls, run: Run) -> BatchWeather:
-        """Return the weather of a run, from its readers."""
+        """Return the weather of a run, as its readers provide it."""
         series, ticks = run.series, slice(0, run.steps + 1)
         rain, evaporated, frost = (
             np.array(values[ticks])
@@ -82,7 +82,7 @@ class BatchWeather:
         """Read the weather of a run.
 
         Raises:
-            ConfigurationError: see :meth:`.RunInputs.build`.
+            ConfigurationError: if the run is wrong; see :meth:`.RunInputs.build`.
         """
         return cls.of_run(inputs.build())
 
@@ -97,17 +97,17 @@ class BatchWeather:
         return self.run.start
 
     def beds(self, sites: Sites) -> Values:
-        """Return the area of a bed with crop coefficient 1 that evaporates as each bed (m2)."""
+        """Return the areas with crop coefficient 1 that evaporate as much as the beds (m2)."""
         return np.asarray(find_bed(self.run.weather.method, sites))
 
     @cached_property
     def ends(self) -> Values:
-        """Ends of the steps of the forecasts (s from now), the first 0."""
+        """Boundaries of the forecasts' steps (s from now), beginning with 0."""
         return look_ahead_ends(self.run.site, 0.0, HORIZON_H)
 
     @cached_property
     def forecast(self) -> Forecast:
-        """What plans know of the weather."""
+        """The weather forecasts that the plans use."""
         run = self.run
         return make_forecast(
             run.weather, run.series, run.site, run.start, 0.0, run.forecast_choice,
@@ -115,11 +115,15 @@ class BatchWeather:
         )
 
     def foresee(self, tick: int, with_rain: bool) -> tuple[Values, Values]:
-        """Return the forecast of a tick: rain (m/s), shape (members, steps), and evaporation.
+        """Return the forecast of a tick.
 
         Args:
-            tick: its number.
-            with_rain: whether rain is foreseen; otherwise only the present rain is known.
+            tick: number of the tick.
+            with_rain: whether rain is foreseen; otherwise only the current rain is known.
+
+        Returns:
+            Rain (m/s), shape (members, steps), and evapotranspiration of a bed with crop
+            coefficient 1 (m/s), shape (steps,).
         """
         rain = np.atleast_2d(np.asarray(self.forecast.precipitation(tick)))
         evaporated = np.asarray(self.forecast.evapotranspiration(tick))
@@ -132,25 +136,26 @@ class BatchWeather:
 def find_bed(method: str, site: Any) -> Any:
     """Return the area with crop coefficient 1 that evaporates as much as a site's bed (m2).
 
-    A crop coefficient is for evapotranspiration that is computed; a column of it is used as it is.
+    A crop coefficient applies to computed evapotranspiration; a column of a file is used as it is.
     """
     return site.a2 * site.crop_coefficient if method in COMPUTED else site.a2
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Sites to be simulated together, under on/off control.
+    """Sites that are simulated together, under on/off control.
 
     Attributes:
-        sites: n of them, with the same tau.
-        weather: all with the same number of steps; they may start at different times.
+        sites: n sites with the same tau.
+        weather: weather of the sites, all with the same number of steps; they may start at
+            different times.
         weather_of: index of each site's weather, shape (n,).
-        parameters: of each site's controller, ``onoff``, and of its outlet's valve; those left out
-            have their defaults.
+        parameters: parameters of each site's controller, ``onoff``, and of its outlet's valve;
+            those left out have their defaults.
         x1: initial volume in each cistern (m3), shape (n,).
-        x2: volume on each roof (m3), shape (n,).
-        with_forecast: whether plans see the forecasts of the weather's run; otherwise they know
-            the evapotranspiration and the present rain, and foresee no further rain.
+        x2: initial volume on each roof (m3), shape (n,).
+        with_forecast: whether plans use the forecasts of the weather's run; otherwise they know
+            the evapotranspiration and the current rain, and foresee no further rain.
     """
 
     sites: Sequence[Site]
@@ -164,14 +169,15 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """Results of a batch.
+    """The results of a batch.
 
     Attributes:
-        metrics: by the names of :data:`greenroof_ros.model.metrics.METRICS`, each of shape (n,).
-        hydrograph: discharge to the sewer of each group's sites in each interval of
+        metrics: metrics by their names in :data:`greenroof_ros.model.metrics.METRICS`, each of
+            shape (n,).
+        hydrograph: discharge of each group's sites to the sewer in each interval of
             :func:`greenroof_ros.model.storm_water.interval_seconds` (m3), shape (groups,
             intervals); None without groups.
-        low_outlet: the part of it through low outlets, of the same shape.
+        low_outlet: part of that discharge that leaves through low outlets (m3), in the same form.
     """
 
     metrics: dict[str, Values]
@@ -185,12 +191,12 @@ def simulate_batch(
     """Simulate a batch in this process.
 
     Args:
-        batch: what to simulate.
+        batch: batch to simulate.
         groups: number of each site's group, from 0; None for no hydrograph.
         progress: called now and then with the share that is done (1).
 
     Raises:
-        ConfigurationError: a parameter is wrong; or ticks or steps differ.
+        ConfigurationError: if a parameter is wrong, or the sites differ in tau or number of steps.
     """
     count = len(batch.sites)
     shape = (
@@ -213,20 +219,20 @@ def simulate_parts(
     batch: Batch, begin: Callable[[Part], _Observer],
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[tuple[Part, _Observer]]:
-    """Simulate a batch in this process, and yield its parts, each when it is done.
+    """Simulate a batch in this process, and yield every part when it is done.
 
     Args:
-        batch: what to simulate.
-        begin: returns what observes a part, which is in its initial state.
+        batch: batch to simulate.
+        begin: function that returns the observer of a part, which is in its initial state.
         progress: called now and then with the share that is done (1).
 
     Raises:
-        ConfigurationError: a parameter is wrong; or ticks or steps differ.
+        ConfigurationError: if a parameter is wrong, or the sites differ in tau or number of steps.
     """
     if len({site.tau for site in batch.sites}) > 1 or len({
         weather.steps for weather in batch.weather
     }) > 1:
-        raise ConfigurationError("all sites of a batch must have the same tau and as many steps")
+        raise ConfigurationError("all sites in a batch must have the same tau and number of steps")
     every, done = Sites.of(batch.sites), 0
     for rows in _split(every, batch.weather_of):
         part = Part(batch, every, rows)
@@ -243,7 +249,7 @@ def _count_per_interval(site: Site) -> int:
 
 
 def _split(sites: Sites, weather_of: Rows) -> Iterator[Rows]:
-    """Yield rows that can be stepped together, those with the same weather next to each other."""
+    """Yield rows that can be stepped together; those with the same weather are adjacent."""
     kept = sites.drainage_to_cistern > 0  # needs more steps
     kind = 4 * kept + 2 * sites.measured + sites.has_short_ticks
     for value in np.unique(kind):
@@ -256,8 +262,8 @@ class Part:
     """Sites of a batch that are stepped together.
 
     Attributes:
-        rows: which of the batch.
-        plants: plants of these sites.
+        rows: indices of the sites in the batch.
+        plants: cisterns and roofs of these sites.
     """
 
     def __init__(self, batch: Batch, every: Sites, rows: Rows) -> None:
@@ -266,7 +272,7 @@ class Part:
         Args:
             batch: batch with all sites.
             every: parameters of all sites.
-            rows: rows of the part.
+            rows: indices of the part's sites.
         """
         self.rows = rows
         self._batch, self._sites = batch, every.take(rows)
@@ -322,7 +328,7 @@ class Part:
             )
 
     def _find_wet(self) -> Iterator[tuple[Rows, NDArray[np.bool_]]]:
-        """Yield sites, and which intervals are in wet weather for them."""
+        """Yield sites, and whether the weather is wet for them in each interval."""
         tau = float(self._sites.tau[0])
         for weather, wet_after, rows in self._by_wet_after():
             depths = tau * weather.rain[: self._steps]
@@ -331,7 +337,7 @@ class Part:
             yield rows, find_wet_weather(wet_after, Intervals(seconds, depths, depths))
 
     def _find_clocks(self, sites: Sequence[Site]) -> list[Clock]:
-        """Return the sites with the same clock and quiet hours."""
+        """Return the groups of sites with the same clock and quiet hours."""
         clocks: dict[Any, list[int]] = {}
         for row, (site, number) in enumerate(zip(sites, self._weather_of, strict=True)):
             key = site.time_zone, site.utc_offset, site.quiet_hours, number
@@ -344,10 +350,10 @@ class Part:
         ]
 
     def simulate(self, observe: Callable[[int], None]) -> Iterator[int]:
-        """Simulate, and yield the number of ticks now and then.
+        """Simulate, and now and then yield the number of ticks since the last time.
 
         Args:
-            observe: called after each tick with its number.
+            observe: called after every tick with its number.
         """
         plants, outlets = self.plants, self._outlets
         for tick in range(self._steps):
@@ -367,7 +373,7 @@ class Part:
         yield self._steps % _BLOCK
 
     def _find_changes(self) -> NDArray[np.bool_]:
-        """Return in which ticks the weather is not that of the tick before."""
+        """Return whether the weather differs from the previous tick's, for every tick."""
         changes = np.zeros(self._steps + 1, bool)
         changes[0] = True
         for number in np.unique(self._weather_of):
@@ -388,7 +394,7 @@ class Part:
         self._closed = closed if closed.any() else None
 
     def _find_quiet(self, tick: int) -> NDArray[np.bool_]:
-        """Return which pumps must stand still in a tick, because of their quiet hours."""
+        """Return which pumps must not run in a tick because of their quiet hours."""
         quiet = np.zeros(len(self._sites), bool)
         tick_ns = round(self._sites.tau[0] * 1e9)
         for rows, site, start in self._clocks:
@@ -406,7 +412,7 @@ class Part:
 
 
 def _complete(sites: Sequence[Site], given: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return each parameter of on/off control and the outlet, as an array over sites."""
+    """Return every parameter of on/off control and the outlet as an array over the sites."""
     onoff = find_controller("onoff")
     names = [parameter.name for parameter in (*OnOff.parameters, *PARAMETERS)]
     complete = [

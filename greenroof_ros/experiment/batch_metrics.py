@@ -1,4 +1,4 @@
-"""The metrics of many runs at once: those of :mod:`greenroof_ros.model.metrics` on arrays.
+"""The metrics of many runs together: those of :mod:`greenroof_ros.model.metrics` on arrays.
 
 They are added up tick by tick, and discharges in blocks, so they need no memory that grows with
 the length of a run.
@@ -24,7 +24,7 @@ Flags = NDArray[np.bool_]
 _HOUR_S = 3600.0
 _PEAKS_MIN = (5, 15, 60)
 _MAX_BYTE = 255
-# Discharges that are kept until they are added up.
+# Number of discharges that are kept until they are added up.
 _VALUES = 400_000
 
 
@@ -33,9 +33,9 @@ class Clock(NamedTuple):
 
     rows: Rows
     site: Site
-    """one of them"""
+    """one of the sites"""
     start: float
-    """of the runs (s since 1970)"""
+    """start of the runs (s since 1970)"""
 
 
 class BatchMetrics:
@@ -49,14 +49,15 @@ class BatchMetrics:
         """Start with the initial state.
 
         Args:
-            plants: plants of n sites.
-            ticks: N of the runs.
+            plants: cisterns and roofs of n sites.
+            ticks: number of steps of the runs, N.
             per_interval: ticks in an interval of :mod:`greenroof_ros.model.storm_water`.
-            wet: rows, and which intervals are in wet weather for them.
-            clocks: each row is in one of them.
+            wet: rows, and whether the weather is wet for them in each interval.
+            clocks: groups of runs; every row is in one of them.
             groups: number of each row's group; None without a hydrograph.
-            hydrograph: where the discharge of each group is added (m3), shape (groups, intervals).
-            low_outlet: likewise the part of it through low outlets.
+            hydrograph: array to which each group's discharge is added (m3), shape (groups,
+                intervals).
+            low_outlet: array to which the part through low outlets is added, in the same form.
         """
         self._plants, self._sites = plants, (sites := plants.sites)
         self._tau, self._per_interval, n = float(sites.tau[0]), per_interval, len(sites)
@@ -66,7 +67,7 @@ class BatchMetrics:
         # Ticks since the counts were last added, in bytes: numpy adds them quickly.
         self._near_now, self._stress_now = np.zeros((2, n), np.uint8)
         self._near_deviation = NEAR_TARGET * sites.x2_star
-        # Without a stress volume plants lack water on an empty roof.
+        # Without a stress volume, plants lack water only on an empty roof.
         self._stress_below = np.maximum(sites.stress_volume, np.nextafter(0.0, 1.0))
         self._of_day, self._overflow_days = np.zeros((2, n))
         self._midnights = _find_midnights(clocks, self._tau, ticks)
@@ -88,7 +89,7 @@ class BatchMetrics:
         self._add_roof(0)
 
     def add(self, tick: int) -> None:
-        """Add what has moved in a tick, and the state at its end."""
+        """Add the water that moved in a tick, and the state at its end."""
         plants = self._plants
         moved, row, low = plants.moved, self._flows[self._filled], self._low_flows[self._filled]
         np.add(self._sums, plants.all_moved, out=self._sums)
@@ -110,7 +111,7 @@ class BatchMetrics:
                 self._add_intervals()
 
     def _add_roof(self, tick: int) -> None:
-        """Add what depends on the roofs' volumes at the beginning of a tick."""
+        """Add the metrics that depend on the roofs' volumes at the beginning of a tick."""
         x2, flag = self._plants.x2, self._flag
         deviation = np.subtract(x2, self._sites.x2_star, out=self._work)
         np.absolute(deviation, out=deviation)
@@ -149,9 +150,9 @@ class BatchMetrics:
         self._filled, self._interval = before, last
 
     def _find_peaks(self, flows: Values) -> None:
-        """Find the peaks of the windows that end after the first intervals of these (m3).
+        """Find the peaks in the windows that end after the first of these intervals (m3).
 
-        The mean of constant pieces is largest where the window begins or ends with one of them.
+        The mean over constant pieces is largest where the window begins or ends with a piece.
         """
         highest = np.multiply.outer(self._windows, flows.max(axis=0))
         rows = np.flatnonzero((highest > self._peaks).any(axis=0))
@@ -174,16 +175,16 @@ class BatchMetrics:
             peak[rows] = np.maximum(peak[rows], largest)
 
     def _end_day(self, rows: Rows) -> None:
-        """Count a day of overflow where it was one."""
+        """Count a day of overflow for the runs in which there was one."""
         self._overflow_days[rows] += self._of_day[rows] >= MIN_DEPTH * self._area[rows]
         self._of_day[rows] = 0.0
 
     def results(self, ticks: int, rain: Values) -> dict[str, Values]:
-        """Return the metrics of the whole runs, by their names.
+        """Return the metrics of the whole runs, by name.
 
         Args:
-            ticks: N of the runs.
-            rain: depth on each site (m).
+            ticks: number of steps of the runs, N.
+            rain: depth of rain on each site (m).
         """
         plants, sites, sums, area = self._plants, self._sites, Moved(*self._sums), self._area
         self._add_counts()
@@ -235,7 +236,7 @@ class BatchMetrics:
 
 
 def _find_midnights(clocks: Sequence[Clock], tau: float, ticks: int) -> dict[int, Rows]:
-    """Return the ticks in which a calendar day begins, with the rows for which it does."""
+    """Return the ticks in which a calendar day begins, and the rows for which it begins."""
     midnights: dict[int, list[Rows]] = {}
     times = tau * np.arange(ticks, dtype=float)
     for rows, site, start in clocks:
@@ -246,6 +247,6 @@ def _find_midnights(clocks: Sequence[Clock], tau: float, ticks: int) -> dict[int
 
 
 def _share_without(part: Values, whole: Values) -> Values:
-    """Return the share of a sum that a part of it does not make up, at least 0; NaN of nothing."""
+    """Return the share of a whole outside a part of it, at least 0; NaN if the whole is zero."""
     share = np.divide(part, whole, out=np.full_like(whole, np.nan), where=whole > 0)
     return np.asarray(np.maximum(1 - share, 0.0))

@@ -1,9 +1,9 @@
-"""Runs under on/off control, many at once: all results of each, as :mod:`.closed_loop` has them.
+"""Simulate many runs under on/off control together, with all the results of :mod:`.closed_loop`.
 
-:mod:`.batch` steps the plants, and :class:`.metrics.BlockMetrics` adds up what happens, run by run.
-So the results are those of the run alone but for the rounding of its ticks; see :mod:`.plants`.
-Only the time with a command above 1 can differ by ticks: those in which the roof is at its target,
-so that nothing flows, but above or below it by rounding.
+:mod:`.batch` steps the plants, and :class:`.metrics.BlockMetrics` adds up the results, run by run.
+They equal the results of a single run apart from the rounding of its ticks; see :mod:`.plants`.
+Only the time with a command above 1 can differ by whole ticks: if the roof is at its target,
+nothing flows, but rounding can put the roof above or below the target.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ _STATE = ("cistern", "roof", "layer")
 def is_covered(
     site: Site, controller: ControllerClass, sensor_and_pump: SensorAndPump, steps: int
 ) -> bool:
-    """Return whether a run can be one of many.
+    """Return whether a run can be simulated together with others.
 
-    Not with short ticks: an outlet takes more than stands above it there, and less in the next
-    tick, by Euler's method, so that rounding grows.
+    Runs with short ticks cannot: Euler's method lets an outlet take more than the water above it
+    in one tick and less in the next, which makes rounding errors grow.
 
     Args:
-        site: its site.
-        controller: its class.
-        sensor_and_pump: its errors.
-        steps: N.
+        site: site of the run.
+        controller: class of the controller.
+        sensor_and_pump: errors of the sensor and the pumps.
+        steps: number of steps, N.
     """
     exact = sensor_and_pump.exact_sensor and sensor_and_pump.instant_pump
     return (
@@ -60,7 +60,7 @@ def simulate_runs(
     """Return the content of each run's ``summary.json``.
 
     Args:
-        runs: runs with the same tau and as many steps; :func:`is_covered` must hold for each.
+        runs: runs with the same tau and number of steps, all of which :func:`is_covered` accepts.
         progress: called now and then with the share that is done (1).
     """
     summaries: dict[int, dict[str, Any]] = {}
@@ -82,12 +82,12 @@ def simulate_runs(
 
 
 def _weather_key(run: Run) -> tuple[Any, ...]:
-    """Return what is the same for runs with the same weather and the same forecasts."""
+    """Return a key that is equal for runs with the same weather and the same forecasts."""
     return id(run.weather), run.start, run.site.M, run.forecast_choice
 
 
 def _split(runs: Sequence[Run]) -> Iterator[list[int]]:
-    """Yield places of runs whose weather is kept at a time."""
+    """Yield the indices of runs whose weather is kept at the same time."""
     places: dict[tuple[Any, ...], list[int]] = {}
     for place, run in enumerate(runs):
         places.setdefault(_weather_key(run), []).append(place)
@@ -111,7 +111,7 @@ def _make_batch(runs: Sequence[Run]) -> Batch:
 
 
 class _Records:
-    """What happens in runs that are stepped together, until it is added up."""
+    """Records of runs that are stepped together, until they are added up."""
 
     def __init__(self, part: Part, runs: Sequence[Run]) -> None:
         """Begin with the initial state.
@@ -122,14 +122,14 @@ class _Records:
         """
         self._plants, self._runs = part.plants, runs
         self._metrics = [BlockMetrics(run.site, run.time_ns(0) / 1e9) for run in runs]
-        # State before each tick, one more after the last; what moves in it (m3).
+        # State before each tick and after the last one, and water that moves in each tick (m3).
         self._states = np.empty((BLOCK + 1, len(_STATE), len(runs)))
         self._moved = np.empty((BLOCK, len(Moved._fields), len(runs)))
         self._first = self._count = 0
         self._write_state()
 
     def add(self, tick: int) -> None:
-        """Add what has moved in a tick, and the state at its end."""
+        """Add the water that moved in a tick, and the state at its end."""
         for row, values in zip(self._moved[self._count], self._plants.moved, strict=True):
             row[:] = values
         self._count += 1
@@ -156,7 +156,7 @@ class _Records:
         self._first, self._count = first + count, 0
 
     def _flows(self, run: Run, row: int) -> Iterator[Values]:
-        """Yield what moves in a run (m3/s), in the order of :class:`.plant.Flows`."""
+        """Yield the flows of a run (m3/s), in the order of :class:`.plant.Flows`."""
         moved = Moved(*self._moved[: self._count, :, row].T)
         for name in Flows._fields:
             values = getattr(moved, name)
@@ -166,7 +166,7 @@ class _Records:
         """Yield the content of each run's ``summary.json``, after the last tick.
 
         Args:
-            wall_s: time that a run took (s).
+            wall_s: wall time that a run took (s).
         """
         if self._count:
             self._add_up()
@@ -183,9 +183,9 @@ def _find_commands(run: Run, first: int, cistern: Values, roof: Values) -> Value
 
     Args:
         run: the run.
-        first: the first tick.
-        cistern: volumes from it on (m3), shape (ticks,).
-        roof: likewise.
+        first: first tick.
+        cistern: volumes in the cistern from the first tick on (m3), shape (ticks,).
+        roof: volumes on the roof from the first tick on (m3), shape (ticks,).
     """
     site, parameters = run.site, run.parameters
     runs = find_pumping_ticks(run, first, first + len(roof))

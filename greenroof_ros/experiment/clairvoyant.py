@@ -27,49 +27,50 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     r"""Bound the total deviation sum_{k=0..N} \|x_{k,2} - x2*\| of a run from below.
 
     The bound is the optimum of a linear program in the roof's volume x2 alone. Every run that the
-    plant can make satisfies its constraints, so that the bound is at most the best run's deviation:
+    plant allows satisfies its constraints, so the bound is at most the deviation of the best run:
 
     - In a tick the volume changes at most by tau (r a2 - e - q_drain) plus what the pumps can
       lift. That is tau times the maximum command times the full flow, Eq. (3e), at the initial
       cistern volume plus all rain until then, since outflow and pumping only lower it. It is 0 in
       frost and quiet hours, below the pumps' suction level, and if even the roof's minimum volume
-      reaches a2 z_veg.
-      A roof that runs dry loses all that it held, which is at least its minimum volume.
+      reaches a2 z_veg. A roof that runs dry loses all the water that it held, which is at least its
+      minimum volume.
     - It changes at least by tau (r a2 - e - q_drain). The range of q_drain, Eq. (4), covers the
       volumes that the roof can have; it is 0 if they are all below z_cap.
     - The volumes that the roof can have are found by following both ends of their range with the
-      same balance. Pumping ends at z_veg, so it lifts the upper end at most one tick's flow above.
+      same balance. Pumping ends at z_veg, so it lifts the upper end above it by at most one tick's
+      flow.
     - All water pumped before a tick is at most the initial volume plus all rain until then, minus
       what stays below the suction level, plus one tick's flow, because the last tick that pumped
       began at the suction level or above. It is also at most all that the cistern ever held.
 
-    On field-capacity soil the limits apply to the volume after a tick minus a slope times the
-    volume before it. The drainage layer plays no part; doc/explanation/bound.md has the proof.
+    On a field-capacity soil, the limits apply to the volume after a tick minus a slope times the
+    volume before it. The drainage layer plays no part. The proof is in doc/explanation/bound.md.
 
-    The program neglects the following, which can leave a gap: the outflow of the cistern; that the
-    flow falls with its level; that pumping stops at z_veg, if the roof may but need not be below;
-    that drainage and a dry roof follow from the volume. A plan that is carried out
+    The program neglects several things, which can leave a gap: that the cistern overflows, that the
+    flow falls with its level, that pumping stops at z_veg if the roof can but need not be below it,
+    and that drainage and a dry roof follow from the volume. A plan that is carried out
     (:func:`greenroof_ros.experiment.plan.simulate_plan`) shows the gap.
 
-    In blocks of n ticks the program has one volume for each: the mean. The sum of \|x - x*\| over
+    For blocks of n ticks, the program has one volume each: the mean. The sum of \|x - x*\| over
     the block is at least n \|mean - x*\| (Jensen). With G_k the sum of the largest changes before
     tick k, G_k - x_{k,2} never falls, and so neither do its means from block to block: the mean
     volume rises at most as the mean of G does. The same holds for the minimum changes, and the
-    limits of the volume hold for its mean. So the bound stays valid. On the paper's soil the bound
-    never rises if blocks are enlarged to whole multiples. On field-capacity soil, which has other
-    limits for each size of blocks, it can rise by up to 0.4 %.
+    limits of the volume hold for its mean. So the bound stays valid. On the paper's soil, the bound
+    never rises if blocks are enlarged to whole multiples. On a field-capacity soil, whose limits
+    depend on the size of the blocks, it can rise by up to 0.4 %.
 
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
-        block_s: time (s), rounded to whole ticks, that shares one variable; a tick if it is less.
+        block_s: time that shares one variable, rounded to at least one whole tick (s).
         max_command: maximum command (share of the maximum flow), from 1e-9 to 100.
 
     Returns:
-        No run with these inputs has a smaller total deviation (m3, summed over the ticks), unless a
-        command exceeds the maximum.
+        A total deviation (m3, summed over the ticks). No run with these inputs has a smaller one,
+        unless a command exceeds the maximum.
 
     Raises:
-        NoBoundError: the solver found no optimum.
+        NoBoundError: if the solver finds no optimum.
     """
     block = max(1, round(block_s / run.site.tau))
     return _solve(run, _limits(run, max_command), np.arange(0, run.steps + 1, block))
@@ -86,9 +87,9 @@ def _limits(run: Run, max_command: float) -> RoofRange:
         np.frombuffer(series[: run.steps])
         for series in (run.series.precipitation, run.series.evapotranspiration)
     )
-    # As if the mains' valve were always open.
+    # This assumes that the mains' valve is always open.
     received = _sums(run.x1, tau * (site.effective_catchment * rain + (site.mains_flow or 0.0)))
-    # In a short tick the pumps lift what was there before it.
+    # In a short tick the pumps lift water that was there before it.
     held = received[:-1] if has_short_ticks(site) else received[1:]
     flow = np.fromiter((maximum_pump_flow(site, x1) for x1 in held), float, run.steps)
     usable = held - site.a1 * site.suction_level
@@ -98,7 +99,7 @@ def _limits(run: Run, max_command: float) -> RoofRange:
 
     roof = roof_range(site, run.x2, rain, evapotranspiration, pumped)
     supplied = _sums(run.x2, roof.unpumped) + np.concatenate([[0], mains])
-    # The plant adds up in another order, so its last digits differ.
+    # The plant adds in another order, so its last digits differ.
     slack = ROUNDING * (site.x2_star + roof.high.max())
     high = np.minimum(roof.high, supplied) + slack
     return roof._replace(low=roof.low - slack, high=high)
@@ -109,11 +110,11 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
 
     With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it minimises the
     sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} + c_b, where y_{-1} is 0 and p, m
-    and c have bounds. On field-capacity soil y_{b-1} has a factor. In the optimum p_b or m_b is 0,
-    so that limits of y_b are limits of each.
+    and c have bounds. On a field-capacity soil, y_{b-1} has a factor. In the optimum either p_b or
+    m_b is 0, so the limits of y_b are limits of both.
 
-    The cost is the dual's: every variable z is between two numbers, and the balance A z is 0. So
-    for any multipliers v, the sum of the minimum values of (w - A'v) z is a lower bound of w z,
+    The cost is that of the dual: every variable z is between two numbers, and the balance A z is 0.
+    So for any multipliers v, the sum of the minimum values of (w - A'v) z is a lower bound of w z,
     regardless of the solver's tolerance.
 
     Args:
@@ -125,9 +126,9 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
         A lower bound of the cost (m3).
 
     Raises:
-        NoBoundError: the solver found no optimum.
+        NoBoundError: if the solver finds no optimum.
     """
-    # Imported here: it takes half a second, and a study's first process solves nothing.
+    # Imported here because it takes half a second, and the first process of a study solves nothing.
     from scipy.optimize import linprog
     from scipy.sparse import diags, hstack, identity
 
@@ -170,7 +171,7 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
 def _changes(
     limits: RoofRange, slope: Values, edges: NDArray[np.int64]
 ) -> tuple[Values, Values, Values]:
-    """Return how the mean of each block on field-capacity soil follows from the one before it.
+    """Return how a block's mean follows from the previous block's on a field-capacity soil.
 
     Returns:
         A factor, and the minimum and the maximum of a block's mean minus that factor times the

@@ -1,4 +1,4 @@
-"""The run in one process, without ROS: controller and site in a closed loop."""
+"""A run in one process, without ROS: controller and site in a closed loop."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ _new = tuple.__new__
 
 
 class Tick(NamedTuple):
-    """What one tick of a run saw and did."""
+    """The observations and actions of one tick of a run."""
 
     k: int
-    """index of 0..N"""
+    """index of the tick, 0..N"""
     x1: float
     """volume in the cistern (m3)"""
     x2: float
     """volume on the roof (m3)"""
     layer: float
-    """volume in the drainage layer of field-capacity soil (m3), else 0"""
+    """volume in the drainage layer of a field-capacity soil (m3), otherwise 0"""
     cistern_level: float
     """m"""
     roof_level: float
-    """m, as the sensor reads it"""
+    """level that the sensor reads (m)"""
     precipitation: float
     """m/s"""
     evapotranspiration: float
-    """m3/s, before it is limited by the roof's water and by dry plants"""
+    """evapotranspiration before the roof's water and dry plants limit it (m3/s)"""
     frost: float
-    """1 in frost, when the command is 0; 0 without frost, or if unknown"""
+    """1 in frost, when the command is 0; otherwise 0, or if it is unknown"""
     command: float
     """share of the maximum flow"""
     flows: Flows
@@ -61,7 +61,7 @@ class Simulation:
     """A run that is simulated once.
 
     Attributes:
-        site: the simulated site, in the present tick.
+        site: the simulated site, in the current tick.
         metrics: metrics of the ticks so far.
     """
 
@@ -71,9 +71,9 @@ class Simulation:
         """Begin with tick 0.
 
         Args:
-            run: what to simulate.
-            controller: decides instead of a new one of the run's class.
-            outlet: commands the outlet's valve instead of the run's policy.
+            run: run to simulate.
+            controller: controller that replaces a new one of the run's class.
+            outlet: policy that replaces the run's own for the outlet's valve.
         """
         self._run = run
         self._controller = run.make_controller() if controller is None else controller
@@ -84,7 +84,7 @@ class Simulation:
         self._wall_s = 0.0
 
     def ticks(self) -> Iterator[Tick]:
-        """Run the ticks from the present one to N, and yield each after its step."""
+        """Run the ticks from the current one to N, and yield each of them after its step."""
         began = time.monotonic()
         run, site, controller, until = self._run, self.site, self._controller, self.site.tick
         policy, outlet, own_steps = self._outlet, 1.0, self._own_steps
@@ -131,12 +131,12 @@ class Simulation:
 
 
 def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
-    """Run the ticks to their end and return what happened.
+    """Run the ticks to their end, and return the trajectory.
 
     Args:
         run: the run.
         ticks: ticks of the run.
-        every: the first of this many ticks is kept, and the last one of the run.
+        every: number of ticks of which the first is kept; the run's last tick is also kept.
     """
     recorded = recorded_columns(run.site)
     values = attrgetter("k", *(column.tick for column in recorded))

@@ -1,9 +1,10 @@
 """The minimum discharge in wet weather for an amount of mains water, with all weather known.
 
-A linear program over the hours of a run, solved by HiGHS. The roof gets what a given run pumps;
-the valve of the low outlet and the mains are free. Weights of mains water, from little to much,
-give the points of the frontier: no control of the valve can have less discharge in wet weather with
-as little mains water, for the same irrigation. doc/explanation/bound.md has the proof.
+HiGHS solves a linear program over the hours of a run. The roof receives the water that the run
+pumps, while the valve of the low outlet and the mains are free. Every weight of mains water, from
+small to large, yields a point of the frontier: with the same irrigation, no control of the valve
+can discharge less in wet weather with as little mains water. The proof is in
+doc/explanation/bound.md.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from greenroof_ros.model.storm_water import Intervals, find_wet_weather, interva
 Values = NDArray[np.float64]
 
 WEIGHTS = (0.001, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
-"""Costs of a m3 of mains water, in m3 of discharge in wet weather, one for each point."""
+"""Costs of a m3 of mains water, in m3 of discharge in wet weather, one per point."""
 
 _HOUR_S = 3600.0
 # In a short tick an outlet can take what stands this far above the water (m).
@@ -39,9 +40,9 @@ class FrontierPoint(NamedTuple):
     """A point of the frontier."""
 
     weight: float
-    """of mains water: each run has at least this point's sum of discharge and weighted mains"""
+    """weight of mains water: no run has a smaller sum of discharge and weighted mains water"""
     wet_discharge_m3: float
-    """discharge in wet weather"""
+    """discharge in wet weather (m3)"""
     mains_m3: float
     """mains water"""
 
@@ -50,11 +51,11 @@ class Frontier(NamedTuple):
     """The frontier of a run, and the run itself."""
 
     points: list[FrontierPoint]
-    """the one with the most mains water first"""
+    """points, beginning with the one with the most mains water"""
     wet_discharge_m3: float
-    """the run's discharge in wet weather"""
+    """discharge of the run in wet weather (m3)"""
     mains_m3: float
-    """the run's mains water"""
+    """mains water used in the run (m3)"""
 
     def at(self, weight: float) -> FrontierPoint:
         """Return the point for a weight of mains water, one of :data:`WEIGHTS`."""
@@ -65,32 +66,32 @@ class Frontier(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Steps of a run of up to an hour, each in wet or in dry weather; arrays have shape (n,)."""
+    """Steps of up to an hour, each in wet or in dry weather; arrays have shape (n,)."""
 
     seconds: Values
     """duration (s)"""
     wet: NDArray[np.bool_]
-    """whether it is in wet weather"""
+    """whether the step is in wet weather"""
     inflow: Values
     """rain and kept drainage into the cistern (m3)"""
     pumped: Values
-    """to the roof (m3)"""
+    """water pumped to the roof (m3)"""
     highest: Values
-    """in the cistern at the beginning, if the valve is always closed (m3); shape (n + 1,)"""
+    """volume in the cistern at the beginning if the valve is always closed (m3), shape (n + 1,)"""
     lowest: float
-    """what the pumps leave in the cistern (m3)"""
+    """volume that the pumps leave in the cistern (m3)"""
 
 
 def simulate_frontier(run: Run, watch: Callable[[Tick], object] | None = None) -> Frontier:
-    """Simulate a run, and return the frontier for the irrigation that it had.
+    """Simulate a run, and return the frontier for its irrigation.
 
     Args:
-        run: at a site with a valve.
-        watch: is called with each tick.
+        run: run at a site with a valve.
+        watch: called with every tick.
 
     Raises:
-        ConfigurationError: the site has no valve.
-        NoBoundError: the solver found no optimum.
+        ConfigurationError: if the site has no valve.
+        NoBoundError: if the solver finds no optimum.
     """
     simulation = Simulation(run)
 
@@ -111,17 +112,17 @@ def bound_discharge(
     run: Run, flows: Iterable[tuple[float, float, float, float]],
     weights: Sequence[float] = WEIGHTS,
 ) -> list[FrontierPoint]:
-    """Return the frontier for the irrigation that a run had.
+    """Return the frontier for the irrigation of a run.
 
     Args:
-        run: at a site with a valve.
-        flows: of the ticks 0..N: rain (m/s), evapotranspiration, and what was pumped and drained
-            off the roof (m3/s).
-        weights: weights of mains water, rising.
+        run: run at a site with a valve.
+        flows: rain (m/s), evapotranspiration, pumped water and drainage of the roof (m3/s) in the
+            ticks 0..N.
+        weights: weights of mains water, in ascending order.
 
     Raises:
-        ConfigurationError: the site has no valve.
-        NoBoundError: the solver found no optimum.
+        ConfigurationError: if the site has no valve.
+        NoBoundError: if the solver finds no optimum.
     """
     site, tau = run.site, run.site.tau
     if not site.low_outlet_valve:
@@ -147,7 +148,7 @@ def bound_discharge(
     firsts = np.flatnonzero(begins)
     fallen, to_roof, drained = (np.add.reduceat(values[1:], firsts) for values in sums)
     kept, ends = site.drainage_to_cistern * drained, [*firsts, len(wet)]
-    # The last tick that pumps begins at the suction level or above.
+    # The last tick in which the pumps run begins at the suction level or above.
     lowest = min(run.x1, site.cistern_volume(site.suction_level)) - most_pumped
     steps = Steps(
         np.diff(times[ends]), wet[firsts], fallen * site.effective_catchment + kept, to_roof,
@@ -163,29 +164,29 @@ def bound_discharge(
 def find_frontier(
     site: Site, x1: float, steps: Steps, weights: Sequence[float] = WEIGHTS
 ) -> list[FrontierPoint]:
-    """Return the frontier without the roof's drainage, the point with the most mains water first.
+    """Return the frontier without the roof's drainage, beginning with the most mains water.
 
     In each step, with the volume v at its beginning,
 
         v' = v + inflow + mains - pumped - released - overflow.
 
-    - v' is at most full, or what it is with a closed valve if that is more. It is at least what the
-      pumps leave.
-    - Released is at most what the open valve takes from the highest volume in the step.
-    - Overflow is at most what flows in and what stands above the upper outlet at the beginning.
-    - Mains is at most what its pipe gives.
+    - v' is at most full, or the volume with a closed valve if that is larger. It is at least the
+      volume that the pumps leave.
+    - Released is at most the volume that the open valve takes from the highest volume in the step.
+    - Overflow is at most the inflow plus the volume above the upper outlet at the beginning.
+    - Mains is at most the volume that its pipe can supply.
 
-    Each run with this irrigation satisfies this, so its discharge in wet weather plus the weighted
-    mains water is not below the optimum.
+    Every run with this irrigation satisfies these conditions, so its discharge in wet weather plus
+    the weighted mains water is not below the optimum.
 
     Args:
         site: site with a valve.
         x1: volume in the cistern at the beginning (m3).
         steps: steps of the run.
-        weights: weights of mains water, rising.
+        weights: weights of mains water, in ascending order.
 
     Raises:
-        NoBoundError: the solver found no optimum.
+        NoBoundError: if the solver finds no optimum.
     """
     from scipy.optimize import linprog
     from scipy.sparse import diags, hstack, identity

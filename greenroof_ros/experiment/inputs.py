@@ -77,7 +77,7 @@ class RunInputs:
         default=None,
     )
     cistern: float | None = entry(
-        "instead of a named state: initial volume in the cistern; also set the roof's", 0.0, 1e9,
+        "instead of a named state: initial volume in the cistern; needs roof, too", 0.0, 1e9,
         unit="m3", default=None,
     )
     roof: float | None = entry(

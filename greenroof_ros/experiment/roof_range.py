@@ -1,4 +1,4 @@
-"""The volumes that the roof can have in a run, and the changes that it can make in each tick."""
+"""The volumes that the roof can have in a run, and the changes that are possible in each tick."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RoofRange(NamedTuple):
     unpumped: Values
     """maximum change in each tick without pumping, shape (N,)"""
     slope: Values | None = None
-    """from 0 to 1, shape (N,); None means 1 in each tick: limits of the change alone"""
+    """slope from 0 to 1, shape (N,); None means 1 in every tick, so the limits are of the change"""
 
 
 def roof_range(
@@ -42,11 +42,11 @@ def roof_range(
     """Follow the range of the roof's volume for everything that the pumps can do.
 
     Args:
-        site: its parameters.
+        site: parameters of the site.
         x2: initial volume (m3).
-        rain: rain in each tick (m/s), shape (N,).
+        rain: rain rate in each tick (m/s), shape (N,).
         evapotranspiration: evapotranspiration in each tick (m3/s), shape (N,).
-        pumped: the most that the pumps can lift in each tick (m3), shape (N,).
+        pumped: maximum volume that the pumps can lift in each tick (m3), shape (N,).
     """
     soil, short = soil_of(site), has_short_ticks(site)
     target = (1 + ROUNDING) * site.a2 * site.z_veg
@@ -76,21 +76,21 @@ def _limits_of_tick(
 ) -> tuple[float, ...]:
     """Follow the range of the roof's volume through a tick.
 
-    On field-capacity soil the share of arriving water that stays falls with the volume; evaporation
-    and the excess above field capacity rise with it. So the change without pumping is a maximum at
-    the minimum volume, as on the paper's, which drains above z_cap. The volume after a tick rises
-    with the volume before it, by about the slope of the chord over the range. Minus this slope
-    times the volume before, its limits are close together.
+    On a field-capacity soil, the share of arriving water that stays falls with the volume, while
+    evaporation and the excess above field capacity rise with it. So the change without pumping is
+    largest at the minimum volume, as on the paper's soil, which drains above z_cap. The volume
+    after a tick rises with the volume before it, by about the slope of the chord over the range. If
+    this slope times the volume before the tick is subtracted, the limits are close together.
 
     Args:
-        site: its parameters.
+        site: parameters of the site.
         soil: soil of the site.
         low: minimum volume before the tick (m3).
-        high: maximum volume before it (m3).
+        high: maximum volume before the tick (m3).
         rain: rain on the roof (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
-        max_pumped: the most that the pumps can lift in the tick (m3).
-        short: whether it is a short tick, in which the pumps can fill the roof above its target.
+        max_pumped: maximum volume that the pumps can lift in the tick (m3).
+        short: whether the tick is short, so the pumps can fill the roof above its target.
 
     Returns:
         The fields of :class:`RoofRange`; the slope is 1 on the paper's soil.
@@ -116,7 +116,7 @@ def _limits_of_tick(
                 pumped_to = min(pumped_to, filled - line * low)
             reached[line] = reached[line][0], max(reached[line][1], pumped_to)
     unpumped = max(_ends(site, soil, low, low, rain, potential, 1.0))
-    # A roof that runs dry ends at 0, not below: it loses what it held, at least low.
+    # A roof that runs dry ends at 0 and not below it: it loses the water it held, at least low.
     return (
         max(0.0, reached[0.0][0]), max(0.0, reached[0.0][1]), reached[slope][0],
         max(reached[slope][1], -slope * low), max(unpumped, -low), slope,
@@ -128,22 +128,22 @@ def _ends(
 ) -> list[float]:
     """Return candidates for the minimum and maximum volume after a tick, minus a line (m3).
 
-    The paper's soil drains from z_cap on, with a jump, and linearly above it. So the extremes are
-    at the ends of the range and on both sides of z_cap.
+    The drainage of the paper's soil begins at z_cap with a jump, and is linear above it. So the
+    extremes are at the ends of the range and on both sides of z_cap.
 
-    On field-capacity soil, between the wilting point, the onset of stress and field capacity the
-    volume after a tick is a concave function of the volume before it, and continuous; to subtract a
-    line changes neither. So the minimum is at an end of these pieces, and the maximum at an end or
-    where the slope is 0.
+    On a field-capacity soil, the volume after a tick is a continuous and concave function of the
+    volume before it between the wilting point, the onset of stress and field capacity; subtracting
+    a line changes neither property. So the minimum is at an end of these pieces, and the maximum is
+    at an end or where the slope is 0.
 
     Args:
-        site: its parameters.
+        site: parameters of the site.
         soil: soil of the site.
         low: minimum volume before the tick (m3).
         high: maximum volume before the tick (m3).
         arriving: rain and pumped water (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
-        line: its slope: this many times the volume before the tick is subtracted.
+        line: slope of the line: this many times the volume before the tick is subtracted.
     """
     if not soil.measured:
         full, ends = site.z_cap, []
