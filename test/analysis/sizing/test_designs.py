@@ -57,7 +57,7 @@ def test_assumptions_are_named() -> None:
     assert len(assumed) == 2
     assert "a level of 0.77 m, 20 mm above the pumps' suction level" in assumed[0]
     assert "0.688 m³/h, which is 10 mm/h over the roof" in assumed[0]
-    assert "a level of 0.8 m, 30 mm above that of the mains" in assumed[1]
+    assert "a level of 0.8 m, 30 mm above the level of the mains" in assumed[1]
     assert designs[0].site.mains_flow == pytest.approx(0.688 / 3600)
 
 
