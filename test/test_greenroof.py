@@ -103,6 +103,6 @@ def test_an_unknown_option_is_refused_with_what_it_means(
 def test_a_command_imports_what_it_needs(tmp_path: Path) -> None:
     helped, _ = imported_by(tmp_path, "--help")
     assert not helped & {"numpy", "rich", "yaml", "rclpy"}
-    simulated, _ = imported_by(tmp_path, "simulate --hours 0.01")
+    simulated, _ = imported_by(tmp_path, "simulate --hours 0.01 --controller mpc")
     assert "osqp" in simulated
     assert not simulated & {"rclpy", "pymodbus", "mcap", "aiohttp", "polars"}
