@@ -49,7 +49,7 @@ WRONG = {
     ),
     "no-file": (edit_grid("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
     "year": (edit_grid(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be {from: 1, to: 5"),
-    "state-twice": (edit_grid("name: dry", "name: low-low"), "line 8: name = 'low-low': is given"),
+    "state-twice": (edit_grid("name: dry", "name: low-low"), "line 8: name = 'low-low': appears"),
     "parameter": (edit_grid("weight", "weights"), "line 11: weights: is not a key here; did you"),
     "value": (edit_grid("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than"),
     "sensor_and_pump-twice": (
@@ -72,7 +72,7 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
     ("options", "expected"),
     [
         (["grid.yaml", "--output", "out"], WRONG["value"][1]),
-        (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs = 2: cannot be used with"),
+        (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs = 2: cannot be combined with"),
         (["--output", "/proc/study"], "--output = '/proc/study': cannot be read or written"),
     ],
 )
