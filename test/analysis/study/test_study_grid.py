@@ -72,7 +72,7 @@ def test_wrong_grid(tmp_path: Path, name: str) -> None:
     ("options", "expected"),
     [
         (["grid.yaml", "--output", "out"], WRONG["value"][1]),
-        (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs = 2: cannot be combined with"),
+        (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs = 2: cannot be combined"),
         (["--output", "/proc/study"], "--output = '/proc/study': cannot be read or written"),
     ],
 )
