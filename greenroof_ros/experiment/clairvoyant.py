@@ -205,7 +205,7 @@ def _compose(
 ) -> tuple[Values, Values, Values]:
     """Return slope, minimum and maximum of ``ticks`` ticks in a row, from each tick on.
 
-    Slopes are not negative, so that the minimum result comes from the minimum volume.
+    Slopes are not negative, so the minimum result follows from the minimum volume.
     """
     factor, low, high = slope, minimum, maximum
     for done in range(1, ticks):

@@ -1,4 +1,4 @@
-"""The cisterns of many sites: what flows in and out in a tick, as in :class:`.plant.Plant`."""
+"""The cisterns of many sites: inflow and outflow in a tick, as in :class:`.plant.Plant`."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Cisterns:
         )))
 
     def take(self, rows: Rows | slice) -> Cisterns:
-        """Return some of them, or all for a slice."""
+        """Return a selection of the cisterns, or all of them for a slice."""
         return self if isinstance(rows, slice) else Cisterns(self._values.take(rows, axis=1))
 
     def pump_flow(self, x1: Values) -> Values:
@@ -110,7 +110,7 @@ class Cisterns:
         return CisternFlows((share * pump)[None], share * out, share * low, mains), limited
 
     def is_quick(self, pumped: Values) -> Flags:
-        """Return where pumps move so much in a tick (m3) that it is divided into steps."""
+        """Return where pumps move so much in a tick (m3) that the tick is divided into steps."""
         return np.asarray(pumped > self._much)
 
     def drain(self, seconds: float, steps: int, x1: Values, outlet: Values) -> Values:

@@ -110,7 +110,7 @@ class Plants:
             self._min_lifted.fill(0.0)
 
     def set_weather(self, rain: Values, potential: Values) -> None:
-        """Set the weather of the present tick and of those that follow.
+        """Set the weather of the current tick and of those that follow.
 
         Args:
             rain: rain on each site (m/s).
@@ -126,11 +126,11 @@ class Plants:
         self._pumps_below = (1 + _ROUNDING) * np.minimum(highest - least, sites.a2 * self._dry)
 
     def tick(self, outlet: Values, allowed: Flags | None = None) -> Moved:
-        """Return what moves during the present tick, and move on to the next.
+        """Return the water that moves during the current tick, and move on to the next tick.
 
         Args:
             outlet: share to which each low outlet is open (1).
-            allowed: where the pumps may run; None for all.
+            allowed: whether the pumps of each site may run; None if all may run.
         """
         moved, soils = self.moved, self._soils
         (self.all_moved if self.flowed else moved.pump).fill(0.0)
@@ -159,9 +159,9 @@ class Plants:
     # --- pumps ------------------------------------------------------------------------------
 
     def _find_pumping(self, allowed: Flags | None) -> _Pumping | None:
-        """Return where pumps may run in the tick, and what they move then; None if nowhere.
+        """Return where pumps may run in the tick and how much they move, or None if none may run.
 
-        On/off control, Eq. (12): it pumps while the roof is too dry and the cistern holds enough.
+        On/off control, Eq. (12), pumps while the roof is too dry and the cistern holds enough.
         """
         below = self.x2 <= self._pumps_below
         if allowed is not None:
@@ -192,7 +192,7 @@ class Plants:
     # --- cisterns ---------------------------------------------------------------------------
 
     def _step_short(self, pumping: _Pumping | None, outlet: Values) -> Values:
-        """Write the flows of cisterns in a short tick; return what they hold after it (m3)."""
+        """Write the flows of cisterns in a short tick, and return their volumes after it (m3)."""
         cisterns, x1 = self._cisterns, self.x1
         flow = np.zeros_like(x1)
         if pumping is not None:
@@ -204,7 +204,7 @@ class Plants:
         return self._write(_ALL, flows)
 
     def _write(self, rows: Rows, flows: CisternFlows) -> Values:
-        """Write the flows of some cisterns; return what they hold then (m3)."""
+        """Write the flows of some cisterns, and return their volumes afterwards (m3)."""
         moved, pump = self.moved, flows.volumes.sum(axis=0)
         moved.pump[rows], moved.mains[rows] = pump, flows.mains
         moved.outflow[rows], moved.low_outlet[rows] = flows.outflow, flows.low_outlet
@@ -233,7 +233,7 @@ class Plants:
         return self._write(_ALL, flows), flows
 
     def _step_wet(self, pumping: _Pumping | None, outlet: Values) -> Values:
-        """Write the flows of cisterns in a long tick with rain; return what they hold after it."""
+        """Write the flows of cisterns in a long tick with rain, and return their volumes (m3)."""
         filled = self._cisterns.filled
         after = self.x1 + self._tau * self._collected
         stepped = (after > self._find_calm(outlet)) | (self.x1 < filled)
@@ -243,7 +243,7 @@ class Plants:
         return after
 
     def _step_dry(self, pumping: _Pumping | None, outlet: Values) -> Values:
-        """Write the flows of cisterns in a long tick without rain; return what they hold after."""
+        """Write the flows of cisterns in a long tick without rain; return their volumes (m3)."""
         cisterns, moved = self._cisterns, self.moved
         flowing = self.x1 > self._find_calm(outlet)
         stepped = self.x1 > self._low_only
@@ -353,7 +353,7 @@ class Plants:
             moved.drainage[rows], layer[rows] = drained, remaining
 
     def _empty_layers(self) -> None:
-        """Let drainage layers drain that no water reaches."""
+        """Empty the drainage layers that no water reaches."""
         layer, drainage = self.layer, self.moved.drainage
         if not self._layers:
             drainage.fill(0.0)
