@@ -57,7 +57,9 @@ def __dir__() -> list[str]:
 
 # Bash's exit code after Ctrl-C, and the signals that ask a process to end.
 INTERRUPTED = 130
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = tuple(  # Windows has no SIGHUP
+    signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
 
 
 def end_interrupted(*_: Any) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
@@ -27,7 +26,7 @@ from greenroof_ros.common.command_line import (
     make_number_type,
 )
 from greenroof_ros.common.errors import ConfigurationError, rename_keys, require_extra
-from greenroof_ros.common.processes import InterruptedRun, Signals
+from greenroof_ros.common.processes import InterruptedRun, Signals, count_cores
 from greenroof_ros.common.progress import ProgressBar
 from greenroof_ros.experiment.inputs import INPUTS
 from greenroof_ros.experiment.options import add_option, option_of
@@ -120,7 +119,7 @@ def main() -> int:
     _refuse_other_files(arguments.output)
     given: dict[str, Any] = {name: getattr(arguments, name) for name in OPTIONS}
     if given["jobs"] is None:
-        given["jobs"] = len(os.sched_getaffinity(0))
+        given["jobs"] = count_cores()
     signals = Signals()  # a signal ends the runs at the next check
     try:
         with ProgressBar() as progress, rename_keys({name: option_of(name) for name in OPTIONS}):

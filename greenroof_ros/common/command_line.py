@@ -32,6 +32,7 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_OCCUPIED = 3
 EXIT_INTERRUPTED = INTERRUPTED
+_HAS_TIMER = hasattr(signal, "setitimer")  # Windows has none
 
 
 def exit_code(error: Exception) -> int:
@@ -72,10 +73,11 @@ class _Interrupts:
         while frame is not None and self.received <= self._MAX_IMPORTS:
             is_importing |= frame.f_code.co_filename.startswith("<frozen importlib")
             frame = frame.f_back
-        # As the signal again, for whatever handler is installed by then.
-        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
-        signal.setitimer(signal.ITIMER_REAL, self._IMPORT_S if is_importing else self._REPEAT_S)
-        if not is_importing:
+        if _HAS_TIMER:
+            # As the signal again, for whatever handler is installed by then.
+            signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
+            signal.setitimer(signal.ITIMER_REAL, self._IMPORT_S if is_importing else self._REPEAT_S)
+        if not (is_importing and _HAS_TIMER):
             raise Interrupted(signal.Signals(number).name)
 
     def end(self) -> None:
@@ -88,7 +90,8 @@ class _Interrupts:
 
 def end_repeats() -> None:
     """Stop raising :class:`Interrupted`: the command has begun to end, and is writing how."""
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    if _HAS_TIMER:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def check_interrupts() -> None:

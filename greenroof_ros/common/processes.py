@@ -6,10 +6,8 @@ import contextlib
 import ctypes
 import errno
 import faulthandler
-import fcntl
 import hashlib
 import os
-import select
 import shutil
 import signal
 import socket
@@ -25,6 +23,9 @@ from typing import Any
 
 from greenroof_ros import SIGNALS
 from greenroof_ros.common.errors import ConfigurationError, HangError
+
+with contextlib.suppress(ImportError):  # Windows has none
+    import fcntl
 
 _PR_SET_PDEATHSIG = 1
 # The environment variable of a child that must end with its parent: the parent's number.
@@ -54,19 +55,25 @@ def end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def end_with(process: int) -> None:
-    """End this process immediately when another process, parent or not, has ended in any way."""
+def end_worker_with_command() -> None:
+    """End this worker immediately when the process that asked for it has ended in any way.
+
+    That process is not always the parent: workers are children of multiprocessing's fork server.
+    """
+    import multiprocessing  # takes long, and only workers need it
 
     def watch() -> None:
         try:
-            select.select([os.pidfd_open(process)], [], [])
-        finally:  # even if it had ended before
+            if (command := multiprocessing.parent_process()) is not None:
+                command.join()
+        finally:
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
 
 
-_FLAGS = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+# Windows has no O_NOFOLLOW, and other systems no O_BINARY.
+_FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 # Length of the address of a Unix socket (bytes), and what the kernel reports about its listener:
 # process, user and group.
 _MAX_ADDRESS = 107
@@ -128,6 +135,28 @@ def _find_listener(address: str) -> int | None:
     return int(_CREDENTIALS.unpack(credentials)[0]) or None  # 0: in another process namespace
 
 
+def _lock(descriptor: int) -> None:
+    """Lock an open file or directory until it is closed.
+
+    Raises:
+        BlockingIOError: if another process has locked it.
+    """
+    if "fcntl" in globals():
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return
+    import msvcrt
+
+    # A byte beyond the content, since Windows lets nobody else read what is locked.
+    os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
+    try:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    except OSError as error:
+        raise BlockingIOError(*error.args) from None
+    finally:
+        os.lseek(descriptor, 0, os.SEEK_SET)
+
+
+_LOCKED_BYTE = 1 << 30
 LOCK_BYTES = 32
 """length of the holder's number in a lock file (bytes); what follows it belongs to the holder"""
 
@@ -146,7 +175,7 @@ def acquire_file_lock(path: Path) -> FileIO:
     while True:
         lock = FileIO(os.open(path, _FLAGS, 0o600), "r+")
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _lock(lock.fileno())
         except BlockingIOError:
             text = lock.read(LOCK_BYTES).decode("ascii", "replace").strip()
             lock.close()
@@ -160,8 +189,8 @@ def acquire_file_lock(path: Path) -> FileIO:
     return lock
 
 
-IN_MEMORY = "/dev/shm"
-"""a place for files in memory (Linux)"""
+IN_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
+"""a place for files in memory; None if the system has none, as other systems than Linux"""
 # Directories of temporary files; nothing else may have such a name.
 _SCRATCH = "greenroof_ros_scratch-"
 
@@ -176,6 +205,12 @@ def scratch_directory(place: str | None = None) -> Iterator[Path]:
     Args:
         place: where to make it; by default the system's directory for temporary files.
     """
+    if not hasattr(os, "O_DIRECTORY"):  # Windows cannot lock a directory
+        with tempfile.TemporaryDirectory(
+            prefix=_SCRATCH, dir=place, ignore_cleanup_errors=True
+        ) as made:
+            yield Path(made)
+        return
     for stale in Path(place or tempfile.gettempdir()).glob(f"{_SCRATCH}*"):
         with contextlib.suppress(OSError), _lock_directory(stale):  # another user's, or in use
             shutil.rmtree(stale)
@@ -200,7 +235,7 @@ def _lock_directory(directory: Path) -> Iterator[None]:
     """
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _lock(descriptor)
         yield
     finally:
         os.close(descriptor)
@@ -232,26 +267,37 @@ def refuse_forked_polars() -> None:
 
 
 _IMPORTED_BY = os.getpid()
-os.register_at_fork(before=_watch_polars)
-# A pipe to which Python writes the number of each signal; None until it is set up.
-_stored: int | None = None
+if hasattr(os, "register_at_fork"):  # Windows does not fork
+    os.register_at_fork(before=_watch_polars)
+# Sockets between which Python sends the number of each signal; None until it is set up. On Windows,
+# numbers cannot be sent through a pipe.
+_stored: tuple[socket.socket, socket.socket] | None = None
 
 
 def store_signals() -> None:
     """Store every signal from now on, whoever handles it in Python, for :func:`find_signal`."""
     global _stored
-    _stored, writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    _stored = socket.socketpair()
+    for end in _stored:
+        end.setblocking(False)
+    signal.set_wakeup_fd(_stored[1].fileno(), warn_on_full_buffer=False)
 
 
 def find_signal() -> signal.Signals | None:
     """Return a signal that asks to end and came since the last call; None if there was none."""
     if _stored is not None:
         with contextlib.suppress(BlockingIOError):
-            for number in os.read(_stored, 4096):
+            for number in _stored[0].recv(4096):
                 if number in SIGNALS:
                     return signal.Signals(number)
     return None
+
+
+def count_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):  # Linux
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class InterruptedRun(Exception):

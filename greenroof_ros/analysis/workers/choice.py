@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -15,7 +14,7 @@ from greenroof_ros.common.command_line import (
     make_number_type,
     refuse,
 )
-from greenroof_ros.common.processes import Signals
+from greenroof_ros.common.processes import Signals, count_cores
 
 
 def add_worker_arguments(parser: argparse.ArgumentParser, what: str) -> None:
@@ -84,7 +83,7 @@ def open_workers(
             other versions; raised when the context is entered.
     """
     if arguments.scheduler is None:
-        return processes(arguments.jobs or len(os.sched_getaffinity(0)), files, preload)
+        return processes(arguments.jobs or count_cores(), files, preload)
     from greenroof_ros.analysis.workers.cluster import cluster  # needs an extra
 
     return cluster(arguments.scheduler, files)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
-import os
 import pickle
 import signal
 import tempfile
@@ -16,14 +15,14 @@ from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
-from multiprocessing import forkserver, resource_tracker
+from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import uuid4
 
 from greenroof_ros.analysis.workers.input_files import write_inputs
 from greenroof_ros.common.files import add_path_to_errors
-from greenroof_ros.common.processes import end_with, scratch_directory
+from greenroof_ros.common.processes import end_worker_with_command, scratch_directory
 
 
 class WorkersLostError(BrokenExecutor):
@@ -76,23 +75,13 @@ def processes(
     Raises:
         WorkersLostError: if a process ended unexpectedly or was killed.
     """
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([*preload])
-    # Ctrl-C on a terminal also reaches the fork server, which would print a traceback. So the
-    # signal is blocked in the server and its workers from the start; this process receives it a
-    # moment later.
-    resource_tracker.ensure_running()  # first, because it unblocks the signal
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        forkserver.ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    context = _start_fork_server(preload)
     # A worker that is killed does not delete its temporary files.
     with scratch_directory() as scratch:
         inputs = scratch / "inputs"
         inputs.mkdir()
         write_inputs(files, inputs)
-        executor = ProcessPoolExecutor(jobs, context, _prepare, (str(scratch), os.getpid()))
+        executor = ProcessPoolExecutor(jobs, context, _prepare, (str(scratch),))
         try:
             task = partial(_to_file, inputs)
             yield Workers(partial(executor.submit, task), _from_file, lambda: None, jobs)
@@ -107,6 +96,26 @@ def processes(
             # This waits for the executor's thread; after a shutdown without waiting, nothing can
             # wait for it, and when Python ends it closes a pipe to which Python still writes.
             executor.shutdown(cancel_futures=True)
+
+
+def _start_fork_server(preload: Sequence[str]) -> BaseContext:
+    """Return the context in which workers start: a fork server, or on Windows new processes."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    from multiprocessing import forkserver, resource_tracker
+
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([*preload])
+    # Ctrl-C on a terminal also reaches the fork server, which would print a traceback. So the
+    # signal is blocked in the server and its workers from the start; this process receives it a
+    # moment later.
+    resource_tracker.ensure_running()  # first, because it unblocks the signal
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    return context
 
 
 def _to_file(directory: Path, function: Callable[..., Any], *arguments: Any) -> Path:
@@ -129,7 +138,7 @@ def _from_file(future: Future[Path]) -> Any:
     return result
 
 
-def _prepare(scratch: str, command: int) -> None:
+def _prepare(scratch: str) -> None:
     """Prepare a worker: set its directory for temporary files, silence warnings, and tie its end.
 
     Warnings from single runs would break the progress bar. The worker ends together with the
@@ -137,8 +146,7 @@ def _prepare(scratch: str, command: int) -> None:
 
     Args:
         scratch: directory for temporary files, which the command deletes.
-        command: process number of the command.
     """
-    end_with(command)
+    end_worker_with_command()
     tempfile.tempdir = scratch
     logging.getLogger("greenroof_ros").setLevel(logging.ERROR)
