@@ -1,7 +1,8 @@
 """An animation: the same storm with a full cistern, and with a valve that made room.
 
-A picture of SVG with CSS, from two simulated runs. Where nothing moves (print, readers who ask for
-less motion, programs without CSS animation) it shows the storm at its height.
+The picture is SVG with CSS, drawn from two simulated runs. Where nothing moves (in print, for
+readers who ask for less motion, in programs without CSS animation) it shows the storm at its
+height.
 """
 
 from __future__ import annotations
@@ -33,8 +34,7 @@ _TIMELINE_LEFT, _TIMELINE_HEIGHT = 50, 80
 _GROUND = 236
 _STYLE = """
 text{fill:#1f2328}.title{font-size:19px;font-weight:bold}.caption{font-size:17px;font-weight:bold}
-.name{fill:#fff;stroke:#2a6cb5;stroke-width:3px;paint-order:stroke;text-anchor:middle}
-.small{font-size:15px}.fill{transform-box:fill-box;transform-origin:bottom}
+.name{text-anchor:middle}.small{font-size:15px}
 .rain,.plant,.pipe,.outlet{fill:none;stroke-width:2}.rain,.plant{stroke-linecap:round}
 .rain{stroke:#0072b2}.plant{stroke:#2f8f46}.pipe{stroke:#59636e;stroke-width:3}
 .outlet{stroke-width:7}.tank{fill:#fff;stroke-width:2.5}
@@ -51,28 +51,43 @@ def _simulate(outlet: str) -> gr.Result:
     )
 
 
+# How an animation sets a value: in a frame, and as an attribute of the still picture.
+_HEIGHT = "transform:scaleY({:.3f})", 'transform="scale(1 {:.3f})"'
+_SHADE = "opacity:{:.1f}", 'opacity="{:.1f}"'
+_PLACE = "transform:translateX({:.1f}px)", 'transform="translate({:.1f} 0)"'
+
+
 class _Keyframes:
-    """Animations of elements, each from a value for each frame."""
+    """Animations of elements, each from a value for each frame.
+
+    Attributes:
+        rules: the animations, in CSS.
+        start: the beginning of each animated element: its name, and how it looks without motion.
+    """
 
     def __init__(self) -> None:
         self.rules: list[str] = []
+        self.start: dict[str, str] = {}
 
-    def add(self, name: str, form: str, values: Values) -> None:
-        """Add an animation of one property, such as ``opacity:{:.2f}``."""
-        texts = [form.format(value) for value in values]
+    def add(self, name: str, form: tuple[str, str], values: Values) -> None:
+        """Add an animation of one property: ``_HEIGHT``, ``_SHADE`` or ``_PLACE``."""
+        in_frame, as_attribute = form
+        self.start[name] = f'id="{name}" {as_attribute.format(values[_STILL])}'
+        texts = [in_frame.format(value) for value in values]
         frames = [
             f"{100 * frame / (_FRAMES - 1):.4g}%{{{text}}}" for frame, text in enumerate(texts)
             # A frame that equals its neighbours is left out.
             if frame in (0, _FRAMES - 1) or not texts[frame - 1] == text == texts[frame + 1]
         ]
         self.rules.append(
-            f"#{name}{{{texts[_STILL]};animation-name:{name}}}"
-            f"@keyframes {name}{{{''.join(frames)}}}\n"
+            f"#{name}{{animation-name:{name}}}@keyframes {name}{{{''.join(frames)}}}\n"
         )
 
 
-def _panel(key: str, left: float, top: float, title: str, caption: str, valve: bool) -> str:
-    """Return the drawing of a house, its moving parts with names that begin with a key."""
+def _panel(
+    keyframes: _Keyframes, key: str, left: float, top: float, title: str, caption: str, valve: bool
+) -> str:
+    """Return the drawing of a house; the names of its animations begin with a key."""
     bottom, soil = _CISTERN_TOP + _CISTERN_HEIGHT, _SOIL_TOP + _SOIL_HEIGHT
     drops = " ".join(f"M{x} {y} l-4 12" for y in (32, 58) for x in range(40 + y % 20, 330, 28))
     blades = "q-1 -8 -5 -11 m5 11 q1 -9 6 -12"
@@ -81,15 +96,16 @@ def _panel(key: str, left: float, top: float, title: str, caption: str, valve: b
     low = f"M246 {bottom - 20} h46"
 
     def water(part: str, x: float, y: float, width: float, height: float, colour: str) -> str:
+        # Its bottom is at 0, from where its height is scaled.
         return (
-            f'<rect id="{key}-{part}" class="fill" x="{x}" y="{y}" width="{width}" '
-            f'height="{height}" fill="{colour}"/>'
+            f'<g transform="translate({x} {y + height})"><rect {keyframes.start[f"{key}-{part}"]} '
+            f'y="{-height}" width="{width}" height="{height}" fill="{colour}"/></g>'
         )
 
     parts = (
         f'<g transform="translate({left} {top})">',
         f'<text x="40" y="24" class="title">{title}</text>',
-        f'<path id="{key}-rain" class="rain" d="{drops}"/>',
+        f'<path {keyframes.start[f"{key}-rain"]} class="rain" d="{drops}"/>',
         # the green roof, the ordinary one, and the house
         f'<path d="M40 {_SOIL_TOP} h110 V{soil} h-110z" fill="#d0b48c"/>',
         water("soil", 40, _SOIL_TOP, 110, _SOIL_HEIGHT, "#4a90e2"),
@@ -105,8 +121,8 @@ def _panel(key: str, left: float, top: float, title: str, caption: str, valve: b
         water("cistern", 62, _CISTERN_TOP, 182, _CISTERN_HEIGHT - 2, "#4a90e2"),
         f'<text x="153" y="{bottom - 42}" class="name">cistern</text>',
         f'<path class="outlet" stroke="#aab2bb" d="{over} {low}"/>',
-        f'<path id="{key}-over" class="outlet" stroke="#b3261e" d="{over}"/>',
-        f'<path id="{key}-low" class="outlet" stroke="#0072b2" d="{low} v20"/>',
+        f'<path {keyframes.start[f"{key}-over"]} class="outlet" stroke="#b3261e" d="{over}"/>',
+        f'<path {keyframes.start[f"{key}-low"]} class="outlet" stroke="#0072b2" d="{low} v20"/>',
         f'<path d="M248 {bottom - 32} v24 l24 -24 v24z" fill="#c25400"/>' if valve else "",
         # what has reached the sewer
         f'<text x="336" y="{_GAUGE_TOP - 14}" class="small" text-anchor="middle">sewer</text>',
@@ -143,11 +159,11 @@ def _timeline(run: gr.Result, keyframes: _Keyframes, width: float, bottom: float
         f'y="{bottom + 18}">{label}</text>'
         for hour, label in ((0, "7 July 2021"), (24, "8 July 2021"))
     )
-    keyframes.add("cursor", "transform:translateX({:.1f}px)", np.linspace(0.0, length, _FRAMES))
+    keyframes.add("cursor", _PLACE, np.linspace(0.0, length, _FRAMES))
     return (
         f'<g fill="#0072b2">{bars}</g>'
         f'<path d="M{_TIMELINE_LEFT} {bottom} h{length}" stroke="#59636e"/>'
-        f'<path id="cursor" d="M{_TIMELINE_LEFT} {bottom} v-44" stroke="#1f2328" '
+        f'<path {keyframes.start["cursor"]} d="M{_TIMELINE_LEFT} {bottom} v-44" stroke="#1f2328" '
         f'stroke-width="2"/>{marks}<text class="small" x="8" y="{bottom - 4}">rain</text>'
     )
 
@@ -162,23 +178,23 @@ def draw(narrow: bool) -> str:
     columns, rows = (1, 2) if narrow else (2, 1)
     for key, outlet, place, title in (
         ("full", "closed", 0, "A full cistern overflows"),
-        ("room", "plan", 1, "A valve made room before"),
+        ("room", "plan", 1, "A valve made room the night before"),
     ):
         run = _simulate(outlet)
         ticks, site, wet[key] = run.ticks, run.run.site, run.metrics["wet_discharge_m3"]
         picked = np.linspace(0, len(ticks.cistern) - 1, _FRAMES).round().astype(int)
         for part, form, values in (
-            ("cistern", "transform:scaleY({:.3f})", ticks.cistern / _FULL),
-            ("soil", "transform:scaleY({:.3f})", ticks.roof / site.z_cap),
-            ("sewer", "transform:scaleY({:.3f})", _cumulated_wet_discharge(run) / _GAUGE_M3),
-            ("rain", "opacity:{:.1f}", np.minimum(1.0, ticks.precipitation * 3.6e6 / 2)),
-            ("over", "opacity:{:.0f}", (ticks.outflow - ticks.low_outlet > _VISIBLE)),
-            ("low", "opacity:{:.0f}", (ticks.low_outlet > _VISIBLE)),
+            ("cistern", _HEIGHT, ticks.cistern / _FULL),
+            ("soil", _HEIGHT, ticks.roof / site.z_cap),
+            ("sewer", _HEIGHT, _cumulated_wet_discharge(run) / _GAUGE_M3),
+            ("rain", _SHADE, np.minimum(1.0, ticks.precipitation * 3.6e6 / 2)),
+            ("over", _SHADE, (ticks.outflow - ticks.low_outlet > _VISIBLE)),
+            ("low", _SHADE, (ticks.low_outlet > _VISIBLE)),
         ):
             keyframes.add(f"{key}-{part}", form, np.asarray(values, float)[picked])
         caption = f"{wet[key]:.1f} m³ to the sewer in wet weather"
         left, top = place % columns * _PANEL_WIDTH, place // columns * _PANEL_HEIGHT
-        panels.append(_panel(key, left, top, title, caption, valve=outlet == "plan"))
+        panels.append(_panel(keyframes, key, left, top, title, caption, valve=outlet == "plan"))
     width, height = columns * _PANEL_WIDTH, rows * _PANEL_HEIGHT + _TIMELINE_HEIGHT
     timeline = _timeline(run, keyframes, width, height - 24)
     font = "Arial, Helvetica, 'Liberation Sans', sans-serif"
