@@ -42,7 +42,7 @@ def shared_files(directory: str) -> list[tuple[str, list[str]]]:
 setup(
     name=NAME,
     version=version(),
-    description="A green roof watered from a storm cistern, as a ROS 2 node graph",
+    description="Water a green roof from its rainwater cistern, and keep storm water out of the sewer",
     long_description=Path("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     maintainer="greenroof_ros maintainers",
@@ -51,10 +51,10 @@ setup(
     license_files=["LICENSE"],
     python_requires=">=3.10",
     classifiers=[
-        "Development Status :: 5 - Production/Stable",
+        "Development Status :: 4 - Beta",
         "Intended Audience :: Science/Research",
         "License :: OSI Approved :: Apache Software License",
-        "Operating System :: POSIX :: Linux",
+        "Operating System :: POSIX :: Linux",  # others: see doc/howto/install.md, Tested
         "Programming Language :: Python :: 3",
         "Programming Language :: Python :: 3 :: Only",
         "Topic :: Scientific/Engineering :: Hydrology",

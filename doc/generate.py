@@ -5,7 +5,7 @@ They come from the package's code and data. A page contains a table between
 file of the package between ``<!-- file: PATH -->`` and ``<!-- end of file -->``. ``make docs``
 writes all of them again, and a test compares them with the output of this program. The nodes'
 tables need ROS 2; without it they stay unchanged. The program also writes the layouts in
-``config/layouts/``, the drawings of who publishes what, and the README's pictures.
+``config/layouts/``, the drawings of who publishes what, and the pictures of runs.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ sys.path[:0] = [str(DOC), str(DOC.parent)]
 
 from layouts import LAYOUTS
 from layouts import rows as displays
-from readme_pictures import draw as draw_readme_pictures
+from pictures import draw as draw_pictures
 from who_publishes import WAYS, drawing
 
 from greenroof_ros.__main__ import COMMANDS, GROUPS
@@ -777,7 +777,7 @@ def renew(page: str) -> str:
 def main() -> None:
     """Write all pages' tables, the layouts and the drawings."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    for path in sorted(DOC.rglob("*.md")):
+    for path in (DOC.parent / "README.md", *sorted(DOC.rglob("*.md"))):
         before = path.read_text(encoding="utf-8")
         after = renew(before)
         if after != before:
@@ -788,7 +788,7 @@ def main() -> None:
         path.write_text(layout(), encoding="utf-8")
     for name, way in WAYS.items():
         (DOC / "_static" / f"{name}.svg").write_text(drawing(way), encoding="utf-8")
-    draw_readme_pictures()
+    draw_pictures()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A green roof watered from a storm cistern, as a ROS 2 node graph and as a library without ROS.
+"""Water a green roof from its rainwater cistern: in simulations without ROS, and as a ROS 2 graph.
 
 The names of ``__all__`` are loaded on first use, so that ``import greenroof_ros`` takes no time.
 """

@@ -15,7 +15,6 @@ from places import CHECKOUT
 sys.path.append(str(CHECKOUT / "doc"))
 
 import generate
-import readme_pictures
 
 from greenroof_ros.graph.ros_arguments import split_ros_arguments
 from greenroof_ros.live.devices.sensor_file import read_sensors
@@ -117,13 +116,11 @@ def test_drawings_show_the_interface() -> None:
 def test_picture_shows_the_topics() -> None:
     from greenroof_ros.common.interface import read_topics
 
-    picture = (DOC / "_static" / "roof-and-graph.svg").read_text()
+    picture = (DOC / "_static" / "graph.svg").read_text()
     shown = set(re.findall(r"/[a-z]+(?:/[a-z]+)?(?=[<, \u00a0])", picture))
     shown = {each for each in shown if each.count("/") == 2 or each == "/clock"}
     assert len(shown) == 11
     assert shown <= set(read_topics())
-    narrow = (DOC / "_static" / "roof-and-graph-narrow.svg").read_text()
-    assert narrow == readme_pictures.stacked(picture)
 
 
 def test_from_nothing_has_a_file_of_sensors_that_a_site_reads(tmp_path: Path) -> None:
