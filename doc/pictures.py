@@ -1,4 +1,4 @@
-"""Pictures drawn from runs: the animation, the how-to's storms with a valve, and a chart of results."""
+"""Draw pictures from runs: the animation, the how-to's storms with a valve, a chart of results."""
 
 from __future__ import annotations
 

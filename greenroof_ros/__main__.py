@@ -92,7 +92,10 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof",
         usage="%(prog)s COMMAND [options]",
-        description="\n\n".join(["Water a green roof from its rainwater cistern, and keep storm water out of the sewer.", *groups]),
+        description="\n\n".join([
+            "Water a green roof from its rainwater cistern, and keep storm water out of the sewer.",
+            *groups,
+        ]),
         epilog="greenroof COMMAND --help shows the options of a command, and examples.",
     )
     parser.add_argument(

@@ -64,7 +64,9 @@ def test_a_study_has_the_totals_of_the_paper(tmp_path: Path) -> None:
             for row in csv.DictReader(stream) if row["initial"] == "low-low"
         }
     with (tmp_path / "out" / "results.csv").open(newline="", encoding="utf-8") as stream:
-        ours = {row["controller"]: float(row["total_deviation_m3"]) for row in csv.DictReader(stream)}
+        ours = {
+            row["controller"]: float(row["total_deviation_m3"]) for row in csv.DictReader(stream)
+        }
     assert ours == {
         "mpc": pytest.approx(theirs["mpc", 1e-3], rel=4e-5),
         "onoff": pytest.approx(theirs["onoff", 1.0], rel=4e-5),
@@ -88,8 +90,8 @@ def test_a_cistern_is_sized(tmp_path: Path) -> None:
     weather = CHECKOUT / "config" / "weather" / "toronto_2021.csv"
     greenroof(
         tmp_path, "size", "--site", str(CHECKOUT / "config" / "site_valve.yaml"), "--weather",
-        str(weather), "--gaps", "fill", "--volumes", "5", "10", "--targets", "39", "--outlets", "none", "--jobs", "2",
-        "--output", "sizes",
+        str(weather), "--gaps", "fill", "--volumes", "5", "10", "--targets", "39",
+        "--outlets", "none", "--jobs", "2", "--output", "sizes",
     )
     assert (tmp_path / "sizes" / "sizes.csv").is_file()
 
