@@ -42,7 +42,7 @@ def shared_files(directory: str) -> list[tuple[str, list[str]]]:
 setup(
     name=NAME,
     version=version(),
-    description="Water a green roof from its rainwater cistern, and keep the storm out of the sewer",
+    description="Water a green roof from its rainwater cistern; keep the storm out of the sewer",
     long_description=Path("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     maintainer="greenroof_ros maintainers",

@@ -28,7 +28,7 @@ def test_papers_runs_are_reproduced_as_the_readme_says(papers: Path) -> None:
             and each[f"parameter:{name}"] == row["parameter"]
         )
         errors.append(abs(total / row["total_deviation_m3"] - 1))
-    assert f"All {len(errors)} runs of Yeh and Chapman (2021) agree" in README
+    assert f"all {len(errors)} runs of Yeh and Chapman (2021) agree" in README
     assert 3e-5 < max(errors) < 4e-5 and "within 0.004 %" in README
 
 
@@ -50,8 +50,8 @@ def test_a_season_is_as_the_readme_says(monkeypatch: pytest.MonkeyPatch) -> None
     def less(run: dict[str, float]) -> str:
         return f"**{100 * (1 - run['wet_discharge_m3'] / closed['wet_discharge_m3']):.0f} %**"
 
-    assert f"{less(drain)} of the storm water" in README
-    assert f"{less(plan)} with a perfect forecast" in README
+    assert f"a fixed reserve keeps {less(drain)} of the storm water" in README
+    assert f"a perfect forecast {less(plan)}." in README
     wet, mains = (drain[each] - plan[each] for each in ("wet_discharge_m3", "mains_m3"))
     assert f"another {wet:.1f} m³ out of the sewer" in README
     assert f"saves {mains:.1f} m³ of mains water" in README
@@ -82,4 +82,4 @@ def test_faults_are_those_of_the_campaign() -> None:
         page, re.MULTILINE,
     )
     assert row is not None
-    assert f"within its bound in all {row[1]} cases; the nearest takes **{row[2]}**" in README
+    assert f"within its bound in all {row[1]} cases; the closest takes **{row[2]}**" in README
