@@ -115,7 +115,7 @@ def test_killed_while_it_began(tmp_path: Path) -> None:
     (output / "configuration").mkdir(parents=True)
     for name in (".lock", "configuration/grid.yaml", "notes.txt"):
         (output / name).write_text("a part")
-    assert "exists, is not empty and is not a study" in refusal(tmp_path)
+    assert "exists and is neither empty nor a study" in refusal(tmp_path)
     (output / "notes.txt").unlink()
     held = store_of(tmp_path)
     assert (output / "configuration" / "grid.yaml").read_text() == GRID
