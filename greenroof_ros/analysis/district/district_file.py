@@ -112,7 +112,11 @@ class Draw:
 class DistrictWeather:
     """The weather of all cells, and the period that is simulated."""
 
-    start: str = entry("time of the first tick (ISO 8601)")
+    start: str = entry(
+        "time of the first tick (ISO 8601), the same instant in all cells; without an offset from "
+        "UTC it is in the site's time_zone, or else in the zone or offset of the first cell's "
+        "weather"
+    )
     hours: float = entry("length of the run", 1e-9, 1e6, unit="h")
     file: str | None = entry(
         "weather file, or a pattern such as '2021_*.csv', for all buildings", default=None
@@ -300,3 +304,16 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
                 yield f"draw.{name}.times", "must be a key that is not multiplied itself"
     if not district.adoption:
         yield "adoption", "must list at least one share"
+    named: dict[str, float] = {}
+    for share in district.shares:
+        first = named.setdefault(code_share(share), share)
+        if first != share:
+            yield "adoption", (
+                f"lists {first!r} and {share!r}, which differ too little: the results of both "
+                f"would be named {code_share(share)}"
+            )
+
+
+def code_share(share: float) -> str:
+    """Return the name of a level of adoption in columns and files: ``050`` for half."""
+    return f"{100 * share:03g}"

@@ -16,6 +16,7 @@ import numpy as np
 import polars as pl
 
 from greenroof_ros.analysis.district import page, swmm
+from greenroof_ros.analysis.district.district_file import code_share
 from greenroof_ros.analysis.district.run import DistrictRun
 from greenroof_ros.analysis.district.totals import Flow, Totals
 from greenroof_ros.common.errors import ConfigurationError
@@ -171,4 +172,4 @@ class DistrictResult:
 
 def name_flow(flow: Flow) -> str:
     """Return the name of a hydrograph: ``as_is``, or ``drain_050`` for half the buildings."""
-    return f"{flow.outlet}_{100 * flow.adoption:03g}" if flow.adoption else "as_is"
+    return f"{flow.outlet}_{code_share(flow.adoption)}" if flow.adoption else "as_is"

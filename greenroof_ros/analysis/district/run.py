@@ -141,13 +141,15 @@ def read_run(path: Path, places: Sequence[Path] = ()) -> DistrictRun:
         files = {f"weather.cells.{name}": file for name, file in weather.cells.items()}
     else:
         files = {"weather.file": weather.file or ""}
-    runs = []
+    runs: list[Run] = []
     for key, name in files.items():
         found = district.find_files(key, name, places)
         given = {
             name: getattr(weather, name)
             for name in ("start", "hours", "evapotranspiration", "gaps")
         }
+        if runs:  # all cells begin at the same instant, even if their files' offsets differ
+            given["start"] = runs[0].start.isoformat()
         try:
             run = make_inputs(
                 find_controller("onoff"), {"site": site, "weather": found, **given}

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from districts import DISTRICT, WEATHER, edit, write_district
 from numpy.typing import NDArray
+from places import CHECKOUT, CONFIG
 from refusals import refusal
 from scipy import stats
 
@@ -104,6 +108,41 @@ def test_listed_buildings(tmp_path: Path, form: str) -> None:
     )
 
 
+def test_the_list_of_the_how_to(tmp_path: Path) -> None:
+    """The page's CSV and keys, put into the example, build sites whose targets are in range."""
+    page = (CHECKOUT / "doc" / "howto" / "district.md").read_text(encoding="utf-8")
+    (listed,) = re.findall(r"```text\n(id,.*?)```", page, re.DOTALL)
+    (keys,) = re.findall(r"```yaml\n(file: my_buildings.csv\n.*?)```", page, re.DOTALL)
+    (tmp_path / "my_buildings.csv").write_text(listed)
+    example = yaml.safe_load((CONFIG / "districts" / "example.yaml").read_text(encoding="utf-8"))
+    del example["buildings"]
+    example |= yaml.safe_load(keys)
+    example["weather"] |= {"file": str(WEATHER), "start": "2021-07-07T00:00", "hours": 1}
+    shutil.copy(CONFIG / "districts" / "house.yaml", tmp_path)
+    run = read_run(write_district(tmp_path, yaml.safe_dump(example)))
+    write_inputs(run.files, tmp_path)
+    areas = [site.a2 for site in make_sites(tmp_path / "site.yaml", run.buildings)]
+    assert areas == [60, 150]
+
+
+def test_cells_with_files_of_several_offsets(tmp_path: Path) -> None:
+    """All begin at the same instant, midnight of the first cell: rows at 00:00 and 06:00."""
+    for name, offset in (("a", "+00:00"), ("b", "+06:00")):
+        rows = "".join(
+            f"2021-06-{hour // 24 + 1:02}T{hour % 24:02}:00{offset},0,2\n" for hour in range(96)
+        )
+        (tmp_path / f"{name}.csv").write_text(
+            f"time,precipitation [mm/h],evapotranspiration [mm/day]\n{rows}"
+        )
+    run = read_run(write_district(tmp_path, """
+site: site_valve.yaml
+buildings: 2
+weather: {cells: {a: a.csv, b: b.csv}, start: 2021-06-02T00:00, hours: 24}
+"""))
+    expected = datetime(2021, 6, 2, tzinfo=timezone.utc)
+    assert [one.start for one in run.runs] == [expected, expected]
+
+
 def test_what_all_have_in_common_follows_each_building(tmp_path: Path) -> None:
     """Drip irrigation of 5 mm/h is 300 l/h on 60 m2 and 1000 l/h on 200 m2; 6 m3 are 6 m3."""
     (tmp_path / "house.yaml").write_text(
@@ -163,6 +202,7 @@ WRONG = {
     "adoption.3 = 1.5: must be a number from 0 to 1": ("0.5, 1.0]", "0.5, 1.5]"),
     "adoption.1 = -0.25: must be": ("[0.25", "[-0.25"),
     "adoption: must list at least one share": ("[0.25, 0.5, 1.0]", "[]"),
+    "adoption: lists 0.1 and 0.10000001, which differ too little": ("0.25,", "0.1, 0.10000001,"),
     "valve_share = 2: must be": ("valve_share: 0.5", "valve_share: 2"),
     "sewer_capacity = 0: must be": ("sewer_capacity: 2.0", "sewer_capacity: 0"),
     "sewer_capacity = 'five': must be": ("sewer_capacity: 2.0", "sewer_capacity: five"),
