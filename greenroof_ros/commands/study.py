@@ -104,8 +104,8 @@ def make_parser() -> Parser:
     trajectories.add_argument(
         "--no-trajectories", action="store_true",
         help="keep only the table and the rain events, for thousands of runs. Runs of onoff in "
-        "ticks of about a minute are then several times as fast. A report has no figures of "
-        "weather, commands and volumes",
+        "ticks of about a minute are then usually several times as fast. A report has no figures "
+        "of weather, commands and volumes",
     )
     return parser
 

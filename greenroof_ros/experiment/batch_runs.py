@@ -88,6 +88,8 @@ def _weather_key(run: Run) -> tuple[Any, ...]:
 
 def _split(runs: Sequence[Run]) -> Iterator[list[int]]:
     """Yield the indices of runs whose weather is kept at the same time."""
+    if not runs:
+        return
     places: dict[tuple[Any, ...], list[int]] = {}
     for place, run in enumerate(runs):
         places.setdefault(_weather_key(run), []).append(place)

@@ -24,8 +24,8 @@ def parameter_columns(parameters: Mapping[str, Cell]) -> dict[str, Cell]:
 def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return the results in a run's summary, by column of the table.
 
-    They are the same in every repetition. Values that the summary lacks are None or empty, except
-    that a missing metric has no column.
+    None of them depends on how long the run took. Values that the summary lacks are None or empty,
+    except that a missing metric has no column.
     """
     solver, filled = summary.get("solver") or {}, summary.get("filled") or {}
     return {

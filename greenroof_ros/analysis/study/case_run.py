@@ -30,7 +30,8 @@ class Outcome:
     """The results of a run.
 
     Attributes:
-        results: columns of the table, which are the same in every repetition.
+        results: columns of the table. They do not depend on how long the run took; only their
+            last digits depend on the cases with which it was simulated.
         files: contents of the files that are kept, by name.
     """
 

@@ -136,6 +136,15 @@ def test_an_error_of_one_case_is_its_own(tmp_path: Path) -> None:
     assert all(isinstance(outcome, Outcome) for outcome in (first, *others))
 
 
+def test_every_case_of_a_group_keeps_its_error(tmp_path: Path) -> None:
+    group = prepared(tmp_path, GRIDS["no valve"])[:4]
+    lost = [
+        replace(case, weather=(replace(case.weather[0], name="lost.csv"),)) for case in group
+    ]
+    for failed in run_together(tmp_path, lost):
+        assert "lost.csv" in str(failed)
+
+
 def test_killed_and_continued(tmp_path: Path) -> None:
     """Two groups in one worker: the second is lost and runs again, the first does not."""
     text = GRIDS["no valve"].replace("hours: 60", "hours: 600", 1).replace("03-13", "03-10")
