@@ -51,9 +51,10 @@ class WeatherService(HttpService):
         faults: of the next requests, one each: "" for none; "html"; "half" of the answer, then the
             connection ends; "limit", "limit 1" with Retry-After, and "tomorrow": 429; "error": 503;
             "refusal": 400 with a reason; "slow": a pause of 20 s; "fewer" variables; "short": a
-            day less; "other" hours, of ten years before; "gap": five hours without values; "JSON
-            error": an answer with status 200 that is an error; "odd": no list of times; "deep":
-            nested JSON; "control": a refusal with control characters, which repeats the query.
+            day less; "other" hours, of ten years before; "gap": five hours without values; "dry":
+            no values of precipitation at all; "JSON error": an answer with status 200 that is an
+            error; "odd": no list of times; "deep": nested JSON; "control": a refusal with control
+            characters, which repeats the query.
         requests: the queries, in order.
     """
 
@@ -112,6 +113,8 @@ def _archive(query: dict[str, str], fault: str) -> bytes:
     if fault == "gap":
         for series in hourly.values():
             series[100:105] = [None] * 5
+    if fault == "dry":
+        hourly["precipitation"] = [None] * hours
     return json.dumps({
         "latitude": round(float(query["latitude"]), 1),
         "longitude": round(float(query["longitude"]), 1), "generationtime_ms": 1.5,

@@ -44,6 +44,7 @@ from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.hourly import Records
 from greenroof_ros.formats.open_meteo import VARIABLES
 from greenroof_ros.formats.own_csv import write_records
+from greenroof_ros.formats.quantities import PRECIPITATION
 from greenroof_ros.formats.reading import read_records
 from greenroof_ros.model.site import Site
 from greenroof_ros.weather.reading import read_measured
@@ -219,6 +220,9 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
         raise ServiceError(f"sent {hours} hours of {block.hours}")
     if str(times[0])[:10] != str(block.first):
         raise ServiceError(f"sent hours that begin at {times[0]}, not at {block.first}")
+    rain = hourly[VARIABLES[PRECIPITATION]]
+    if isinstance(rain, list) and all(value is None for value in rain):
+        raise ServiceError("sent no value of precipitation for any hour", is_passing=False)
 
 
 def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:

@@ -222,6 +222,16 @@ def test_a_part_that_a_power_cut_has_damaged_is_requested_again(service, tmp_pat
     assert starts == ["2021", "2023", "2021", "2023"]
 
 
+def test_a_part_without_rain_is_not_kept(service, tmp_path):
+    service.faults = ["dry"]
+    done = run(service, tmp_path, "--years", "2023")
+    assert done.returncode == 1
+    assert "sent no value of precipitation for any hour" in done.stderr
+    done = run(service, tmp_path, "--years", "2023")
+    assert done.returncode == 0, done.stderr
+    assert len(service.requests) == 2
+
+
 @pytest.mark.parametrize("claim", [None, b"\xff\xfe"])
 def test_parts_whose_request_is_unknown_are_not_used(service, tmp_path, claim):
     service.faults = ["", "refusal"]
