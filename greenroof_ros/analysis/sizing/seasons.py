@@ -90,7 +90,7 @@ def find_seasons(
                 start=f"{year}-{window.first:%m-%d}T00:00", initial=None, cistern=None, roof=None,
             ).build()
         except ConfigurationError as error:
-            if error.file != weather.source:
+            if error.file != weather.source and error.key != "start":
                 raise
             if reason := _find_reason(weather, year, window, error):
                 incomplete[window.name(year)] = reason
@@ -122,7 +122,8 @@ def _find_reason(
         return f"the record begins at {to_minutes(weather.first)}"
     if weather.end < end:
         return f"the record ends at {to_minutes(weather.end)}"
-    return error.expected.partition("; ")[0]
+    reason = error.expected.partition("; ")[0]
+    return f"its start {reason}" if error.key == "start" else reason
 
 
 def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:

@@ -6,6 +6,7 @@ import csv
 import io
 import itertools
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 Values = NDArray[np.float64]
 
 PAGE, TABLE = "sizes.html", "sizes.csv"
+_FIGURE = re.compile(r"sizes-[\d.]+mm\.(svg|png)")
 
 _DESIGN = ("volume_m3", "target_mm", "outlet")
 
@@ -336,8 +338,8 @@ class Sizes:
         """Write the page ``sizes.html``, the table ``sizes.csv``, and the figures; return the page.
 
         Args:
-            directory: where to write; it is created if it does not exist, and earlier files of
-                the same names are replaced.
+            directory: where to write; it is created if it does not exist. Files of an earlier
+                result are replaced, and figures of targets that are no longer compared are removed.
 
         Raises:
             ConfigurationError: if the directory cannot be written to, or the packages that a page
@@ -348,6 +350,9 @@ class Sizes:
         made = Path(directory)
         with writable(made):
             made.mkdir(parents=True, exist_ok=True)
+            for file in made.iterdir():
+                if _FIGURE.fullmatch(file.name):
+                    file.unlink()
             (made / TABLE).write_text(self.to_csv(), encoding="utf-8")
         figures = [draw(self, target) for target in self.by_interest]
         for figure in figures:

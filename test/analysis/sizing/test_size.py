@@ -180,8 +180,15 @@ def test_chart_and_page_of_python(sizes: Sizes, tmp_path: Path) -> None:
     sizes.plot().save(tmp_path / "chart.svg")
     sizes.plot(target=43.0).save(tmp_path / "chart.png")
     assert "Days of overflow" in (tmp_path / "chart.svg").read_text()
+    (tmp_path / "out").mkdir()
+    for name in ("sizes-37mm.svg", "sizes-40.5mm.png", "sizes-notes.txt", "sizes-39mm.txt"):
+        (tmp_path / "out" / name).write_text("earlier")
     page = sizes.save(tmp_path / "out")
     assert sizes.sentence in page.read_text()
+    figures = [f"sizes-{mm}mm.{kind}" for mm in (35, 39, 43) for kind in ("png", "svg")]
+    assert sorted(file.name for file in page.parent.iterdir()) == sorted(
+        ["sizes.html", "sizes.csv", "sizes-notes.txt", "sizes-39mm.txt", *figures]
+    )
 
 
 def test_the_page_in_a_browser(sized: Path, tmp_path: Path) -> None:

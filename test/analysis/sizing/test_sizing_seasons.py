@@ -15,7 +15,7 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.controllers.registry import find_controller
 from greenroof_ros.experiment.inputs import make_inputs
 from greenroof_ros.experiment.run import Run
-from greenroof_ros.model.site import read_site
+from greenroof_ros.model.site import Site, read_site
 
 SITE = read_site(CONFIG / "site_valve.yaml", {"tau": 60.0, "M": 1})
 
@@ -32,12 +32,12 @@ def frame(first: str, last: str, missing: tuple[str, str] | None = None) -> pd.D
 
 
 def seasons(
-    table: pd.DataFrame, window: str | None, **options: Any
+    table: pd.DataFrame, window: str | None, site: Site = SITE, **options: Any
 ) -> tuple[dict[str, Run], dict[str, str]]:
     """Return complete and incomplete seasons."""
-    inputs = make_inputs(find_controller("onoff"), {"site": SITE, "weather": table, **options})
-    weather, _ = inputs.read_records(SITE)
-    return find_seasons(inputs, SITE, weather, read_window(window, SITE))
+    inputs = make_inputs(find_controller("onoff"), {"site": site, "weather": table, **options})
+    weather, _ = inputs.read_records(site)
+    return find_seasons(inputs, site, weather, read_window(window, site))
 
 
 def test_default_window_is_the_local_summer() -> None:
@@ -79,6 +79,16 @@ def test_a_season_across_the_turn_of_the_year() -> None:
     runs, incomplete = seasons(frame("2019-12-01", "2021-03-01T00:00"), "12-01/02-28")
     assert list(runs) == ["2019/20", "2020/21"] and not incomplete
     assert {run.steps for run in runs.values()} == {90 * 24 * 60}
+
+
+def test_a_season_that_begins_while_the_clocks_are_put_forward() -> None:
+    """In Cuba, 14 March 2021 began at 01:00; 2020 and 2022 had other days."""
+    cuba = read_site(CONFIG / "site_valve.yaml", {
+        "tau": 60.0, "M": 1, "time_zone": "America/Havana", "utc_offset": -5.0,
+    })
+    runs, incomplete = seasons(frame("2020-01-01", "2022-12-31"), "03-14/03-20", cuba)
+    assert list(runs) == ["2020", "2022"]
+    assert incomplete == {"2021": "its start is a time that the clocks in America/Havana skip"}
 
 
 def test_a_record_that_is_too_short(tmp_path: Path) -> None:
