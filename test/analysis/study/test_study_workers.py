@@ -74,7 +74,7 @@ def test_a_killed_worker_ends_the_study(tmp_path: Path) -> None:
     shown, errors = process.communicate(timeout=300)
     done = len(stored(tmp_path))
     assert errors.splitlines()[-1] == (
-        "error: a worker process was killed, perhaps because memory ran out; then use fewer "
+        "error: a worker process was killed; if memory ran out, use fewer "
         f"--jobs: {done} of 6 cases are stored; run the same command again to continue"
     )
     assert (process.returncode, shown) == (1, "")
