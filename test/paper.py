@@ -168,8 +168,8 @@ def sites(draw: st.DrawFn) -> Site:
 
 
 @st.composite
-def measured_sites(draw: st.DrawFn) -> Site:
-    """Draw a site with a measured soil, with and without drainage layer, mains and low outlet."""
+def field_capacity_sites(draw: st.DrawFn) -> Site:
+    """Draw a site with a field-capacity soil, with or without a layer, mains and low outlet."""
     site = draw(st.just(PAPER_SITE) | sites())
     wilting = draw(st.just(0.0) | st.floats(0.0, 0.2))
     capacity = wilting + draw(st.floats(0.05, 0.7))

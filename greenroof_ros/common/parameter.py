@@ -48,7 +48,7 @@ class Parameter:
         may_change: whether it may change during a run; a controller then has an attribute of that
             name, which is set between two ticks.
         among: the only texts allowed; empty if any text is allowed.
-        measured: default on a roof with field-capacity soil; None if it is the same.
+        on_field_capacity: default on a roof with field-capacity soil; None if it is the same.
         usual: range of usual values, for people; None if none is stated.
     """
 
@@ -60,7 +60,7 @@ class Parameter:
     meaning: str = ""
     may_change: bool = False
     among: tuple[str, ...] = ()
-    measured: Any = None
+    on_field_capacity: Any = None
     usual: tuple[float, float] | None = None
 
     @property

@@ -21,11 +21,12 @@ _DAY_S = 86_400.0
 _NET_DRYING = 0.3
 
 # Maximum horizon at which a service's forecasts are worth using (h): doc/results.md.
-_PAYS, _PAYS_MEASURED = 120.0, 48.0
+_PAYS, _PAYS_ON_FIELD_CAPACITY = 120.0, 48.0
 HORIZON = Parameter(
     "horizon", _PAYS, "h", 0.1, MAX_HORIZON,
-    f"how far it looks ahead; the default is {_PAYS_MEASURED:g} on a roof with field-capacity "
-    "soil; the weather node needs the same value", measured=_PAYS_MEASURED,
+    f"how far it looks ahead; the default is {_PAYS_ON_FIELD_CAPACITY:g} on a roof with "
+    "field-capacity soil; the weather node needs the same value",
+    on_field_capacity=_PAYS_ON_FIELD_CAPACITY,
 )
 # By default, as many days as the longest forecast covers.
 DAYS_AFTER = Parameter(

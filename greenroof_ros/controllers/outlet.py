@@ -50,9 +50,10 @@ PARAMETERS = (
         "forecast rain that would not fit, and works like drain without a forecast", among=POLICIES,
     ),
     Parameter(
-        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "volume that drain leaves in the cistern, "
-        "and so does plan unless more rain is forecast than fits; by default ten days of "
-        "irrigation at 4 mm a day, or half of a smaller cistern",
+        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "volume that drain leaves in the cistern; "
+        "plan keeps this, or what the roof needs for outlet_reach if that is more, unless forecast "
+        "rain would not fit; by default ten days of irrigation at 4 mm a day, or half of a smaller "
+        "cistern",
     ),
     Parameter(
         "outlet_price", PRICE, "1", 0.0, 1e3, "plan: cost of one m3 of mains water, in m3 of "
@@ -60,7 +61,7 @@ PARAMETERS = (
     ),
     Parameter(
         "outlet_reach", 20.0, "days", 0.0, 365.0, "plan: time for which it keeps what the roof "
-        "needs; it releases more than that, and more than the reserve, in dry weather",
+        "needs; in dry weather it releases all water above this and above outlet_reserve",
     ),
 )
 """parameters of every controller at a site with a valve"""

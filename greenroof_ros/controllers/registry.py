@@ -221,10 +221,10 @@ class ControllerChoice:
         of_valve = []
         if site.low_outlet_valve and self.of_valve:
             of_valve = outlet.parameters_on(site, _policy_of(self.kind))
-        measured = soil_of(site).measured
+        field_capacity = soil_of(site).has_field_capacity
         return [
-            replace(parameter, default=parameter.measured)
-            if measured and parameter.measured is not None else parameter
+            replace(parameter, default=parameter.on_field_capacity)
+            if field_capacity and parameter.on_field_capacity is not None else parameter
             for parameter in (*self.kind.parameters, *of_valve)
         ]
 

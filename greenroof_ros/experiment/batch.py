@@ -251,7 +251,7 @@ def _count_per_interval(site: Site) -> int:
 def _split(sites: Sites, weather_of: Rows) -> Iterator[Rows]:
     """Yield rows that can be stepped together; those with the same weather are adjacent."""
     kept = sites.drainage_to_cistern > 0  # needs more steps
-    kind = 4 * kept + 2 * sites.measured + sites.has_short_ticks
+    kind = 4 * kept + 2 * sites.has_field_capacity + sites.has_short_ticks
     for value in np.unique(kind):
         rows = np.flatnonzero(kind == value)
         rows = rows[np.argsort(weather_of[rows], kind="stable")]

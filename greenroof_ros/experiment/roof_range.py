@@ -66,7 +66,7 @@ def roof_range(
     )
     return RoofRange(
         np.append(x2, lows), np.append(x2, highs), minimum, maximum, unpumped,
-        slope if soil.measured else None,
+        slope if soil.has_field_capacity else None,
     )
 
 
@@ -96,7 +96,7 @@ def _limits_of_tick(
         The fields of :class:`RoofRange`; the slope is 1 on the paper's soil.
     """
     slope = 1.0
-    if soil.measured and high - low > ROUNDING * site.z_cap:
+    if soil.has_field_capacity and high - low > ROUNDING * site.z_cap:
         first, last = (
             roof_after_tick(soil, site.tau, x2, rain, potential) for x2 in (low, high)
         )
@@ -145,7 +145,7 @@ def _ends(
         potential: evapotranspiration of plants that lack no water (m3/s).
         line: slope of the line: this many times the volume before the tick is subtracted.
     """
-    if not soil.measured:
+    if not soil.has_field_capacity:
         full, ends = site.z_cap, []
         for x2 in (low, min(max(low, full), high), high):
             after = x2 - line * x2 + site.tau * (arriving - potential)

@@ -82,7 +82,7 @@ ROOF = (
     "minimum temperature", "maximum temperature", "runoff", "pumped", "level", "cistern level",
     "pump state",
 )
-"""the quantities that only a measured roof has; the others are weather"""
+"""the quantities of a roof; the others are weather"""
 
 # The maximum amount of water in rows shorter than an hour (mm/h): 31.2 mm fell in a minute at
 # Unionville in 1956 (WMO).

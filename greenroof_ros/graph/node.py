@@ -56,7 +56,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
             role: its role in the interface: its name, or ``controller``.
 
         Raises:
-            ConfigurationError: if ROS arguments or a parameter file are wrong.
+            ConfigurationError: if the ROS arguments or a parameter file is invalid.
         """
         self._now_ns = 0  # 0: not set yet
         super().__init__(name, role, read_topics(), NodeDiagnostics)

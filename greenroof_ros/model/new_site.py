@@ -220,7 +220,8 @@ def _roof(given: Mapping[str, Any]) -> Iterator[str]:
         "shrubs", "[depth in the substrate's source]",
     )
     yield from _line(
-        given, "crop_coefficient", _CROP, "evapotranspiration of the plants over reference grass's",
+        given, "crop_coefficient", _CROP,
+        "ratio of the plants' evapotranspiration to that of reference grass",
         "[fit, site_neubrandenburg.yaml]",
     )
     target, how = find_target(given)

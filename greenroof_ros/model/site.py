@@ -88,9 +88,11 @@ class Site:
         "area whose rain flows into the cistern; in Table I the area of its inlet", *_POSITIVE,
         unit="m2",
     )
-    z_o: float = entry("elevation of the cistern's outlet", *_POSITIVE, unit="m")
-    r_o: float = entry("radius of the cistern's outlet", *_POSITIVE, unit="m")
-    c_d: float = entry("discharge coefficient of the outlets", *_POSITIVE, unit="1")
+    z_o: float = entry("elevation of the cistern's overflow", *_POSITIVE, unit="m")
+    r_o: float = entry("radius of the cistern's overflow", *_POSITIVE, unit="m")
+    c_d: float = entry(
+        "discharge coefficient of the overflow and of the low outlet", *_POSITIVE, unit="1"
+    )
     a2: float = entry("bottom surface area of the rooftop vegetation", *_POSITIVE, unit="m2")
     z_veg: float = entry("desired water in the substrate, as a depth", *_POSITIVE, unit="m")
     x2_star: float = entry(
@@ -267,7 +269,7 @@ class Site:
 
     @cached_property
     def c_out(self) -> float:
-        """Coefficient of the cistern's outlet (m^2.5/s), Eq. (2)."""
+        """Coefficient of the cistern's overflow (m^2.5/s), Eq. (2)."""
         return self._outlet_coefficient(self.r_o)
 
     @cached_property

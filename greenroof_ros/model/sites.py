@@ -31,7 +31,7 @@ _FROM_SITE: dict[str, Callable[[Site], Any]] = {
     "above_target": lambda site: soil_of(site).above_target,
     "stress_volume": lambda site: soil_of(site).stress_volume,
     "overdraws": lambda site: soil_of(site).overdraws,
-    "measured": lambda site: soil_of(site).measured,
+    "has_field_capacity": lambda site: soil_of(site).has_field_capacity,
     "has_short_ticks": has_short_ticks,
 }
 
@@ -44,7 +44,7 @@ class Sites:
         above_target: how far rain can raise the roof above its target (m3), see :mod:`.soil`.
         stress_volume: volume on the roof below which plants lack water (m3), see :mod:`.soil`.
         overdraws: whether a tick of Eq. (4) would drain too much, see :mod:`.soil`.
-        measured: whether the soil is a field-capacity soil.
+        has_field_capacity: whether the soil is a field-capacity soil.
         has_short_ticks: see :func:`.plant.has_short_ticks`.
     """
 
@@ -82,7 +82,7 @@ class Sites:
     valve_closed_in_frost: Flags
     has_layer: Flags
     overdraws: Flags
-    measured: Flags
+    has_field_capacity: Flags
     has_short_ticks: Flags
 
     @classmethod

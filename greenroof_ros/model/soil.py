@@ -51,7 +51,7 @@ class PaperSoil:
     """Table I's soil: it keeps all water below its capacity, and drains above it by Eq. (4).
 
     Attributes:
-        measured: whether it is field-capacity soil.
+        has_field_capacity: whether it is field-capacity soil.
         above_target: how far rain can raise it above its target (m3).
         retains_all_below: volume below which all arriving water stays, and evaporation is limited
             only by the water that is there (m3); 0 if there is no such volume.
@@ -60,7 +60,7 @@ class PaperSoil:
         stress_volume: volume below which :meth:`water_stress` is less than 1 (m3).
     """
 
-    measured = False
+    has_field_capacity = False
     excess = "stay on its surface"
     stress_volume = 0.0
 
@@ -227,7 +227,7 @@ class PaperSoil:
         return site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
 
 
-class MeasuredSoil:
+class FieldCapacitySoil:
     """Field-capacity soil over a drainage layer, with the methods of :class:`PaperSoil`.
 
     The substrate is the soil routine of HBV (Bergstrom 1976, SMHI Reports RHO No. 7; Seibert and
@@ -236,7 +236,7 @@ class MeasuredSoil:
     sites with a ``field_capacity`` have this soil.
     """
 
-    measured = True
+    has_field_capacity = True
     excess = "drain immediately"
     retains_all_below = 0.0
     overdraws = False
@@ -446,12 +446,12 @@ class MeasuredSoil:
         return np.frombuffer(evaporated), np.frombuffer(layers)
 
 
-Soil: TypeAlias = PaperSoil | MeasuredSoil
+Soil: TypeAlias = PaperSoil | FieldCapacitySoil
 
 
 def soil_of(site: Site) -> Soil:
     """Return the soil of a site: field-capacity soil if its file has a ``field_capacity``."""
-    return PaperSoil(site) if site.field_capacity is None else MeasuredSoil(site)
+    return PaperSoil(site) if site.field_capacity is None else FieldCapacitySoil(site)
 
 
 def roof_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potential: float) -> float:

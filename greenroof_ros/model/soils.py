@@ -95,7 +95,7 @@ class PaperSoils:
         return share * drained, share * evaporated, limited
 
 
-class MeasuredSoils:
+class FieldCapacitySoils:
     """Field-capacity soils; the methods are those of :class:`PaperSoils`."""
 
     def __init__(self, sites: Sites) -> None:
@@ -181,9 +181,9 @@ class MeasuredSoils:
         return percolated, np.maximum(np.minimum(evaporated, remaining), 0.0), limited
 
 
-Soils: TypeAlias = PaperSoils | MeasuredSoils
+Soils: TypeAlias = PaperSoils | FieldCapacitySoils
 
 
 def soils_of(sites: Sites) -> Soils:
     """Return the soils of sites that all have the same kind of soil."""
-    return MeasuredSoils(sites) if sites.measured[0] else PaperSoils(sites)
+    return FieldCapacitySoils(sites) if sites.has_field_capacity[0] else PaperSoils(sites)

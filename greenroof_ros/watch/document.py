@@ -272,7 +272,7 @@ def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
             "plan": [] if store.plan is None or now is None else store.plan.rows(now),
             "marks": {  # m; None if there is none
                 "target": site.z_veg, "band": find_band(site), "suction": site.suction_level,
-                "low_outlet": site.low_outlet_level, "outlet": site.z_o,
+                "low_outlet": site.low_outlet_level, "overflow": site.z_o,
             },
             "display": {name: asdict(words.find_display(topic)) for name, topic in LINES.items()},
         }

@@ -136,7 +136,7 @@ def make_cistern_tile(store: GraphStore) -> Tile:
         {"at": at, "label": f"{name} {words.write_value(_CISTERN, at)}"}
         for name, at in (
             ("suction level", site.suction_level), ("low outlet", site.low_outlet_level),
-            ("outlet", site.z_o),
+            ("overflow", site.z_o),
         ) if at is not None
     ]
 

@@ -70,7 +70,7 @@ class Block:
     Attributes:
         first: first day of the block.
         last: last day of the block.
-        suffix: suffix of the file that keeps it.
+        suffix: suffix of the file in which the block is stored.
         parameters: parameters of the request, in addition to those of the source.
     """
 
@@ -81,7 +81,7 @@ class Block:
 
     @property
     def file(self) -> str:
-        """Name of the file that keeps the block."""
+        """Name of the file in which the block is stored."""
         return f"{self.first}_{self.last}{self.suffix}"
 
     @property

@@ -64,7 +64,7 @@ def test_it_pumps_the_first_volume_of_the_isotonic_regression(
         assert command == (0.8 if first > 0 and roof < PAPER_SITE.z_veg else 0.0)
 
 
-def test_a_longer_forecast_does_no_harm_on_a_measured_soil(tmp_path: Path) -> None:
+def test_a_longer_forecast_does_no_harm_on_a_field_capacity_soil(tmp_path: Path) -> None:
     """Twenty days of July with doubled rain, perfect forecasts of two and of ten days.
 
     So much rain flushes pumped water away: relying on it for ten days would be 4 % worse.

@@ -206,7 +206,7 @@ def test_it_waits_for_what_will_be_known_in_time() -> None:
 
 STEPS = len(growing_steps(12.0)) - 1
 DRY = [0.0] * STEPS
-MEASURED = read_site(CONFIG / "site_neubrandenburg.yaml")
+FIELD_CAPACITY = read_site(CONFIG / "site_neubrandenburg.yaml")
 Array = NDArray[np.float64]
 
 
@@ -235,7 +235,7 @@ def test_what_is_above_the_outlet_is_not_counted_on() -> None:
 
 def test_water_that_fades_is_pumped_once() -> None:
     """The cistern has 0.5 m3 for ten dry days: all is pumped at once, and no more."""
-    site = replace(MEASURED, a_in=1e-9, mains_level=None, mains_flow=None)
+    site = replace(FIELD_CAPACITY, a_in=1e-9, mains_level=None, mains_flow=None)
     controller = lookahead(site, horizon=240.0)
     dry = [0.0] * (len(growing_steps(240.0)) - 1)
     level = site.suction_level + 0.5 / site.a1

@@ -153,10 +153,10 @@ def test_classes_that_are_no_controllers(
 
 @pytest.mark.parametrize("name", ["lookahead", "anticipating_onoff"])
 def test_how_far_a_controller_looks_ahead_follows_from_the_roof(name: str, tmp_path: Path) -> None:
-    """Five days; on a roof with a measured soil two; a file overrides both."""
+    """Five days; on a roof with a field-capacity soil two; a file overrides both."""
     choice = find_controller(name)
-    measured = read_site(CONFIG / "site_catchment.yaml")
+    field_capacity = read_site(CONFIG / "site_catchment.yaml")
     assert choice.defaults(PAPER_SITE)["horizon"] == 120.0
-    assert choice.defaults(measured)["horizon"] == 48.0
+    assert choice.defaults(field_capacity)["horizon"] == 48.0
     (tmp_path / "mine.yaml").write_text(f"{name}: {{ros__parameters: {{horizon: 24.0}}}}")
     assert choice.read_parameters(tmp_path / "mine.yaml")["horizon"] == 24.0

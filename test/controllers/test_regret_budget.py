@@ -118,7 +118,7 @@ def test_ticks_in_frost_count() -> None:
     assert loss.loss == pytest.approx(1000 * more, rel=1e-6)
 
 
-def test_the_count_on_a_measured_soil_is_what_onoff_has() -> None:
+def test_the_count_on_a_field_capacity_soil_is_what_onoff_has() -> None:
     """Next to a plant that on/off waters; a roof that was never watered lacks everything.
 
     Rain falls on two roofs; on the wetter one more of it percolates, so the difference is right

@@ -19,10 +19,10 @@ from greenroof_ros.model.look_ahead import growing_steps
 from greenroof_ros.model.plant import maximum_pump_flow
 
 STEPS = len(growing_steps(12)) - 1
-MEASURED = ("--site", str(CONFIG / "site_neubrandenburg.yaml"))
+FIELD_CAPACITY = ("--site", str(CONFIG / "site_neubrandenburg.yaml"))
 
 
-@pytest.mark.parametrize("options", [(), ("--cistern", "60", "--roof", "35"), MEASURED])
+@pytest.mark.parametrize("options", [(), ("--cistern", "60", "--roof", "35"), FIELD_CAPACITY])
 def test_estimate_is_the_truth_where_model_and_sensor_are_exact(options: tuple[str, ...]) -> None:
     """With rain, running pumps, a soil that drains, and one that percolates and dries."""
     run = paper_run(

@@ -16,7 +16,7 @@ from paper import (
     PAPER_SITE,
     SLOW,
     exact_flows,
-    measured_sites,
+    field_capacity_sites,
     metrics_of,
     paper_run,
     run_of_hours,
@@ -67,7 +67,7 @@ DROUGHT = [(0.0, 50.0, False)] * 2
 
 @settings(max_examples=20)
 @given(
-    site=st.just(PAPER_SITE) | sites() | measured_sites(),
+    site=st.just(PAPER_SITE) | sites() | field_capacity_sites(),
     hours=HOURS,
     cistern=st.floats(0, 5) | st.floats(0, 1).map(lambda share: 0.75 * share),
     roof=st.floats(0, 1.5) | st.just(0.0),
@@ -105,7 +105,7 @@ def test_no_run_is_below(
 
 @settings(max_examples=12)
 @given(
-    site=st.just(PAPER_SITE) | measured_sites(), hours=HOURS, cistern=st.floats(0, 5),
+    site=st.just(PAPER_SITE) | field_capacity_sites(), hours=HOURS, cistern=st.floats(0, 5),
     roof=st.floats(0, 1.5), frost=st.booleans(),
 )
 @example(PAPER_SITE, DROUGHT, 3.0, 0.002, True)
@@ -135,7 +135,7 @@ def test_without_pumping_the_bound_is_the_run(
     ("base", "tau", "start", "gap"),
     [
         ("site.yaml", 1.0, "2021-07-08T05:00", 4e-5),
-        # Drizzle while a roof with a measured soil is filled.
+        # Drizzle while a roof with a field-capacity soil is filled.
         ("site_neubrandenburg.yaml", 10.0, "2021-07-07T02:00", 0.02),
     ],
 )

@@ -155,7 +155,7 @@ def test_a_stuck_gauge_is_found_by_a_run_and_a_calibration(
 # --- roofs off which nothing runs -----------------------------------------------------------------
 
 
-def test_a_measured_soil_in_dry_weeks_is_right() -> None:
+def test_a_field_capacity_soil_in_dry_weeks_is_right() -> None:
     """The roof at Neubrandenburg, 45 days with 39 mm of rain and no runoff.
 
     With three times the rain, 116 mm, the soil of 108 mm could not hold it.

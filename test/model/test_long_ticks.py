@@ -243,7 +243,7 @@ def test_pumps_stop_at_their_levels_by_hand() -> None:
     assert pumped(minute, 75.0, target - 1.01 * full) == pytest.approx(1.01 * full)
 
 
-def test_a_measured_soil_is_filled_to_the_target() -> None:
+def test_a_field_capacity_soil_is_filled_to_the_target() -> None:
     """In an hour, although more of the water passes the fuller it is, and in rain above it."""
     site = replace(CATCHMENT, tau=3600.0)
     target = site.a2 * site.z_veg

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, SLOW, exact_flows, measured_sites, run_of_hours, sites
+from paper import PAPER_SITE, SLOW, exact_flows, field_capacity_sites, run_of_hours, sites
 from places import CONFIG
 
 from greenroof_ros.controllers.outlet import OfController
@@ -20,7 +20,7 @@ from greenroof_ros.model.plant import Plant, has_short_ticks
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.weather.series import WeatherSeries
 
-MEASURED = replace(read_site(CONFIG / "site_neubrandenburg.yaml"), tau=10.0)
+FIELD_CAPACITY = replace(read_site(CONFIG / "site_neubrandenburg.yaml"), tau=10.0)
 # Rain (m/s), evapotranspiration (m3/s), a command, the flow of an arbitrary pump driver (m3/s), or
 # None if the command decides, and the share to which the valve is open.
 TICKS = st.lists(
@@ -37,7 +37,7 @@ TICKS = st.lists(
 
 
 @given(
-    site=st.just(PAPER_SITE) | sites() | measured_sites(),
+    site=st.just(PAPER_SITE) | sites() | field_capacity_sites(),
     tau=st.sampled_from([0.01, 1.0, 10.0, 60.0, 300.0, 3600.0]) | st.floats(0.01, 3600.0),
     cistern=st.floats(0, 12) | st.just(0.0),
     roof=st.floats(0, 4) | st.just(0.0),
@@ -52,9 +52,9 @@ def test_each_tank_changes_by_what_flows(
 ) -> None:
     """Each tick, to rounding; flows are limited only if they would overdraw a tank.
 
-    A measured soil counts with its substrate and drainage layer together. The cistern's outflow
-    includes both outlets, Eq. (2) for each: at most what stands above them and flows in, with what
-    drains off the roof into the cistern. Pumps fill
+    A field-capacity soil counts with its substrate and drainage layer together. The cistern's
+    outflow includes both outlets, Eq. (2) for each: at most what stands above them and flows in,
+    with what drains off the roof into the cistern. Pumps fill
     the roof to its target, and rain raises it further.
     """
     site = replace(site, tau=tau)
@@ -141,7 +141,7 @@ def test_each_tank_changes_by_what_flows(
     x1=st.floats(0, 200),
     x2=st.floats(0, 70),
     v=st.floats(0.01, 3),
-    site=st.sampled_from([SLOW, MEASURED]),
+    site=st.sampled_from([SLOW, FIELD_CAPACITY]),
 )
 @example([(0.0, 50.0, False)], 0.0, 0.1, 1.0, SLOW)
 def test_any_run_balances(
@@ -201,7 +201,7 @@ WEATHER = st.lists(
 
 @settings(max_examples=100)
 @given(
-    hours=WEATHER, site=st.just(PAPER_SITE) | sites() | measured_sites(),
+    hours=WEATHER, site=st.just(PAPER_SITE) | sites() | field_capacity_sites(),
     tau=st.sampled_from([1.5, 10.0, 60.0, 90.0, 300.0, 1800.0, 3600.0]), frost=st.booleans(),
     kept=st.sampled_from([0.0, 1.0]) | st.floats(0.0, 1.0),
     cistern=st.floats(0, 1.5), roof=st.floats(0, 1.2), seed=st.integers(0, 2**32),

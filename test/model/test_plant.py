@@ -20,7 +20,7 @@ from greenroof_ros.model.plant import (
 from greenroof_ros.model.site import Site, read_site
 from greenroof_ros.model.soil import soil_of
 
-MEASURED = read_site(CONFIG / "site_neubrandenburg.yaml")
+FIELD_CAPACITY = read_site(CONFIG / "site_neubrandenburg.yaml")
 # Its thresholds are binary fractions, so tests can hit them exactly: the target at x2 = 4 m3, the
 # soil's capacity at 32 m3; the suction level stays at 18.75 m3.
 ROUND_SITE = site_with(a2=64.0, z_veg=0.0625, z_soil=0.5)
@@ -81,7 +81,7 @@ def test_pumps_run_between_the_thresholds_only(x1: float, x2: float, runs: bool)
     assert Plant(ROUND_SITE, x1, x2).flows(0.0, 0.0, 0.5).pump == expected
 
 
-@pytest.mark.parametrize("site", [PAPER_SITE, MEASURED])
+@pytest.mark.parametrize("site", [PAPER_SITE, FIELD_CAPACITY])
 def test_the_command_to_a_volume_leads_there(site: Site) -> None:
     """A litre more in a tick, in rain and sun; 0 if it rains enough or pumps are too weak."""
     plant, weather = Plant(site, 75.0, 0.5 * site.x2_star), (1e-6, 2e-6)

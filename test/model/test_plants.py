@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, measured_sites, sites
+from paper import PAPER_SITE, field_capacity_sites, sites
 from places import CONFIG
 
 from greenroof_ros.controllers.onoff import OnOff
@@ -29,7 +29,7 @@ def split(drawn: list[Site]) -> list[list[Site]]:
     """Return the sites of each kind, which are stepped together."""
     every = Sites.of(drawn)
     kinds = list(zip(
-        every.measured.tolist(), every.has_short_ticks.tolist(),
+        every.has_field_capacity.tolist(), every.has_short_ticks.tolist(),
         (every.drainage_to_cistern > 0).tolist(), strict=True,
     ))
     return [
@@ -46,7 +46,7 @@ def some(random: np.random.Generator, share: float, values: np.ndarray) -> np.nd
 @settings(max_examples=60)
 @given(
     drawn=st.lists(
-        st.sampled_from(KINDS) | sites() | measured_sites(), min_size=1, max_size=MOST,
+        st.sampled_from(KINDS) | sites() | field_capacity_sites(), min_size=1, max_size=MOST,
     ),
     tau=st.sampled_from([1.0, 10.0, 60.0, 60.0, 300.0, 3600.0]),
     seed=st.integers(0, 2**32 - 1),

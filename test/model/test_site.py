@@ -17,11 +17,11 @@ from greenroof_ros.common.files import shared_directory
 from greenroof_ros.experiment.run_directory import make_run_directory, write_configuration
 from greenroof_ros.model.site import Site, format_site, read_site
 
-MEASURED = {
+FIELD_CAPACITY = {
     "field_capacity": 0.6, "wilting_point": 0.05, "depletion_fraction": 0.5,
     "drainage_storage": 0.01, "drainage_time": 600.0,
 }
-"""parameters of a roof with a measured soil"""
+"""parameters of a roof with a field-capacity soil"""
 
 
 def write(directory: Path, *extra: str, **changes: object) -> Path:
@@ -47,7 +47,7 @@ def test_packaged_site_is_table_i() -> None:
     # The paper's soil drains by Eq. (4), its cistern has no top-up and one outlet, all rain on its
     # inlet arrives, and a run begins in one of Table II's states.
     absent = {
-        *MEASURED, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius",
+        *FIELD_CAPACITY, "mains_level", "mains_flow", "low_outlet_level", "low_outlet_radius",
         "initial_cistern", "initial_roof", "quiet_hours", "time_zone", "max_dose",
     }
     assert {key for key, value in site.items() if value is None} == absent
@@ -110,7 +110,7 @@ def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, wrong: str) ->
 
 
 PAPERS: dict[str, object] = {}
-ROOF: dict[str, object] = {"z_cap": 20.64, **MEASURED}
+ROOF: dict[str, object] = {"z_cap": 20.64, **FIELD_CAPACITY}
 MAINS: dict[str, object] = {"mains_level": 1.0, "mains_flow": 0.001}
 LOW: dict[str, object] = {"low_outlet_level": 1.0, "low_outlet_radius": 0.02}
 OWN: dict[str, object] = {"initial_cistern": 50.0, "initial_roof": 2.0}

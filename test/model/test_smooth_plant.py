@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, linear_model, measured_sites, sites
+from paper import PAPER_SITE, field_capacity_sites, linear_model, sites
 
 from greenroof_ros.model.site import Site
 from greenroof_ros.model.smooth_plant import linearise
@@ -35,7 +35,7 @@ def states(draw: st.DrawFn, site: Site) -> tuple[float, float]:
 @settings(max_examples=60)
 @given(
     data=st.data(),
-    site=st.just(PAPER_SITE) | sites() | measured_sites(),
+    site=st.just(PAPER_SITE) | sites() | field_capacity_sites(),
     command=st.floats(0, 3),
     rain=st.floats(0, 1e-3),
     evaporated=st.floats(0, 1),
@@ -52,7 +52,7 @@ def test_linear_model_equals_complex_steps(
     np.testing.assert_allclose(computed, slope, rtol=0, atol=1e-9 * np.abs(slope).max() + 5e-16)
     # Complex steps lose digits if a derivative is near the smallest float.
     np.testing.assert_allclose(model.B, B, rtol=0, atol=1e-9 * np.abs(B).max() + 1e-250)
-    # On a measured soil 1 - S^2 cancels.
+    # On a field-capacity soil 1 - S^2 cancels.
     cancels = 0.0 if site.field_capacity is None else 1e-15 * site.tau * site.a2 + 1e-250
     np.testing.assert_allclose(model.C, C, rtol=1e-12, atol=cancels)
     # The terms of f cancel; the rest is right to 1e-9 of the terms.

@@ -1,4 +1,4 @@
-"""The measured soil, by hand: its differential equations have solutions."""
+"""The field-capacity soil, by hand: its differential equations have solutions."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from paper import PAPER_SITE, measured_sites, site_with
+from paper import PAPER_SITE, field_capacity_sites, site_with
 
 from greenroof_ros.model.plant import Plant
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import MeasuredSoil, soil_of
+from greenroof_ros.model.soil import FieldCapacitySoil, soil_of
 
 # 100 m2 and 100 mm of substrate: 2 m3 at the wilting point, 6 m3 at field capacity, stress below 4
 # m3. Its layer holds 1 m3 and then loses 1 m3 in 100 s.
@@ -22,7 +22,7 @@ ROOF = replace(
     field_capacity=0.6, wilting_point=0.2, depletion_fraction=0.5,
     drainage_storage=0.01, drainage_time=100.0,
 )
-SOIL, PAPER_SOIL = MeasuredSoil(ROOF), soil_of(PAPER_SITE)
+SOIL, PAPER_SOIL = FieldCapacitySoil(ROOF), soil_of(PAPER_SITE)
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ BARE = replace(ROOF, drainage_storage=None, drainage_time=None)
 def test_a_layer_by_hand(
     site: Site, layer: float, inflow: float, seconds: float, outflow: float
 ) -> None:
-    computed = MeasuredSoil(site).layer_outflow(layer, inflow, seconds)
+    computed = FieldCapacitySoil(site).layer_outflow(layer, inflow, seconds)
     assert computed == pytest.approx(outflow, rel=1e-6 if seconds > 1e6 else 1e-12)
 
 
@@ -156,7 +156,7 @@ def test_what_lasts_of_water_on_a_roof_in_rain() -> None:
 def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
     """All of it while there is no stress; below 4 m3 exp(-e/2) of it, with a demand e."""
     assert lasting(4.4, [0.0] * 2, [0.1] * 2) == pytest.approx([1.0, 1.0], rel=1e-9)
-    dry = MeasuredSoil(replace(ROOF, z_veg=0.035, x2_star=3.5))
+    dry = FieldCapacitySoil(replace(ROOF, z_veg=0.035, x2_star=3.5))
     weather = np.zeros(1), np.array([2.0 / 3600]), np.array([3600.0])
     share = dry.predict_lasting_share(2.5, dry.predict_changes(2.5, *weather), *weather)
     assert share == pytest.approx([(1 + math.exp(-1)) / 2], rel=1e-9)
@@ -164,7 +164,7 @@ def test_what_lasts_of_water_on_a_roof_that_dries() -> None:
 
 @settings(max_examples=30)
 @given(
-    site=measured_sites(),
+    site=field_capacity_sites(),
     x2=st.floats(0, 1.5),
     ticks=st.lists(
         st.tuples(st.floats(0, 1e-4) | st.just(0.0), st.floats(0, 1e-3)), min_size=1, max_size=20

@@ -756,7 +756,7 @@ def test_what_the_charts_get() -> None:
     assert (series["from"], series["now"], series["to"]) == (at - 43_140, at + 60, at + 43_260)
     assert series["marks"] == {
         "target": 0.0457, "band": pytest.approx([0.043415, 0.047985]), "suction": 0.75,
-        "low_outlet": None, "outlet": 3.0,
+        "low_outlet": None, "overflow": 3.0,
     }
 
 

@@ -56,7 +56,7 @@ class ForecastSteps(NamedTuple):
 
 
 Function = Callable[[SiteState, ForecastSteps], float]
-"""A controller: returns the command, the share of the pumps' maximum flow (1)."""
+"""A controller: a function that returns the command, as a share of the pumps' maximum flow (1)."""
 
 
 def read_number(value: Any) -> float | None:

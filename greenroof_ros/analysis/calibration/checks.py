@@ -84,5 +84,6 @@ def check_fit(scores: Sequence[FitScores], source: Path) -> list[str]:
         and abs(row.volume_error) > _VOLUME_OFF
     ]
     return [
-        f"in the half that the fit has not seen {' and '.join(why)}: do not use it. {advice}"
+        f"in the half that was not used for the fit, {' and '.join(why)}: do not use this fit. "
+        f"{advice}"
     ] if why else []

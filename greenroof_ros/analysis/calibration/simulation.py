@@ -9,7 +9,7 @@ import numpy as np
 
 from greenroof_ros.formats.step_record import StepRecord, Values
 from greenroof_ros.model.site import Site
-from greenroof_ros.model.soil import MeasuredSoil
+from greenroof_ros.model.soil import FieldCapacitySoil
 
 # Less water than this in the drainage layer does not count: outflow falls with its square (m3 per
 # m2).
@@ -53,7 +53,7 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
     durations = np.repeat(record.step_s / parts, parts)
     arriving = np.repeat(water * volume_flow, parts)
     potential = np.repeat(record.reference * site.crop_coefficient * volume_flow, parts)
-    soil, capacity, empty = MeasuredSoil(site), site.z_cap, _EMPTY * site.a2
+    soil, capacity, empty = FieldCapacitySoil(site), site.z_cap, _EMPTY * site.a2
     x2, layer = site.wilting_volume + filled * site.available_volume, 0.0
     volumes = np.empty(len(durations))
     flows = np.zeros(len(durations))

@@ -70,10 +70,11 @@ class Draw:
         default=None,
     )
     values: tuple[float, ...] | None = entry(
-        "instead of a distribution: numbers, all equally frequent", -1e9, 1e9, default=None
+        "numbers to draw from, all equally likely, instead of a distribution", -1e9, 1e9,
+        default=None,
     )
     names: tuple[str, ...] | None = entry(
-        "instead of a distribution: names, all equally frequent", default=None
+        "names to draw from, all equally likely, instead of a distribution", default=None
     )
     times: str | None = entry(
         "key whose value in the same building multiplies the drawn number", default=None

@@ -57,7 +57,7 @@ class Part:
         groups: groups of adoption to which the buildings belong.
         group_count: number of groups; buildings that are in no group stay as they are.
         valves: whether each building has a valve, or an orifice in its place.
-        progress: file to which the share that is done is written.
+        progress: file to which the completed share is written.
     """
 
     places: slice

@@ -69,11 +69,12 @@ class SeasonComparison(NamedTuple):
     """A controller compared with another in the same years."""
 
     difference: float
-    """difference of a season's mean total deviation (m3), negative if the controller has less"""
+    """difference between the mean total deviations of a season (m3), negative if the controller
+    deviates less"""
     mean: Ratio
     """ratio of the mean total deviations of a season"""
     better: int
-    """number of years in which it had less"""
+    """number of years in which the controller deviated less"""
     years: int
     """number of years in which both ran"""
 

@@ -110,7 +110,7 @@ _QUANTITIES = {
     "cistern": _Quantity(
         "Cistern", "cistern level (m)", lambda site: 1 / site.a1,
         references=lambda site: {
-            "outlet": site.z_o, "suction limit": site.suction_level,
+            "overflow": site.z_o, "suction limit": site.suction_level,
             "low outlet": site.low_outlet_level,
         },
     ),

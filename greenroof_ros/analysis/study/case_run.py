@@ -76,7 +76,7 @@ def run_cases(
         directory: directory with the cases' input files.
         cases: cases to run.
         trajectory_every: time between samples, as for :func:`run_case` (s).
-        progress: file to which the share that is done is written.
+        progress: file to which the completed share is written.
     """
     if len(cases) == 1:
         return [run_case(directory, cases[0], trajectory_every)]

@@ -22,7 +22,7 @@ const CHARTS = [
     ],
   },
   {
-    key: "cistern", shown: "cistern", title: "Cistern level", height: 150, marks: ["suction", "low_outlet", "outlet"],
+    key: "cistern", shown: "cistern", title: "Cistern level", height: 150, marks: ["suction", "low_outlet", "overflow"],
     lines: [{ name: "cistern", label: "measured", colour: "--cistern", range: true }],
   },
   {
@@ -43,7 +43,7 @@ const CHARTS = [
     ],
   },
 ];
-const MARKS = { target: "target", suction: "suction level", low_outlet: "low outlet", outlet: "outlet" };
+const MARKS = { target: "target", suction: "suction level", low_outlet: "low outlet", overflow: "overflow" };
 const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];
 const MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"];
 

@@ -112,7 +112,7 @@ def test_an_invalid_site_is_not_written() -> None:
 
 
 def test_a_record_without_any_runoff_has_nothing_to_fit(fitted: Path, tmp_path: Path) -> None:
-    """A roof with a measured soil in dry weeks: it is not refused as a dead sensor."""
+    """A roof with a field-capacity soil in dry weeks: it is not refused as a dead sensor."""
     record = DATA / "neubrandenburg_dry.csv"
     ended = calibrate(
         tmp_path, str(record), "--site", str(fitted / "site.yaml"), "-o", "new.yaml"

@@ -59,8 +59,8 @@ def test_the_simulations_own_tally(tmp_path: Path) -> None:
     """The run itself and its trajectory give the same bits.
 
     First an empty roof loses less than the potential evapotranspiration, until mains water has
-    filled the cistern. Then a measured soil has a drainage layer that is not empty at first, and
-    its cistern a catchment and a low outlet. At last this outlet has a valve, and the drainage
+    filled the cistern. Then a field-capacity soil has a drainage layer that is not empty at first,
+    and its cistern a catchment and a low outlet. At last this outlet has a valve, and the drainage
     flows into the cistern, which is full or filled by the mains.
     """
     mains = site_file(tmp_path, mains_level=0.8, mains_flow=0.004)

@@ -52,7 +52,7 @@ def time_to_fault(rig: Rig, seconds: float, command: float) -> float:
 
 
 MAINS = replace(PAPER_SITE, mains_level=2.9, mains_flow=0.009)
-MEASURED = read_site(CONFIG / "site_neubrandenburg.yaml")
+FIELD_CAPACITY = read_site(CONFIG / "site_neubrandenburg.yaml")
 LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
 """At 2.8 m it takes 0.61 pi 0.025^2 sqrt(2 9.81 1.8) = 0.00712 m3/s, at 2 m 0.00531 m3/s."""
 
@@ -109,8 +109,8 @@ WELL: list[Any] = [
     ({"site": MAINS}, {}, [(600, 1.0)], {"x1": 70, "delivered": 2}),
     # A roof filled from wilting to its target keeps only 0.58 at the end: for half an hour more
     # than half of the pumped water percolates.
-    ({"x2": 0.2, "site": MEASURED}, {}, [(2400, 1.0, 0, 0.4)],
-     {"delivered": MEASURED.x2_star + 0.3, "x2": 0.99 * MEASURED.x2_star}),
+    ({"x2": 0.2, "site": FIELD_CAPACITY}, {}, [(2400, 1.0, 0, 0.4)],
+     {"delivered": FIELD_CAPACITY.x2_star + 0.3, "x2": 0.99 * FIELD_CAPACITY.x2_star}),
     # From 0.5 m above the outlet to its edge, with a sensor that reads too low.
     (SLOW | {"x1": 87.5, "x2": 3.2}, {"cistern_offset": -0.015}, [(7200, 0.0)], {"x1": 74.9}),
     # The pipe is a third worse than the site file states, or the meter reads too low.
@@ -324,7 +324,7 @@ def test_levels_that_are_unknown_now_and_then_hide_no_fault(
         *((PAPER_SITE, 0.5, command, 0.0, 0) for command in (1.0, 0.02)),
         # Mains that are shut at this reading, and a soil that keeps more than at its target.
         (replace(PAPER_SITE, mains_level=0.7, mains_flow=0.009), 0.5, 1.0, 0.0, 0),
-        (MEASURED, 0.2, 1.0, 0.0, 0),
+        (FIELD_CAPACITY, 0.2, 1.0, 0.0, 0),
         # At full flow the pump is dry for a minute. Half of that flow would exceed what the drift
         # adds, so the roof has to show it.
         (PAPER_SITE, 0.5, 1.0, 0.010, 60), (PAPER_SITE, 0.5, 0.2, 0.010, 0),

@@ -214,7 +214,7 @@ WELL: dict[str, tuple[float, Rate, Rate, dict[str, Any]]] = {
         {"site": replace(COLLECTING, low_outlet_level=1.5, low_outlet_radius=0.05),
          "cistern": 1.497, "roof": 0.5},
     ),
-    "a roof with a measured soil at field capacity is read 5 mm too low": (
+    "a roof with a field-capacity soil at field capacity is read 5 mm too low": (
         48, nothing, lambda _: 10.0,
         {"site": NEUBRANDENBURG, "cistern": 3.0, "roof": 0.06304},
     ),
@@ -349,7 +349,7 @@ def test_wetting() -> None:
         assert beyond * hours == pytest.approx(ran_off * MM_PER_HOUR), (rain, hours)
 
 
-def test_a_measured_soil_rises_by_what_it_keeps() -> None:
+def test_a_field_capacity_soil_rises_by_what_it_keeps() -> None:
     """At half of its available water it keeps 3/4; water above field capacity falls in a tick.
 
     Of 0.1 m of soil, wilting is at 0.02 m and field capacity at 0.06 m: half is 0.04 m.

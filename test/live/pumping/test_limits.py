@@ -35,7 +35,7 @@ def test_defaults_by_hand() -> None:
     assert settings.drive_ramp == MAX_RAMP_S
 
 
-def test_defaults_of_a_measured_soil_near_field_capacity() -> None:
+def test_defaults_of_a_field_capacity_soil_near_field_capacity() -> None:
     """Filling it to 99 % takes atanh(0.99) = 2.6467 times its capacity above wilting, by hand.
 
     100 m2, 4 m3 between wilting, at 2 m3, and field capacity: 2 + 4 2.6467 = 12.587 m3. Of 10 mm,
