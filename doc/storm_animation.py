@@ -1,8 +1,8 @@
 """An animation: the same storm with a full cistern, and with a valve that made room.
 
 The picture is SVG with CSS, drawn from two simulated runs. Where nothing moves (in print, for
-readers who ask for less motion, in programs without CSS animation) it shows the storm at its
-height.
+readers who ask for less motion, in programs without CSS animation) it shows the end, so that the
+gauges match the captions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SITE = Path(__file__).resolve().parent.parent / "config" / "site_valve.yaml"
 _SECONDS = 6  # of the animation
 _HOURS = 48
 _FRAMES = 96
-_STILL = 72  # the frame without motion: noon of the second day
+_STILL = _FRAMES - 1  # the frame without motion
 _FULL = 10.0  # volume of the cistern (m3)
 
 # Geometry (px): tops and heights of what water fills, in a panel of 380 px.
@@ -37,7 +37,7 @@ text{fill:#1f2328}.title{font-size:19px;font-weight:bold}.caption{font-size:17px
 .name{text-anchor:middle}.small{font-size:15px}
 .rain,.plant,.pipe,.outlet{fill:none;stroke-width:2}.rain,.plant{stroke-linecap:round}
 .rain{stroke:#0072b2}.plant{stroke:#2f8f46}.pipe{stroke:#59636e;stroke-width:3}
-.outlet{stroke-width:7}.tank{fill:#fff;stroke-width:2.5}
+.outlet{stroke-width:7}.pipe.drain{stroke:#b3261e}.tank{fill:#fff;stroke-width:2.5}
 .wall{fill:#e7eaee;stroke:#818b98}.pane{fill:#fff;stroke:#818b98}
 """
 _VISIBLE = 1e-5  # flow (m3/s)
@@ -94,6 +94,7 @@ def _panel(
     plants = " ".join(f"M{x} {_SOIL_TOP} {blades}" for x in range(46, 140, 22))
     over = f"M246 {_CISTERN_TOP} h46 v{_CISTERN_HEIGHT}"
     low = f"M246 {bottom - 20} h46"
+    drain = f"M40 {soil - 4} H28 V{bottom + 7} H336 V{bottom}"
 
     def water(part: str, x: float, y: float, width: float, height: float, colour: str) -> str:
         # Its bottom is at 0, from where its height is scaled.
@@ -114,6 +115,9 @@ def _panel(
         f'<path class="wall" d="M46 {soil} h270 V{_GROUND} h-270z"/>',
         '<path class="pane" d="M70 150 h34 v30 h-34z m94 0 h34 v30 h-34z m94 0 h34 v30 h-34z"/>',
         f'<path d="M0 {_GROUND} H{_PANEL_WIDTH}" stroke="#818b98" stroke-width="2"/>',
+        # what drains off the green roof
+        f'<path class="pipe" d="{drain}"/>',
+        f'<path {keyframes.start[f"{key}-drain"]} class="pipe drain" d="{drain}"/>',
         # the pipe from the roof, the pipe to it, the cistern and its outlets
         f'<path class="pipe" d="M322 {soil} V250 H226 V{_CISTERN_TOP} M62 330 H52 V134"/>',
         f'<rect class="tank" x="60" y="{_CISTERN_TOP - 8}" width="186" '
@@ -190,6 +194,7 @@ def draw(narrow: bool) -> str:
             ("rain", _SHADE, np.minimum(1.0, ticks.precipitation * 3.6e6 / 2)),
             ("over", _SHADE, (ticks.outflow - ticks.low_outlet > _VISIBLE)),
             ("low", _SHADE, (ticks.low_outlet > _VISIBLE)),
+            ("drain", _SHADE, ((1 - site.drainage_to_cistern) * ticks.drainage > _VISIBLE)),
         ):
             keyframes.add(f"{key}-{part}", form, np.asarray(values, float)[picked])
         caption = f"{wet[key]:.1f} m³ to the sewer in wet weather"
