@@ -160,8 +160,8 @@ def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, range_: str) -
         ({"substrate": "sand"}, "line 7: substrate = 'sand': is unknown; did you mean sandy_loam?"),
         ({"substrate": "moss"}, "line 7: substrate = 'moss': must be one of neubrandenburg"),
         ({"substrate": 3}, "line 7: substrate = 3: must be text (substrate of the"),
-        ({"irrigation_rate": None, "emitters": 3}, "line 9: emitters = 3: needs emitter_flow as"),
-        ({"irrigation_rate": None, "emitter_flow": 3}, "line 9: emitter_flow = 3.0: needs emit"),
+        ({"irrigation_rate": None, "emitters": 3}, "line 9: emitters = 3: also needs emitter_flow"),
+        ({"irrigation_rate": None, "emitter_flow": 3}, "line 9: emitter_flow = 3.0: also needs"),
         ({"irrigation_rate": None, "emitters": 2.5}, "line 9: emitters = 2.5: must be a whole"),
         ({"volume": 3}, "line 10: volume = 3: is not a key here; did you mean cistern_volume?"),
         # What is wrong with the parameter that a plain key stands for.

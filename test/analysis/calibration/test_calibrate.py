@@ -61,7 +61,7 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert re.search(r"runoff, validation: NSE .*\(1 day\); KGE 0\.\d\d \(1 day\); volume ", top)
     assert "compared: " in top and "target: z_veg was " in top
     assert "pumps: 5" in top  # l/s, sqrt((2 + 45 - 16) / 1e6) and a little less
-    assert "do not use it" not in top
+    assert "do not use this fit" not in top
     # Between wilting point and field capacity, 0.1 m deep.
     middle = (site.wilting_point + site.field_capacity) / 2
     assert site.z_veg == pytest.approx(0.1 * middle, rel=1e-4)

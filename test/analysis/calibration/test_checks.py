@@ -41,7 +41,7 @@ def test_a_fit_is_judged_by_the_half_that_it_has_not_seen() -> None:
     for fitted, judged, step_s, refuses, text in (
         (OPPOSITE, OPPOSITE, 3600.0, True, "runoff in fit -3.00, runoff in validation -3.00"),
         (OPPOSITE, OPPOSITE, 86400.0, True, "runoff in fit -3.00"),
-        (GOOD, OPPOSITE, 3600.0, False, "the NSE of runoff is -3.00: do not use it"),
+        (GOOD, OPPOSITE, 3600.0, False, "the NSE of runoff is -3.00: do not use this fit"),
         (GOOD, HALF_MORE, 3600.0, False, "the volume of runoff is off by +60 %"),
     ):
         rows = [row("fit", fitted, step_s), row("validation", judged, step_s)]
