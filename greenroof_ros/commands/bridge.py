@@ -59,11 +59,12 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--authority", default="", metavar="FILE",
-        help="trust the certificates in this PEM file for mqtts:// (default: the system's)",
+        help="trust the certificates in this PEM file for mqtts:// (default: the system's "
+             "certificates)",
     )
     add_namespace(
-        parser, "; also the site's name on MQTT (roof without a namespace). Two sites at one "
-        "broker need different ones",
+        parser, "; it is also the site's name on MQTT (roof without a namespace), so two sites at "
+            "one broker need different namespaces",
     )
     return parser
 

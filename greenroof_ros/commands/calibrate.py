@@ -66,14 +66,14 @@ def make_parser() -> Parser:
     parser.add_argument(
         "measured", type=Path, metavar="MEASURED", help="the record: CSV, a bag, or an .mcap file",
     )
-    add_site(parser, "site file from which the fit starts")
+    add_site(parser, "start the fit from this site file")
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE.yaml",
-        help="site file to write, which must not exist",
+        help="write the fitted site to this file, which must not exist yet",
     )
     parser.add_argument(
         "--months", metavar="FIRST-LAST",
-        help="months of the record that are fitted and judged, such as 4-10, or 11-3 over new "
+        help="fit and judge only these months of the record, such as 4-10, or 11-3 over new "
         "year; the other months are only simulated (default: all)",
     )
     return parser
@@ -186,9 +186,9 @@ def _refuse_dry(record: StepRecord, halves: Mapping[str, Steps]) -> None:
     for half, steps in zip(("first", "second"), halves.values(), strict=True):
         if not steps.any() or all(np.ptp(each[steps]) == 0 for each in record.measured.values()):
             raise ConfigurationError(
-                f"in the {half} half of its rain, nothing that was measured changes, and each half "
-                "must have runoff or levels that do, to fit and to judge the fit; leave out rows "
-                "at the dry end, or record longer, with fewer gaps", file=record.source,
+                f"in the {half} half of its rain, nothing that was measured changes, but fit and "
+                "validation each need runoff or levels that change; leave out rows at the dry "
+                "end, or record longer, with fewer gaps", file=record.source,
             )
 
 

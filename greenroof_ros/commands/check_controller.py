@@ -77,7 +77,7 @@ def make_parser() -> Parser:
         help="send forecasts that reach this far (h), as for 'greenroof run --controller external' "
         "(default: 0, the next M ticks)",
     )
-    add_site(parser, "site with which it is checked")
+    add_site(parser, "check the controller with this site")
     return parser
 
 

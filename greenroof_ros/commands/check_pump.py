@@ -61,7 +61,7 @@ def make_parser() -> Parser:
         help="wait at least this long between two commands (s), each a tick of the site; with "
         "--live and with a real pump, use the site's tau, 1 (default: 0.1)",
     )
-    add_site(parser, "site whose levels and ticks it is sent")
+    add_site(parser, "send the driver the levels and ticks of this site")
     return parser
 
 

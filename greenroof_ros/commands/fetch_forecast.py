@@ -47,27 +47,29 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--model", default="", metavar="NAME",
-        help="weather model, by the service's name, such as icon_seamless (default: the service's "
+        help="use this weather model, by the service's name for it, such as icon_seamless "
+             "(default: the service's "
         "choice for the place)",
     )
     parser.add_argument(
         "--days", type=make_number_type(1, MAX_DAYS, int), default=7, metavar="N",
-        help="number of days that it covers, from today (default: %(default)s)",
+        help="request a forecast of this many days, from today (default: %(default)s)",
     )
     parser.add_argument(
         "--url", default="",
-        help="another server with the same interface, if need be with a key, such as "
+        help="use another server with the same interface, if necessary with a key, such as "
         "https://customer-api.open-meteo.com/v1/forecast?apikey=KEY, which is neither printed nor "
         "kept (default: Open-Meteo's)",
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("forecast.csv"), metavar="FILE",
-        help="file to write; every newer forecast replaces it (default: %(default)s)",
+        help="write the forecast to this file; every newer forecast replaces it (default: "
+             "%(default)s)",
     )
     parser.add_argument(
         "--keep", type=Path, metavar="DIR",
-        help="directory that keeps every new forecast, up to 2 GB; verify, and --forecast of "
-        "simulate, read it",
+        help="keep every new forecast in this directory, up to 2 GB; verify and simulate "
+             "--forecast can read it",
     )
     return parser
 

@@ -71,7 +71,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--years", type=_parse_years, required=True, metavar="YEARS",
         help="fetch this year, or the years from the first to the last, such as 2015-2024; the "
-        "current year is fetched as far as the service has it",
+        "current year is fetched as far as the service provides it",
     )
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE.csv",

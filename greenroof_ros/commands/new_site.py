@@ -90,7 +90,7 @@ def make_parser() -> Parser:
     )
     # This makes -33.87,151.21 a value and not an option.
     parser._negative_number_matcher = re.compile(r"-[\d.]")
-    group = parser.add_argument_group("asked for, if they are left out")
+    group = parser.add_argument_group("asked for if they are omitted")
     for option, key in _ASKED.items():
         _add_option(group, option, key)
     group.add_argument(
@@ -98,10 +98,10 @@ def make_parser() -> Parser:
         help="set the latitude, positive to the north, and the longitude, positive to the east "
         "(degrees)",
     )
-    group = parser.add_argument_group("assumed, if they are left out")
+    group = parser.add_argument_group("assumed if they are omitted")
     assumed = {
         "cistern_height": f"{HEIGHT:g}", "runoff_coefficient": f"{RUNOFF:g}",
-        "substrate": SUBSTRATE, "substrate_depth": "the depth in the substrate's source",
+        "substrate": SUBSTRATE, "substrate_depth": "the depth stated in the substrate's source",
         "irrigation_rate": f"{RATE:g}",
     }
     for option, key in _ASSUMED.items():

@@ -44,12 +44,14 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="directory of the report: new, empty or with an earlier report, which is replaced; "
+        help="write the report to this directory, which may be new, be empty or hold an earlier "
+             "report, which is replaced; "
         "other files are never replaced (default: report in the first PATH)",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
-        help="site of the bags (default: configuration/site.yaml next to each, or the paper's)",
+        help="site file of the bags (default: configuration/site.yaml next to each bag, or the "
+             "paper's site)",
     )
     return parser
 

@@ -87,11 +87,13 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="directory of the study, new or begun earlier (default: studies/ and the grid's name)",
+        help="write the study to this directory, which may be new or hold a study begun earlier "
+             "(default: studies/ and the grid's name)",
     )
     parser.add_argument(
         "--weather", type=Path, metavar="DIR",
-        help="directory of weather files that the grid names but that are not next to it, such as "
+        help="look in this directory for weather files that the grid names but that are not next "
+             "to it, such as "
         "the record of years for config/studies/seasons.yaml",
     )
     add_worker_arguments(parser, "runs")

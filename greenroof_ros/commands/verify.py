@@ -68,31 +68,34 @@ def make_parser() -> Parser:
     parser.add_argument("forecasts", type=Path, metavar="FORECASTS", help="archive")
     parser.add_argument(
         "--weather", nargs="+", required=True, metavar="FILE",
-        help="records, as for simulate: files, or a pattern in quotes; missing hours are left "
+        help="read these records, as simulate does: files, or a pattern in quotes; missing hours "
+             "are left "
         "out",
     )
-    add_site(parser, "site file, for its place")
+    add_site(parser, "take the place from this site file")
     whole_hours = make_number_type(1, _MAX_HOURS, int)
     parser.add_argument(
         "--sums", type=whole_hours, nargs="+", metavar="H",
-        help="hours of a sum, or of several sums (default: 1, 6, 12 and 24, if they divide "
+        help="score sums over these numbers of hours (default: 1, 6, 12 and 24, if they divide "
              "--lead)",
     )
     parser.add_argument(
         "--events", type=make_number_type(1e-3, 1e3), nargs="+", metavar="MM",
-        help="for each of --sums, the mm from which it counts as an event (default: 1, 2, 3 and 5)",
+        help="count a sum as an event from this amount (mm), one for each of --sums (default: "
+             "1, 2, 3 and 5)",
     )
     parser.add_argument(
         "--lead", type=whole_hours, default=24, metavar="H",
-        help="hours of lead time that are scored together, a multiple of every sum (default: "
+        help="score this many hours of lead time together, a multiple of every sum (default: "
         "%(default)s, days)",
     )
     parser.add_argument(
         "--horizon", type=whole_hours, default=120, metavar="H",
-        help="number of hours ahead that are scored (default: %(default)s)",
+        help="score forecasts up to this many hours ahead (default: %(default)s)",
     )
     parser.add_argument(
-        "-o", "--output", type=Path, metavar="FILE.csv", help="write all scores as CSV",
+        "-o", "--output", type=Path, metavar="FILE.csv", help="write all scores to this file as "
+            "CSV",
     )
     return parser
 

@@ -61,14 +61,14 @@ def make_parser() -> Parser:
     parser.add_argument(
         "files", nargs="+", metavar="FILE", help="weather files, or a pattern in quotes"
     )
-    add_site(parser, "site file, for place, time zone and monthly means")
+    add_site(parser, "take place, time zone and monthly means from this site file")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.csv",
         help="write a new CSV in this project's format, with which a run yields the same numbers",
     )
     parser.add_argument(
         "--stamped", choices=STAMPS,
-        help="whether the time of a row in your own file is its start or its end (default: as the "
+        help="treat the time of a row in your own file as its start or its end (default: as the "
         "comment 'stamped: end' states, otherwise start)",
     )
     return parser

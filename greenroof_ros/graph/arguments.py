@@ -29,8 +29,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser, pump: str = "") -> None
     )
     group.add_argument(
         "--peer-limit", type=make_number_type(2, 1e6), default=5.0, metavar="S",
-        help="longest wait for a node, in wall time, at least 2 s: joining nodes listen for one "
-        "second (default: %(default)s s)",
+        help="wait at most this long for a node, in wall time; at least 2 s, because joining "
+             "nodes listen for one second (default: %(default)s s)",
     )
     group.add_argument(
         "--watch", action="store_true",

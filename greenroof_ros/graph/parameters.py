@@ -45,8 +45,8 @@ def look_ahead_parameters() -> list[Parameter]:
     """Return the parameters of a weather node that determine what its forecasts cover."""
     return [
         Parameter(
-            "horizon", 0.0, "", 0.0, MAX_HORIZON, "how far the forecasts reach (h), in "
-            "growing steps; 0: the next M ticks",
+            "horizon", 0.0, "", 0.0, MAX_HORIZON, "how far the forecasts reach (h), in growing "
+                "steps; if 0, they cover the next M ticks",
         ),
         Parameter(
             "all_members", False, meaning="publish all members of an ensemble, for a controller "

@@ -63,12 +63,12 @@ _DECIDING_S = 3.0
 _STARTING_S = 12.0
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
-    "state_file", "", meaning="file that keeps what waiting for rain has cost so far "
-    "across restarts; empty for none",
+    "state_file", "", meaning="file in which the cost of waiting for rain so far is stored across "
+        "restarts; if empty, it is not stored",
 )
 GIVEN_UP = Parameter(
-    "given_up", "", meaning="why the controller cannot be run, so that on/off commands instead; "
-    "set by bringup; empty if the controller is run",
+    "given_up", "", meaning="reason why the controller cannot run and on/off control replaces it; "
+        "set by bringup; empty if the controller runs",
 )
 # How often learned values are saved (s).
 _SAVE_S = 600.0
@@ -215,7 +215,7 @@ class LiveControllerNode(LiveNode):
         return command, decides
 
     def _read_learned(self) -> dict[str, float] | None:
-        """Return what the controller has learned, which must consist of numbers to be saved."""
+        """Return what the controller has learned; it is saved only if it consists of numbers."""
         controller = self._settings.controller
         learned = getattr(controller, "learned", None)
         if learned is None:
@@ -225,7 +225,7 @@ class LiveControllerNode(LiveNode):
         kind = type(controller)
         file, line = find_place(kind, "learned")
         raise ControllerError(
-            "must be finite numbers by name", file=file, line=line,
+            "must be a mapping of names to finite numbers", file=file, line=line,
             key=f"{kind.__name__}.learned = {learned!r}",
         )
 

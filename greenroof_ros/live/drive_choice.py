@@ -104,7 +104,8 @@ def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
          "needs --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
          "mqtt://..."),
         (drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
-         "leaves the pump to someone else's node, --drive to the pump node; use only one"),
+         "leaves the pump to someone else's node, but --drive leaves it to the pump node; use "
+         "only one"),
     )
     files = [
         str(Path(file).resolve()) if file else ""

@@ -34,16 +34,18 @@ PAUSE_S = 1.0
 _FIRST_S = 1.0
 
 RECOVERY = Parameter(
-    "recovery_time", 10.0, "s", 0.0, 86400.0, "how long an input that was not good must have "
-    "been good before it counts again",
+    "recovery_time", 10.0, "s", 0.0, 86400.0, "time for which an input that was not good must be "
+        "good before it is used again",
 )
 _FROZEN_MOVEMENT = Parameter(
-    "frozen_movement", 0.01, "", 1e-6, 10.0, "a level is frozen if it does not change while "
-    "pump and rain must have moved it by this much (m); above the sensor's resolution",
+    "frozen_movement", 0.01, "", 1e-6, 10.0, "a level is considered frozen if it does not change "
+        "although pump and rain must have moved it by this much (m); this must be above the "
+        "sensor's resolution",
 )
 _JUMP_TOLERANCE = Parameter(
-    "jump_tolerance", 0.02, "", 1e-6, 10.0, "by how much two values of a level may differ "
-    "beyond what water can do in between (m); at least 10 times the sensor's noise (standard "
+    "jump_tolerance", 0.02, "", 1e-6, 10.0, "largest difference between two values of a level "
+        "beyond what water can cause in between (m); this should be at least 10 times the "
+        "sensor's noise (standard "
     "deviation)",
 )
 

@@ -67,8 +67,9 @@ _OWN = (
         "cannot be read",
     ),
     Parameter(
-        "state_file", "", meaning="file that keeps a hold, a fault and the use in 24 h across "
-        "restarts; empty: greenroof_ros/NAME.json in $XDG_STATE_HOME or ~/.local/state",
+        "state_file", "", meaning="file in which a hold, a fault and the use in 24 h are stored "
+            "across restarts; if empty, greenroof_ros/NAME.json in $XDG_STATE_HOME or "
+            "~/.local/state",
     ),
 )
 
@@ -218,7 +219,8 @@ class PumpNode(LiveNode):
     def _dose(self, request: SetParametersAtomically.Request) -> tuple[bool, str]:
         fields = {parameter.name: parameter.value.double_value for parameter in request.parameters}
         if fields.keys() != {"volume", "asked_at"}:
-            raise ValueError("a dose needs volume (m3) and asked_at (s since 1970), and no more")
+            raise ValueError("a dose needs volume (m3) and asked_at (s since 1970), and nothing "
+                "else")
         self._step()  # a reason against the dose may have just arrived
         refusal = self._control.request_dose(fields["asked_at"], fields["volume"])
         self._step()

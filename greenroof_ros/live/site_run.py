@@ -278,8 +278,8 @@ class _SiteRecord:
             )
         elif DISK.refused:
             warnings.add(
-                f"{self._state}: {DISK.refused} pieces of logs did not fit into memory since the "
-                "start, and are lost"
+                f"{self._state}: {DISK.refused} pieces of logs have not fitted into memory since "
+                "the start, and are lost"
             )
         for text in sorted((of_nodes | warnings) - self._warnings):
             print_line(f"warning: {text}")

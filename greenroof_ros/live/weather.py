@@ -51,24 +51,27 @@ def parameters(site: Site) -> list[Parameter]:
         site_file(),
         *look_ahead_parameters(),
         Parameter(
-            "forecast", "", meaning="a FILE.csv, read again whenever it is replaced; empty for "
-            "none",
+            "forecast", "", meaning="a FILE.csv, which is read again whenever it is replaced; if "
+                "empty, there is no forecast",
         ),
         Parameter(
             "fetch", "", meaning="interface of Open-Meteo from which to fetch forecasts, which are "
-            "kept in the FILE.csv of forecast and next to it; empty: someone else writes the file",
+            "kept in the FILE.csv of forecast and next to it; if empty, someone else writes the "
+            "file",
             among=("", *INTERFACES),
         ),
         Parameter(
-            "fetch_model", "", meaning="Open-Meteo's name of the weather model; empty: its choice",
+            "fetch_model", "", meaning="Open-Meteo's name for the weather model; if empty, "
+                "Open-Meteo chooses one",
         ),
-        Parameter("fetch_url", "", meaning="server compatible with Open-Meteo; empty: its own"),
+        Parameter("fetch_url", "", meaning="server compatible with Open-Meteo; if empty, "
+            "Open-Meteo's own server"),
         Parameter(
             "fetch_every", 30.0, "min", 10.0, 1440.0, "time between two fetched forecasts"
         ),
         Parameter(
-            "issue_limit", 7200.0, "s", 1.0, 1e6, "how long ago the newest forecast in the file "
-            "may have been issued",
+            "issue_limit", 7200.0, "s", 1.0, 1e6, "maximum time since the newest forecast in the "
+                "file was issued",
         ),
         Parameter(
             "unknown_frost_may_pump", False, meaning="true: an unknown temperature is treated as "

@@ -51,9 +51,10 @@ def parameters(site: Site) -> list[Parameter]:
         Parameter("initial_roof_volume", roof, "m3", 0, 1e9, "volume on the roof at tick 0"),
         Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601 with its offset"),
         Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
-        Parameter("speed", 0.0, "", 0, 1e9, "simulated time per wall time; 0: as fast as possible"),
+        Parameter("speed", 0.0, "", 0, 1e9, "simulated time per wall time; if 0, the run is as "
+            "fast as possible"),
         Parameter(
-            "pump", "internal", meaning="internal, or external: a driver publishes /pump/flow",
+            "pump", "internal", meaning="internal, or external if a driver publishes /pump/flow",
             among=("internal", "external"),
         ),
         *PARAMETERS.values(),

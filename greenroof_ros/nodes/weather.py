@@ -33,24 +33,24 @@ def parameters(site: Site) -> list[Parameter]:
         Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601"),
         Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
         Parameter(
-            "evapotranspiration", "", meaning="fao56; hargreaves; monthly; or the name of the "
-            "file's own column; empty: the file's own, otherwise the first of these that the file "
-            "allows",
+            "evapotranspiration", "", meaning="fao56, hargreaves, monthly, or the name of the "
+                "file's own column; if empty, the file's own column is used, otherwise the first "
+                "of these methods that the file allows",
         ),
         Parameter(
-            "gaps", REFUSE, meaning="refuse a run with a missing hour, or fill it: rain with "
-            "none, everything else with the mean at that time of day over the three days before "
+            "gaps", REFUSE, meaning="reject a run with a missing hour, or fill the hour: no rain, "
+                "and everything else with the mean at that time of day over the three days before "
             "and after",
             among=GAPS,
         ),
         *look_ahead_parameters(),
         Parameter(
             "outlet_horizon", 0.0, "", 0.0, MAX_HORIZON, "how far the forecasts reach for a plan "
-            "of the outlet valve (h), in further steps; 0: no further",
+            "of the outlet valve (h), in further steps; if 0, they reach no further",
         ),
         Parameter(
             "forecast", PERFECT,
-            meaning=f"{', '.join(MODELS)}, or a file or directory of archived ones",
+            meaning=f"{', '.join(MODELS)}, or a file or directory of archived forecasts",
         ),
         *(
             replace(parameter, default=_USUAL_DELAY, low=_USUAL_DELAY,

@@ -211,7 +211,7 @@ class Bridge:
         elif retained:
             print_seldom(
                 "kept",
-                f"{topic}: ignored, since it is retained; a stop must not be: clear the topic",
+                f"{topic}: ignored, because a stop must not be retained: clear the topic",
             )
         else:
             self._stop.set()

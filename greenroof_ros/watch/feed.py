@@ -154,7 +154,8 @@ class Feed:
             act()
         except Exception as error:  # whatever the error, the others go on
             self._problem = (
-                f"Something could not be shown; the rest goes on ({type(error).__name__}: {error})."
+                f"Something could not be shown; everything else continues "
+                f"({type(error).__name__}: {error})."
             )
             self._problem_until = time.monotonic() + _SHOWN_S
             return True

@@ -138,8 +138,8 @@ def read_token(file: Path) -> str:
         raise refuse(f"cannot be used: {error.strerror}") from error
     if not _TOKEN.fullmatch(token):
         raise refuse(
-            "must contain a token of at least 32 letters, digits, - or _; remove the file, and the "
-            "next start makes one"
+            "must contain a token of at least 32 letters, digits, - or _; if you remove the file, "
+            "a new token is created at the next start"
         )
     return token
 

@@ -168,7 +168,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         def state() -> dict[str, Any]:
             return json.loads(heard.last("greenroof/site1/state") or "{}")
 
-        bridge.until_printed("ignored, since it is retained")
+        bridge.until_printed("ignored, because a stop must not be retained")
         wait_for(
             lambda: state().get("can_stop") and state()["pump"] == "running"
             and (state()["flow"] or 0.0) > 0, 60, "a running pump, and its flow",
@@ -215,7 +215,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         bridge = Process(
             domain, "bridge", "--broker", broker.address, "--namespace", "site1", cwd=tmp_path
         )
-        bridge.until_printed("ignored, since it is retained")
+        bridge.until_printed("ignored, because a stop must not be retained")
         wait_for(lambda: state()["hold"] == "" and state()["pump"] != "held", 60, "no hold")
         time.sleep(3.0)
         assert state()["hold"] == ""

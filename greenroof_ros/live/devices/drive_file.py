@@ -33,16 +33,16 @@ class Source:
     """A document from which the file was made."""
 
     title: str = entry("title")
-    document: str = entry("number and revision, as on its title page")
-    where: str = entry("where it was read")
+    document: str = entry("number and revision, as printed on its title page")
+    where: str = entry("address, pages or section at which it was read")
 
 
 @dataclass(frozen=True)
 class Numbering:
     """How the register numbers in the manual follow from the addresses on the wire."""
 
-    offset: int = entry("manual's number minus address on the wire", 0, 465536)
-    meaning: str = entry("the manual's own rule, in a sentence")
+    offset: int = entry("number in the manual minus the address on the wire", 0, 465536)
+    meaning: str = entry("the rule that the manual states, in a sentence")
 
 
 @dataclass(frozen=True)
@@ -62,19 +62,21 @@ class Register:
     """
 
     address: int = entry("address on the wire, where the first register is 0", 0, 65535)
-    manual: int = entry("the manual's number for it: address + numbering.offset", 0)
-    type: str = entry("how it is coded", choices=(*WIDTHS, "text"))
+    manual: int = entry("number of the register in the manual: address + numbering.offset", 0)
+    type: str = entry("how the value is encoded", choices=(*WIDTHS, "text"))
     meaning: str = entry("what its value means")
     source: str = entry("page or table of one of the sources, or 'none'")
-    word_order: str = entry("which of several words comes first", choices=WORD_ORDERS, default="")
-    length: int = entry("text only: number of registers, two characters each", 0, 64, default=0)
+    word_order: str = entry("which word comes first, if there are "
+        "several", choices=WORD_ORDERS, default="")
+    length: int = entry("for a text only: number of registers, each of which holds two "
+        "characters", 0, 64, default=0)
     unit: str = entry("unit of the scaled value; empty for a plain word", choices=UNITS, default="")
     scale: float = entry("value = scale x raw", default=1.0)
     full_scale: str = entry(
-        "register whose value divides this one; read on connecting", default=""
+        "register whose value divides this one; it is read on connecting", default=""
     )
-    low: float = entry("lowest plausible value, in the unit", default=-math.inf)
-    high: float = entry("highest plausible value, in the unit", default=math.inf)
+    low: float = entry("lowest plausible value, in this unit", default=-math.inf)
+    high: float = entry("highest plausible value, in this unit", default=math.inf)
     missing: Word | None = entry("the raw value that means 'not available'", default=None)
 
     @property
@@ -87,8 +89,8 @@ class Register:
 class RegisterCondition:
     """A condition that is true if register & mask == value."""
 
-    mask: Word = entry("bits that count", 1, 0xFFFFFFFF)
-    value: Word = entry("what they must be", 0, 0xFFFFFFFF)
+    mask: Word = entry("bits that are compared", 1, 0xFFFFFFFF)
+    value: Word = entry("value that these bits must have", 0, 0xFFFFFFFF)
     register: str = entry("name of the register", default="status")
 
     def fulfilled_by(self, raw: int) -> bool:
@@ -100,12 +102,12 @@ class RegisterCondition:
 class Step:
     """One write, and what the drive must report before the next step is taken."""
 
-    write: str = entry("name of the register that is written")
+    write: str = entry("name of the register to write")
     value: Word | str = entry(
         "the word to write, or 'speed' for the requested speed", 0, 0xFFFF, choices=(SPEED,)
     )
     until: RegisterCondition | None = entry("what must be true before the next step", default=None)
-    within_s: float = entry("how long that may take (s)", 0.05, 60, default=1.0)
+    within_s: float = entry("longest time that this may take (s)", 0.05, 60, default=1.0)
 
 
 @dataclass(frozen=True)
@@ -113,11 +115,14 @@ class Sequences:
     """The writes, in order, that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
-        "from any state but a fault (power-up, reset, local control) to one in which `run` works"
+        "steps from any state except a fault (power-up, reset, local control) to a state in which "
+        "`run` works"
     )
-    run: tuple[Step, ...] = entry("speed, then run; written again in every cycle while it runs")
-    stop: tuple[Step, ...] = entry("ramp down, then off; written again in every cycle while off")
-    reset: tuple[Step, ...] = entry("acknowledge a fault; leaves the drive off")
+    run: tuple[Step, ...] = entry("steps that set the speed and then start the pump; they are "
+        "written again in every cycle while it runs")
+    stop: tuple[Step, ...] = entry("steps that ramp the pump down and then switch it off; they "
+        "are written again in every cycle while it is off")
+    reset: tuple[Step, ...] = entry("steps that acknowledge a fault and leave the drive off")
 
 
 @dataclass(frozen=True)
@@ -127,11 +132,11 @@ class StatusWord:
     enabled: RegisterCondition = entry("`run` works without a preceding `ready`")
     ready: RegisterCondition = entry("the drive would start: it has no fault and no interlock")
     running: RegisterCondition = entry("the motor is energized")
-    fault: RegisterCondition = entry("a fault keeps it off")
+    fault: RegisterCondition = entry("a fault keeps the drive off")
     warning: RegisterCondition | None = entry("a warning is active", default=None)
-    remote: RegisterCondition | None = entry("it obeys the bus", default=None)
+    remote: RegisterCondition | None = entry("the drive obeys the bus", default=None)
     bits: dict[int, str] = entry(
-        "texts for the status word's bits; 0 is the least significant", 0, 31, factory=dict
+        "texts for the status word's bits; bit 0 is the least significant", 0, 31, factory=dict
     )
 
 
@@ -142,7 +147,8 @@ class Codes:
     register: str = entry("name of the register")
     kind: str = entry("one code, or a bit for each fault", choices=("code", "bits"))
     texts: dict[Word, str] = entry(
-        "text for each code, or each bit (0 is the least significant)", 0, 0xFFFFFFFF, factory=dict
+        "text for each code, or for each bit (bit 0 is the least "
+        "significant)", 0, 0xFFFFFFFF, factory=dict
     )
 
     def only(self, raw: int, among: tuple[Word, ...]) -> bool:
@@ -166,10 +172,10 @@ class Action:
     """A setting that decides whether the communication timeout stops the pump."""
 
     register: str = entry("name of the register")
-    stops: dict[int, str] = entry("values with which it stops the pump, and their names", 0)
+    stops: dict[int, str] = entry("values with which the drive stops the pump, and their names", 0)
     runs_on: dict[int, str] = entry(
-        "values with which it does not, may not, or does so only until someone resets it: the "
-        "timeout is treated as off", 0,
+        "values with which the drive does not or may not stop the pump, or does so only until "
+        "someone resets it; the timeout is then treated as off", 0,
     )
 
 
@@ -178,33 +184,38 @@ class Timeout:
     """The communication timeout of one of the drive's interfaces."""
 
     register: str = entry("name of the register that holds the time")
-    kept_alive_by: str = entry("which messages restart it")
-    how_to_set: str = entry("for people: where to set it, and to which value")
+    kept_alive_by: str = entry("messages that restart the timeout")
+    how_to_set: str = entry("instruction for people: where to set the timeout, and to which value")
     off_values: tuple[Word, ...] = entry("raw times that mean off", default=())
-    action: Action | None = entry("setting that selects what it does when it expires", default=None)
+    action: Action | None = entry("setting that selects what happens when the timeout "
+        "expires", default=None)
     mode: Action | None = entry(
-        "setting that selects which messages restart it, if there is a choice", default=None
+        "setting that selects which messages restart the timeout, if there is a choice",
+        default=None,
     )
     trips: tuple[Word, ...] = entry(
-        "codes (or bits) of `faults` that report its expiry", 0, default=()
+        "codes (or bits) of `faults` that report the expiry of the timeout", 0, default=()
     )
     unguarded_after_power_up_s: float = entry(
-        "how long it is not effective after power-up (s); the pump is kept off for as long after "
-        "every connection, since the drive may have just been switched on", 0, 600, default=0.0,
+        "time for which the timeout is not effective after power-up (s); after every connection "
+        "the pump is kept off for as long, since the drive may have just been switched "
+        "on", 0, 600, default=0.0,
     )
     local_settings_decide: bool = entry(
-        "whether what the pump does after it is set in the drive and cannot be read: a person "
-        "must then confirm that it stops (`local_settings_stop_the_pump`)", default=False,
+        "whether the reaction to the timeout is set in the drive and cannot be read; a person "
+        "must then confirm that the pump stops (`local_settings_stop_the_pump`)", default=False,
     )
-    traps: str = entry("cases in which it is not effective", default="")
+    traps: str = entry("cases in which the timeout is not effective", default="")
 
 
 @dataclass(frozen=True)
 class Timeouts:
     """The drive's own communication timeouts, each of which guards one interface only."""
 
-    serial: Timeout | None = entry("for its serial port, over a line or a gateway", default=None)
-    tcp: Timeout | None = entry("for its own or its adapter's Ethernet port", default=None)
+    serial: Timeout | None = entry("timeout of the serial port, which is reached over a line or a "
+        "gateway", default=None)
+    tcp: Timeout | None = entry("timeout of the drive's own Ethernet port, or of its "
+        "adapter's", default=None)
 
     @property
     def by_interface(self) -> dict[str, Timeout]:
@@ -234,19 +245,19 @@ class DriveFile:
     unverified: tuple[str, ...] = entry(
         "keys of this file (such as registers.control) that could not be verified against a manual"
     )
-    numbering: Numbering = entry("the manual's numbers of registers")
+    numbering: Numbering = entry("how the manual numbers the registers")
     tcp: Tcp = entry("Modbus TCP")
-    serial: Serial = entry("Modbus RTU, factory settings")
+    serial: Serial = entry("factory settings of Modbus RTU")
     registers: dict[str, Register] = entry(
-        "by name; `control`, `reference`, `status` and `speed` are required"
+        "registers by name; `control`, `reference`, `status` and `speed` are required"
     )
     sequences: Sequences = entry("sequences of control words")
     status: StatusWord = entry("the status word")
     faults: Codes = entry("fault codes")
     timeout: Timeouts = entry("the drive's own communication timeouts")
     nameplate: tuple[Nameplate, ...] = entry("read on connecting")
-    min_speed: float = entry("share of the rated speed below which it is not run", 0, 1)
-    set_up: tuple[str, ...] = entry("for people: what to set in the drive")
+    min_speed: float = entry("share of the rated speed below which the pump is not run", 0, 1)
+    set_up: tuple[str, ...] = entry("instructions for people: what to set in the drive")
     warnings: Codes | None = entry("warning codes", default=None)
     path: Path = Path()
 

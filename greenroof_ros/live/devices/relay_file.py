@@ -25,7 +25,7 @@ _ROUNDS = 6
 class RelayMessage:
     """A message to the relay."""
 
-    topic: str = entry("topic on which it is published")
+    topic: str = entry("topic on which the message is published")
     payload: str = entry("payload of the message")
 
 
@@ -33,7 +33,7 @@ class RelayMessage:
 class Question:
     """A question to the relay, and how its answer is recognized among all that it publishes."""
 
-    topic: str = entry("topic on which it is asked")
+    topic: str = entry("topic on which the question is published")
     answer: str = entry("topic of the answer, which is a JSON object")
     known_by: str = entry("a path that this answer contains, such as result.output")
     payload: str = entry("payload of the question", default="")
@@ -44,23 +44,23 @@ class Value:
     """A value in the answer to a question."""
 
     question: str = entry("name of the question")
-    path: str = entry("where it is in the answer, such as result.output")
+    path: str = entry("path of the value in the answer, such as result.output")
 
 
 @dataclass(frozen=True)
 class RelayState(Value):
     """The state of the relay, on or off."""
 
-    is_on: str = entry("the value, as in JSON, if it is on", default="true")
-    is_off: str = entry("the value if it is off", default="false")
+    is_on: str = entry("value if the relay is on, written as in JSON", default="true")
+    is_off: str = entry("value if the relay is off", default="false")
 
 
 @dataclass(frozen=True)
 class Setting(Value):
     """A setting whose value is required, lest the relay switch or stay on without a command."""
 
-    value: str = entry("what it must be, as in JSON")
-    meaning: str = entry("what this setting does, for people")
+    value: str = entry("required value, written as in JSON")
+    meaning: str = entry("description of the setting for people")
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class Timer(Value):
     """The relay's own timer, which switches it off again: its communication timeout."""
 
     scales: tuple[Scale, ...] = entry("conversion to seconds; a value outside all ranges means off")
-    how_to_set: str = entry("for people: where to set it, and to which value")
-    traps: str = entry("cases in which it is not effective", default="")
+    how_to_set: str = entry("instruction for people: where to set the timer, and to which value")
+    traps: str = entry("cases in which the timer is not effective", default="")
 
     # Drives on Modbus may have these, but no relay does.
     unguarded_after_power_up_s = 0.0
@@ -97,23 +97,26 @@ class Timer(Value):
 class RelayFile:
     """A make of relay."""
 
-    protocol: str = entry("mqtt, which marks the file as a relay's", choices=(MQTT,))
+    protocol: str = entry("always mqtt, which marks the file as a relay's", choices=(MQTT,))
     make: str = entry("maker")
-    model: str = entry("the relay, and its firmware")
+    model: str = entry("the relay and its firmware")
     sources: tuple[Source, ...] = entry("documents from which the file was made")
     unverified: tuple[str, ...] = entry(
         "keys of this file (such as timer) that could not be verified in the maker's documents"
     )
     questions: dict[str, Question] = entry("questions by name")
-    state: RelayState = entry("whether it is on")
-    timer: Timer = entry("the time after which it switches itself off")
+    state: RelayState = entry("where to read whether the relay is on")
+    timer: Timer = entry("where to read the time after which the relay switches itself off")
     must: tuple[Setting, ...] = entry("settings with required values, read with the timer")
-    name: Value = entry("how it identifies itself, for people")
-    switch_on: RelayMessage = entry("published to switch it on, and again to keep it on")
-    switch_off: RelayMessage = entry("published repeatedly while it must be off")
-    set_up: tuple[str, ...] = entry("for people: what to set in the relay")
+    name: Value = entry("where to read how the relay identifies itself to people")
+    switch_on: RelayMessage = entry("message that switches the relay on; it is published again to "
+        "keep it on")
+    switch_off: RelayMessage = entry("message that switches the relay off; it is published "
+        "repeatedly while the relay must be off")
+    set_up: tuple[str, ...] = entry("instructions for people: what to set in the relay")
     number: str = entry(
-        "path of the question's $id in each answer; empty: answers have none, but keep their order",
+        "path of the question's $id in every answer; if empty, the answers have no id, but keep "
+        "the order of the questions",
         default="",
     )
     period: float = entry("minimum time between two rounds of questions (s)", 0.05, 5, default=0.5)

@@ -86,12 +86,14 @@ class Sensor:
         "number of readings in the median, which must be odd; 1 for no filter", 1, 99, default=5
     )
     counts: bool = entry(
-        "scale x raw is a running total (m or m3), whose increase per second is the value; needs "
+        "if true, scale x raw is a running total (m or m3), whose increase per second is the "
+        "value; needs "
         "median: 1", default=False,
     )
     substrate_depth: float | None = entry(
-        "roof only: scale x raw + offset is a volumetric moisture content (m3/m3); the level is it "
-        "times this depth (m), which is z_soil of the site", 0.01, 2, default=None,
+        "for the roof only: if set, scale x raw + offset is a volumetric moisture content "
+        "(m3/m3), and the level is this content times this depth (m), which must be z_soil of the "
+        "site", 0.01, 2, default=None,
     )
 
     def convert(self, raw: float) -> float:
@@ -114,7 +116,8 @@ class ModbusSensor(Sensor):
         "input registers (function 4) or holding registers (3)", choices=("input", "holding")
     )
     type: str = entry("how the value is encoded", choices=tuple(WIDTHS))
-    word_order: str = entry("which of several words comes first", choices=WORD_ORDERS, default="")
+    word_order: str = entry("which word comes first, if there are "
+        "several", choices=WORD_ORDERS, default="")
     missing: Word | None = entry("the raw value that means 'no reading'", default=None)
     period: float = entry(
         "time between two readings (s); at most half of the maximum age of the quantity", 0.05,
@@ -171,18 +174,20 @@ class MqttSensor(Sensor):
     address: str = entry("mqtt://HOST[:PORT]/TOPIC; mqtts:// over TLS")
     value: str = entry(
         "where in a JSON message the number is, such as ANALOG.Range1 or "
-        "sensors[0].distance; leave it out if the message is the number", default="",
+        "sensors[0].distance; omit it if the message itself is the number", default="",
     )
     max_age: float = entry(
         "how long the sensor may be silent (s); at most the maximum age of the quantity",
         0.1, 3600,
     )
     login: str = entry(
-        "file with username and password, an absolute path; no other user may read it (chmod 600)",
+        "absolute path of a file with username and password, which no other user may read (chmod "
+        "600)",
         default="",
     )
     authority: str = entry(
-        "file of trusted certificates (PEM), an absolute path; the system's if left out",
+        "absolute path of a file of trusted certificates (PEM); if omitted, the system's "
+        "certificates are used",
         default="",
     )
 

@@ -64,11 +64,12 @@ class PumpSettings:
     """
 
     min_speed: float = entry(
-        "minimum speed of the drive, share of the rated one; its drive file may set a larger one",
+        "minimum speed of the drive, as a share of the rated speed; the drive file may set a "
+        "higher one",
         0.05, 1.0, unit="1", default=0.3,
     )
     min_flow: float = entry(
-        "minimum continuous flow, share of the maximum; below it the pump runs in pulses",
+        "minimum continuous flow, as a share of the maximum; below it the pump runs in pulses",
         0.01, 1.0, unit="1", default=_MIN_FLOW,
     )
     min_on: float = entry(
@@ -78,20 +79,22 @@ class PumpSettings:
         "minimum time off", 0.0, 3600.0, unit="s", default=10.0
     )
     starts_per_hour: float = entry(
-        "maximum number of starts in any hour; by default the site's", 1.0, 3600.0, unit="1/h"
+        "maximum number of starts in any hour; default: the number in the site "
+        "file", 1.0, 3600.0, unit="1/h"
     )
     max_run: float = entry(
-        "maximum unbroken run; default: until a fifth of the flow has filled an empty roof",
+        "maximum uninterrupted run; default: the time in which a fifth of the flow fills an empty "
+        "roof",
         1.0, DAY_S, unit="s",
     )
     max_run_per_day: float = entry(
-        "maximum time on in any 24 h; default: a fifth of the flow delivers the maximum volume in "
-        "it",
+        "maximum time on in any 24 h; default: the time in which a fifth of the flow delivers the "
+        "maximum volume",
         1.0, DAY_S, unit="s",
     )
     max_volume_per_day: float = entry(
-        "maximum volume in any 24 h; default: 1.5 times an empty roof's filling, and 10 mm for "
-        "plants",
+        "maximum volume in any 24 h; default: 1.5 times the sum of the volume that fills an "
+        "empty roof and 10 mm for the plants",
         1e-6, 1e9, unit="m3",
     )
     drive_ramp: float = entry(
