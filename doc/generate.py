@@ -265,7 +265,7 @@ def site() -> str:
             f"`{entry.name}`", quantity(getattr(paper, entry.name), entry.unit),
             sentences(
                 entry.meaning,
-                "" if entry.default is None else f"If left out: {number(entry.default)}",
+                "" if entry.default is None else f"If omitted: {number(entry.default)}",
             ),
         )
         for entry in site_parameters()

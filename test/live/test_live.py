@@ -405,7 +405,7 @@ FAULTS = {
     "has no words": ("Wordless", "raise Wordless"),
     "never returns": ("did not return", "while what"),
     "NaN": ("must be a finite number", "def command"), "output": ("ValueError", "math.sqrt"),
-    "learns words": ("learned = {'x': 'much'}: must be finite numbers", "of learned"),
+    "learns words": ("learned = {'x': 'much'}: must be a mapping of names", "of learned"),
 }
 
 

@@ -122,7 +122,8 @@ class PumpSettings:
         0.0, 1.0, unit="m", default=0.02,
     )
     min_delivery: float = entry(
-        "share of the pumped volume that must reach the roof; its inverse may leave the cistern",
+        "share of the pumped volume that must reach the roof; the pumped volume divided by this "
+        "share is the most that may leave the cistern",
         0.05, 0.95, unit="1", default=0.5,
     )
     max_loss: float = entry(
