@@ -270,7 +270,9 @@ def parse_namespace(text: str) -> str:
 
 
 # argparse shows this in its error message
-parse_namespace.__name__ = "namespace: letters, digits and _, no digit first, such as site1"
+parse_namespace.__name__ = (
+    "namespace of letters, digits and _ that does not begin with a digit, such as site1"
+)
 
 
 def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
@@ -295,8 +297,8 @@ def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
     """Add the option that serves a graph to Foxglove; viewers suggest the same default port."""
     parser.add_argument(
         "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
-        help=f"{about} PORT is 8765 unless given, and 0 means any that is free. Needs the extra "
-        "[foxglove]",
+        help=f"{about} PORT is 8765 if omitted; 0 selects any free port. This needs the extra "
+            "[foxglove]",
     )
 
 
@@ -347,7 +349,7 @@ def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
         return ConfigurationError(expected, key=key, value=str(file))
 
     if file.suffix not in endings:
-        raise error(f"must be the name of a file that ends in {' or '.join(endings)}")
+        raise error(f"must be a file name that ends in {' or '.join(endings)}")
     if not (file.parent.is_dir() and os.access(file.parent, os.W_OK)):
         raise error("must be in a directory that exists and can be written to")
     if file.exists():

@@ -115,16 +115,17 @@ the minute, or a year of hourly forecast runs with one member. So no file exhaus
 _OTHER_KINDS = (
     (rb"\x1f\x8b", "is compressed by gzip: unpack it with gunzip"),
     (rb"\xfd7zXZ|BZh|\x28\xb5\x2f\xfd|7z\xbc\xaf", "is compressed: unpack it"),
-    (rb"PK[\x03\x05]", "is a zip archive, or a workbook of a spreadsheet (.xlsx, .ods): unpack it, "
-     "or save the sheet as CSV in UTF-8"),
-    (rb"\xd0\xcf\x11\xe0", "is a workbook of Excel (.xls): save the sheet as CSV in UTF-8"),
+    (rb"PK[\x03\x05]", "is a zip archive or a spreadsheet workbook (.xlsx, .ods): unpack it, or "
+        "save the sheet as CSV in UTF-8"),
+    (rb"\xd0\xcf\x11\xe0", "is an Excel workbook (.xls): save the sheet as CSV in UTF-8"),
     (rb"\xff\xfe|\xfe\xff", "is text in UTF-16: save it in UTF-8"),
-    (rb"%PDF-", "is a PDF, which has no values to read"),
+    (rb"%PDF-", "is a PDF, from which no values can be read"),
     (rb"CDF[\x01\x02\x05]|\x89HDF", "is NetCDF or HDF5: write its values as CSV"),
     (rb"GRIB|BUFR", "is GRIB or BUFR: write its values as CSV"),
-    (rb"SQLite format 3", "is a database of SQLite: write its values as CSV"),
+    (rb"SQLite format 3", "is an SQLite database: write its values as CSV"),
     (rb"\s*<(!doctype|html|\?xml|head|body|!--|script)",
-     "is a web page or XML, perhaps a service's message: open it to see; download the file again"),
+     "is a web page or XML, perhaps a message from the service: open it to check, and download the "
+     "file again"),
 )
 
 
@@ -177,9 +178,9 @@ def read_lines(path: Path) -> Iterator[str]:
             stream.seek(0)
             if size > MAX_BYTES:
                 raise ConfigurationError(
-                    f"has {size / 1e6:.0f} MB to read; a file may have at most "
-                    f"{MAX_BYTES / 1e6:g} MB: leave out what no run needs, or split it, since "
-                    "weather can be several files and forecasts a directory of files", file=path,
+                    f"has {size / 1e6:.0f} MB to read; a file may have at most {MAX_BYTES / 1e6:g} "
+                    "MB: leave out what no run needs, or split it: weather can consist of several "
+                    "files, and forecasts of a directory of files", file=path,
                 )
             for number, raw in enumerate(stream, start=1):
                 try:
@@ -191,7 +192,7 @@ def read_lines(path: Path) -> Iterator[str]:
                     ) from error
                 if "\x00" in line:
                     raise ConfigurationError(
-                        "is not a text file (it holds a NUL byte)", file=path, line=number
+                        "is not a text file (it contains a NUL byte)", file=path, line=number
                     )
                 blank = blank and not line.strip()
                 yield line
@@ -372,7 +373,7 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
     @functools.cache  # a node with several aliases is built once
     def value_of(node: yaml.Node) -> Any:
         if node.tag:
-            raise refuse(node, f"its values must have no tags such as {node.tag!r}")
+            raise refuse(node, f"its values must not have tags such as {node.tag!r}")
         if isinstance(node, yaml.ScalarNode):
             return node.value if node.style in ("'", '"') else plain(node.value)
         if isinstance(node, yaml.SequenceNode):
@@ -380,7 +381,7 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
         mapping = YamlMapping()
         for key_node, value_node in node.value:
             if not isinstance(key_node, yaml.ScalarNode) or key_node.tag:
-                raise refuse(key_node, "a key must be a text, without a tag")
+                raise refuse(key_node, "a key must be text without a tag")
             key = str(key_node.value)
             if key in mapping:
                 before = mapping.lines[key]

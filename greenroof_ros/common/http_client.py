@@ -71,13 +71,13 @@ def check_url(url: str, parameters: Collection[str]) -> str:
         is_address = False
     if not is_address or " " in url or not (url.isascii() and url.isprintable()):
         raise ConfigurationError(
-            "must be the address of a server, such as https://example.org/v1/archive?apikey=KEY, "
-            "in ASCII, with neither spaces nor the name of a user", key="url",
+            "must be the address of a server in ASCII, without spaces or a user name, such as "
+            "https://example.org/v1/archive?apikey=KEY", key="url",
         )
     for name, _ in parse_qsl(parts.query, keep_blank_values=True):
         if name in parameters:
             raise ConfigurationError(
-                f"must not have {clean_text(name)} in its query, since each request sets it",
+                f"must not contain {clean_text(name)} in its query, since every request sets it",
                 key="url", value=name_url(url),
             )
     return url
@@ -147,7 +147,7 @@ def _request(name: str, url: str) -> Answer:
         )
     length = response.headers.get("Content-Length", "")
     if length.isdecimal() and len(body) < int(length):
-        raise ServiceError(f"{name}: broke off after {len(body)} of {length} bytes")
+        raise ServiceError(f"{name}: the response broke off after {len(body)} of {length} bytes")
     return Answer(body, response.headers.get("Date", ""))
 
 

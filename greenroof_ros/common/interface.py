@@ -219,7 +219,7 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
     ]
     if len(namespaces) > 1:
         raise ConfigurationError(
-            "must be from one graph, but has topics from the namespaces "
+            "must be from one graph, but contains topics from the namespaces "
             + ", ".join(namespace or "/" for namespace in sorted(namespaces)),
             file=bag,
         )

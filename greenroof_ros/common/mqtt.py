@@ -113,7 +113,8 @@ def parse_topic(
     place, _, topic = rest.partition("/")
     if not topic or set(topic) & set("#+\0"):
         raise ConfigurationError(
-            "must be mqtt://HOST[:PORT]/TOPIC, the topic without # and +", key=key, value=text
+            "must be mqtt://HOST[:PORT]/TOPIC, with a topic that contains neither # nor +",
+            key=key, value=text
         )
     return parse_broker(scheme + mark + place, key, login, authority), topic
 

@@ -106,8 +106,8 @@ def _check_middleware() -> None:
         [sys.executable, "-c", "import rclpy"], capture_output=True, check=False
     ).returncode:
         raise ConfigurationError(
-            "this ROS 2 has no such middleware (ROS 2 from PyPI has only rmw_fastrtps_cpp): "
-            f"install it, or unset {_MIDDLEWARE}", key=_MIDDLEWARE, value=name,
+            "this ROS 2 does not include that middleware (ROS 2 from PyPI includes only "
+            f"rmw_fastrtps_cpp): install it, or unset {_MIDDLEWARE}", key=_MIDDLEWARE, value=name,
         )
 
 
@@ -116,6 +116,6 @@ def _check_profiles(variable: str, file: str) -> None:
         ElementTree.parse(file)  # noqa: S314 - the user's own file
     except (OSError, ElementTree.ParseError) as error:
         raise ConfigurationError(
-            f"must be an XML file of Fast DDS profiles ({error}); with this one, all interfaces "
-            "would be used", key=variable, value=file,
+            f"must be an XML file of Fast DDS profiles ({error}); with this file, all network "
+            "interfaces would be used", key=variable, value=file,
         ) from None

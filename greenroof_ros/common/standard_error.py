@@ -60,7 +60,8 @@ class Lines:
                 self._kinds[kind] = due, left_out + 1
                 return
             self._kinds[kind] = now + _SELDOM_S, 0
-        self.print_line(text + (f" (and {left_out} more like this before)" if left_out else ""))
+        more = f" (and {left_out} more messages like this before it)" if left_out else ""
+        self.print_line(text + more)
 
     def write(self, text: str) -> None:
         """Queue a text for writing; with the next two methods, this is a file for progress bars."""

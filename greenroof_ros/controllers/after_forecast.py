@@ -89,10 +89,10 @@ class AfterForecast:
         fits = (rains.shape[1], *evaporated.shape) == (self.steps, self.steps)
         if not fits or len(rains) > max_members:
             raise ConfigurationError(
-                f"the forecasts of rain have {len(rains)} members of {rains.shape[1]} entries, "
-                f"evapotranspiration has {len(evaporated)}; the horizon has {self.steps} "
-                f"steps, and no more than {max_members} members are allowed; set the same horizon "
-                "for weather and controller; only lookahead takes all members"
+                f"the rain forecasts have {len(rains)} members of {rains.shape[1]} entries, and "
+                f"the evapotranspiration forecast has {len(evaporated)};  the horizon has "
+                f"{self.steps} steps, and no more than {max_members} members are allowed; set the "
+                "same horizon for weather and controller; only lookahead takes all members"
             )
         return rains, evaporated
 

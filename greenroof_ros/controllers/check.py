@@ -125,7 +125,8 @@ def _parameters(trial: _Trial) -> None:
     for parameter in trial.choice.kind.parameters:
         if not parameter.name.isidentifier() or parameter.name != parameter.name.lower():
             raise _BrokenRuleError(
-                f"{parameter.name!r} is not a valid name: use a-z, 0-9 and _, no digit first"
+                f"{parameter.name!r} is not a valid name: use a-z, 0-9 and _, and do not begin "
+                "with a digit"
             )
         if not (parameter.unit and parameter.meaning):
             raise _BrokenRuleError(f"{parameter.name} lacks a unit ('1' for none) or a meaning")

@@ -19,8 +19,8 @@ class External(Controller):
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter(
-            "horizon", 0.0, "h", 0.0, MAX_HORIZON, "how far the forecasts for the node reach, "
-            "in growing steps; 0: the next M ticks",
+            "horizon", 0.0, "h", 0.0, MAX_HORIZON, "how far the forecasts for the node reach, in "
+            "growing steps; if 0, they cover the next M ticks",
         ),
     )
 

@@ -102,13 +102,14 @@ class Lookahead:
             "maximum command; 1 is the most that a real pump can do",
         ),
         Parameter(
-            "recourse", 48.0, "h", 1.0, MAX_HORIZON, "time for which one level serves all "
-            "members; after each such period, newer forecasts are assumed to show which half of "
+            "recourse", 48.0, "h", 1.0, MAX_HORIZON, "time for which one level is chosen for all "
+            "members; after each such period, newer forecasts are assumed to reveal which half of "
             "the members was wrong",
         ),
         Parameter(
-            "min_on", 0.0, "s", 0.0, 86_400.0, "the pumps' minimum on-time, in a simulation at "
-            "least pump_min_on: filling takes this long, so that they do not run on afterwards",
+            "min_on", 0.0, "s", 0.0, 86_400.0, "minimum on-time of the pumps, in a simulation at "
+            "least pump_min_on; filling is planned to take at least this long, so the pumps do not "
+            "run on afterwards",
         ),
         OBSERVER_TIME_CONSTANT,
         WAITING_BUDGET,

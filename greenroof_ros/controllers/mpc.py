@@ -76,7 +76,7 @@ class Mpc:
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter(
             "weight", 0.001, "1", 1e-9, 1e6,
-            "lambda of Eq. (11): price of pumping against deviation", may_change=True,
+            "lambda of Eq. (11): price of pumping relative to deviation", may_change=True,
         ),
         Parameter(
             "max_command", math.inf, "1", 1e-9, math.inf,

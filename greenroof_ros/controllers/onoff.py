@@ -10,12 +10,12 @@ from greenroof_ros.model.site import Site
 
 FRACTION = Parameter(
     "fraction", 1.0, "1", 1e-9, 1e6,
-    "v of Eq. (12): the command when pumping, share of the maximum flow", may_change=True,
+    "v of Eq. (12): the command when pumping, as a share of the maximum flow", may_change=True,
 )
 
 LEVEL = Parameter(
     "level", 1.0, "1", 0.0, 1.0,
-    "share of the target to which it fills the roof; 1 is Eq. (12)", may_change=True,
+    "share of the target to which the roof is filled; 1 corresponds to Eq. (12)", may_change=True,
 )
 
 

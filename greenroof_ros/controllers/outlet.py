@@ -52,16 +52,16 @@ PARAMETERS = (
     Parameter(
         "outlet_reserve", math.nan, "m3", 0.0, 1e9, "volume that drain leaves in the cistern; "
         "plan keeps this, or what the roof needs for outlet_reach if that is more, unless forecast "
-        "rain would not fit; by default ten days of irrigation at 4 mm a day, or half of a smaller "
-        "cistern",
+        "rain would not fit; by default ten days of irrigation at 4 mm a day, or half the "
+        "volume of the cistern if that is less",
     ),
     Parameter(
-        "outlet_price", PRICE, "1", 0.0, 1e3, "plan: cost of one m3 of mains water, in m3 of "
-        "discharge in wet weather",
+        "outlet_price", PRICE, "1", 0.0, 1e3, "for plan: cost of one m3 of mains water, "
+        "expressed in m3 of discharge in wet weather",
     ),
     Parameter(
-        "outlet_reach", 20.0, "days", 0.0, 365.0, "plan: time for which it keeps what the roof "
-        "needs; in dry weather it releases all water above this and above outlet_reserve",
+        "outlet_reach", 20.0, "days", 0.0, 365.0, "for plan: time for which it keeps what "
+        "the roof needs; in dry weather it releases all water above this and above outlet_reserve",
     ),
 )
 """parameters of every controller at a site with a valve"""

@@ -195,8 +195,8 @@ class ControllerChoice:
             return OfController(controller)
         if hasattr(controller, "outlet"):
             raise ConfigurationError(
-                "must be an attribute of the class, too, as in outlet = 0.0: then it commands "
-                "the valve itself", key=f"the attribute outlet of {self.reference}",
+                "must be an attribute of the class, too, as in outlet = 0.0; the controller then "
+                "commands the valve itself", key=f"the attribute outlet of {self.reference}",
             )
         ends = look_ahead_ends(
             site, parameters.get("horizon", 0.0), outlet.find_horizon(parameters)
@@ -277,7 +277,7 @@ class ControllerChoice:
         if not matching:
             there = ", ".join(section.name for section in sections) or "nothing"
             raise ConfigurationError(
-                f"must contain '/**/{self.name}:' and in it 'ros__parameters:'; it contains "
+                f"must contain '/**/{self.name}:' and, below it, 'ros__parameters:'; it contains "
                 f"{there}, which is not for the node {node}", file=path,
             )
         for section in matching:

@@ -18,12 +18,12 @@ _LOST_S = 604_800.0
 
 WAITING_BUDGET = Parameter(
     "waiting_budget", 72.0, "h", 0.0, 1e6,
-    "what waiting for rain may cost compared with plain on/off, in hours of an empty roof; if it "
+    "how much more waiting for rain may cost than plain on/off, in hours of an empty roof; if it "
     "costs more than this plus waiting_share, forecasts of rain are ignored",
 )
 WAITING_SHARE = Parameter(
     "waiting_share", 0.05, "1", 0.0, 1.0,
-    "what waiting may cost in addition, as a share of the cost of plain on/off so far",
+    "how much more waiting may cost in addition, as a share of the cost of plain on/off so far",
 )
 
 

@@ -21,7 +21,7 @@ _GAP_S = 15.0
 
 OBSERVER_TIME_CONSTANT = Parameter(
     "observer_time_constant", 300.0, "s", 0.0, 3600.0,
-    "averaging time of the roof's level readings; 0 for no averaging",
+    "averaging time of the roof's level readings; 0 disables averaging",
 )
 
 

@@ -64,24 +64,25 @@ class RunInputs:
     forecast: ForecastChoice = field(default_factory=ForecastChoice)
     sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
     start: str = entry(
-        "time of the first tick (ISO 8601); without an offset from UTC it is in the site's "
-        "time_zone, or else in the weather's zone or offset",
+        "time of the first tick (ISO 8601); if it has no offset from UTC, it is in the site's "
+        "time_zone or, if there is none, in the weather's zone or offset",
         default=DEFAULT_START,
     )
     hours: float | None = entry(
-        "length of the run, by default N of the site", 1e-9, 1e9, unit="h", default=None
+        "length of the run; by default, N of the site", 1e-9, 1e9, unit="h", default=None
     )
     initial: str | None = entry(
-        "initial levels of cistern and roof from Table II of the paper, or site for those in the "
-        "site file (default: site, or low-low if the file contains none)",
+        "initial levels of cistern and roof: the name of a state from Table II of the paper, or "
+        "'site' for those in the site file (default: site, or low-low if the file contains none)",
         default=None,
     )
     cistern: float | None = entry(
-        "instead of a named state: initial volume in the cistern; needs roof, too", 0.0, 1e9,
+        "initial volume in the cistern, instead of a named state; roof must be given, too",
+        0.0, 1e9,
         unit="m3", default=None,
     )
     roof: float | None = entry(
-        "instead of a named state: initial volume on the roof", 0.0, 1e9, unit="m3", default=None
+        "initial volume on the roof, instead of a named state", 0.0, 1e9, unit="m3", default=None
     )
     evapotranspiration: str | None = entry(
         "fao56: computed with FAO-56 Penman-Monteith; hargreaves: from temperature alone, with "
@@ -186,19 +187,19 @@ INPUTS: dict[str, Parameter] = {
     parameter.name: parameter for parameter in (
         Parameter("site", None, meaning="site file"),
         Parameter(
-            "weather", None, meaning="weather files, joined in order of time, or a pattern such as "
-            "'weather/2021_*.csv': CSV in this project's format, hourly bulk files from "
+            "weather", None, meaning="weather files, joined in chronological order, or a pattern "
+            "such as 'weather/2021_*.csv': CSV in this project's format, hourly bulk files from "
             "Environment and Climate Change Canada, or hourly CSV from Open-Meteo's archive, whose "
-            "rain and radiation are moved from the end of their hour to its start "
-            "(default: config/weather/toronto_2021-07.csv)",
+            "rain and radiation are moved from the end of their hour to its start (default: "
+            "config/weather/toronto_2021-07.csv)",
         ),
         *parameters_of(RunInputs),
         Parameter(
             "forecast", PERFECT, meaning="what the controller knows about the coming weather. "
-            "perfect: all of it; errors: a forecast as good as "
-            "real ones; ensemble: several of these; a file, or a directory of files: archived "
-            "forecasts in this project's CSV format, or CSV or JSON from Open-Meteo. errors and "
-            "ensemble are issued every 6 hours, and archived forecasts at their own times",
+            "perfect: all of it; errors: a forecast as good as real ones; ensemble: several such "
+            "forecasts; a file, or a directory of files: archived forecasts in this project's CSV "
+            "format, or CSV or JSON from Open-Meteo. errors and ensemble are issued every 6 hours, "
+            "and archived forecasts at their own times",
         ),
         *choice.INPUTS.values(),
         *sensor_and_pump.PARAMETERS.values(),
@@ -237,7 +238,10 @@ def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunIn
         values |= _read_volumes(values.pop("initial"))
     text = values.get("forecast", PERFECT)
     if not isinstance(text, (str, os.PathLike)):
-        raise ConfigurationError("must be a name or a path", key="forecast", value=text)
+        raise ConfigurationError(
+            "must be the name of a kind of forecast, or a path",
+            key="forecast", value=text,
+        )
     further: dict[str, Any] = {}
     if "site" in values:
         further["site"] = _find_site(values["site"])

@@ -85,7 +85,7 @@ def add_controller_arguments(
     )
     of_controller.add_argument(
         "--parameters", type=Path, metavar="FILE",
-        help="ROS 2 parameter file of the controller; parameters that it omits have their defaults",
+        help="ROS 2 parameter file of the controller; parameters that it omits keep their defaults",
     )
     for parameter in controller.parameters.values():
         add_option(of_controller, parameter)
@@ -142,7 +142,7 @@ def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
     group.add_argument(
         "--speed", type=make_number_type(1e-9, 1e9, word="max"), default=0.0,
         metavar="{max|FACTOR}",
-        help="set the simulated time per wall time; 1 is real time (default: max)",
+        help="set the ratio of simulated time to wall-clock time; 1 is real time (default: max)",
     )
     group.add_argument(
         "--json", action="store_true", help="print the summary as JSON instead of a table"

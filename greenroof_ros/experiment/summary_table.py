@@ -105,7 +105,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         yield "REFUSED", str(sum(refused.values())), f"values: {topics}"
     left_out = summary["parameter_change_count"] - len(summary["parameter_changes"])
     if left_out:
-        yield "CHANGED", f"{left_out} times", "before the latest changes, which follow"
+        yield "CHANGED", f"{left_out} times", "before the latest changes, which are listed below"
     for change in summary["parameter_changes"]:
         tick = change["tick"]
         yield (
@@ -116,7 +116,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     if summary["frost_hours"]:
         yield (
             "FROST", f"{summary['frost_hours']:.1f} h",
-            "at or below 0 degC, nothing pumped; "
+            "at or below 0 degC, in which nothing was pumped; "
             f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain treated as rain",
         )
     for quantity, hours in summary["filled"].items():

@@ -45,12 +45,14 @@ class ForecastChoice:
     model: str = PERFECT
     file: Path | None = None
     skill: str = entry(
-        "errors, ensemble: how good the forecasts are. real: as good as a weather service's; "
+        "how good the forecasts of errors and ensemble are. real: as good as a weather service's; "
         "better: like real ones at half the lead time; worse: like real ones at twice the lead "
         "time; a FILE.yaml: as stated in the file", default=REAL,
     )
-    seed: int = entry("errors, ensemble: seed of the errors", 0, 2**31 - 1, default=0)
-    members: int = entry("ensemble: number of members", 1, MAX_MEMBERS, default=10)
+    seed: int = entry(
+        "random seed of the forecast errors, for errors and ensemble", 0, 2**31 - 1, default=0,
+    )
+    members: int = entry("number of members of an ensemble", 1, MAX_MEMBERS, default=10)
     delay: float | None = entry(
         "errors, ensemble, a file: time from an issue's nominal time until it is available; by "
         f"default {SERVICE_DELAY_H:g} h for the first two, and the usual delay for a file's kind: "

@@ -64,7 +64,7 @@ class ForecastFile:
                 )
         except OSError as error:
             self._file_status = None
-            self.problem = f"{self._path}: cannot be read: {error.strerror}"
+            self.problem = f"{self._path} cannot be read: {error.strerror}"
             return False
         except ConfigurationError as error:
             self.problem = str(error)
@@ -154,8 +154,8 @@ class LiveForecast:
         return (
             f"the forecast issued at {to_people(issue.issued)} ends at {to_people(end)}, before "
             f"the {duration(due.total_seconds())} look-ahead does; the hours after it are treated "
-            f"as dry. To last until it is too old, an issue needs {needed} h, not {issue.hours} h"
-            f"{shorter}"
+            f"as dry. To suffice until it is too old, an issue must cover {needed} h, not "
+            f"{issue.hours} h{shorter}"
         )
 
     def _newest(self, now: datetime) -> IssuedForecast:

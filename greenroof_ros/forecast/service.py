@@ -126,7 +126,7 @@ class Service:
         except OSError as error:
             raise ServiceError(f"{name_url(self._url)}: {error}") from error
         except ConfigurationError as error:
-            raise ServiceError(f"{name_url(self._url)}: its answer {error.wrong}") from error
+            raise ServiceError(f"{name_url(self._url)}: its response {error.wrong}") from error
 
 
 def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
@@ -155,7 +155,8 @@ def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
     means = repeat_monthly(records, site)
     if means is not None and np.isnan(evaporated).all():
         evaporated = means
-        notes.append("evapotranspiration is the site's monthly means: no day of it is complete")
+        notes.append("evapotranspiration is taken from the site's monthly means: the forecast "
+            "contains no complete day")
     start = (hour - records.first) // HOUR
     temperature = records.values.get(TEMPERATURE)
     return mend_forecast(replace(

@@ -74,7 +74,7 @@ _A_HUNDRED = 100.0
 _HUNDREDS = re.compile(r"[-+]?[1-9]\d{2}", re.ASCII)
 # Digits in groups, which may be separated by narrow or non-breaking spaces.
 _GROUPS = re.compile(r"[-+]?\d{1,3}([ '_.,\u2019\u00a0\u202f]\d{2,3})+([.,]\d+)?", re.ASCII)
-_PLAIN = "Write numbers with a decimal point, and nothing between thousands"
+_PLAIN = "Write numbers with a decimal point and without a thousands separator"
 
 
 class Row(NamedTuple):
@@ -153,7 +153,7 @@ class Table:
             if column not in self.header:
                 raise self.refuse(f"must have a column '{column}', as {source} have")
             if self.header.count(column) > 1:
-                raise self.refuse("is the name of two columns", column)
+                raise self.refuse("is the name of more than one column", column)
 
     def require_header(self, columns: Sequence[str], why: str) -> None:
         """Reject a header that has other columns, or another order."""
@@ -205,7 +205,7 @@ class Table:
             time = parse(text)
         except ValueError:
             what = "" if re.search(r"\d", text) else (
-                "; if the line holds units or a sum rather than a record, leave it out"
+                "; if the line contains units or a sum instead of a record, leave it out"
             )
             raise self.refuse(
                 f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}"
@@ -260,7 +260,8 @@ class Table:
         present = set[int]()
         for row in self.rows:
             if station and self.cell(row, station) != self.cell(self.first, station):
-                raise self.refuse("is another station: make a separate file for each", station, row)
+                raise self.refuse("is another station: make a separate file for each "
+                    "station", station, row)
             time = self.read_time(row, column, parse, example)
             hour = round((time - first) / HOUR)
             off = abs(time - first - hour * HOUR)
@@ -426,8 +427,8 @@ def find_running_total(given: Given) -> str:
         return ""
     return (
         f"is a running total: it rises {rises} times, stays the same in {same} rows and falls "
-        f"{falls} times; write into each row the amount of its own time, which is the difference "
-        "from the row before"
+        f"{falls} times; in each row, write the amount of its own interval, which is the "
+        "difference from the previous row"
     )
 
 
@@ -449,7 +450,7 @@ def find_fraction(given: Given) -> str:
     share = given.values * (1.0 if given.quantity.unit == "%" else 100.0)
     if given.unit != "%" or not share.size or not 0 < share.max() <= _MAX_FRACTION:
         return ""
-    return f"has no value above {_MAX_FRACTION:g}: are they fractions? Then its unit is [1]"
+    return f"has no value above {_MAX_FRACTION:g}: are they fractions? If so, the unit is [1]"
 
 
 def find_sum(given: Given) -> str:
@@ -458,7 +459,7 @@ def find_sum(given: Given) -> str:
         return ""
     if not math.isclose(given.values[-1], given.values[:-1].sum(), rel_tol=_NEARLY_SUM):
         return ""
-    return "has the sum of the other values in its last row: leave that row out"
+    return "contains the sum of the other values in its last row: leave that row out"
 
 
 def find_sliding_sum(given: Given) -> str:
@@ -492,8 +493,8 @@ def find_sliding_sum(given: Given) -> str:
     if not rows:
         return ""
     return (
-        f"shows all rain in {rows} rows or more: is each value the sum of the last {rows} rows? "
-        "Write into each row the rain of its own time only"
+        f"shows all rain in {rows} rows or more: is each value the sum of the last {rows} rows? In "
+        "each row, write only the rain of its own interval"
     )
 
 
@@ -586,7 +587,9 @@ class Column:
         self._values.append(value)
         self._given.append(math.nan if what == CODE else cell.value)
         if math.isnan(cell.number) and _GROUPS.fullmatch(cell.text):
-            raise self._table.refuse(f"has marks among its digits. {_PLAIN}", self._name, row)
+            raise self._table.refuse(
+                f"contains separators between its digits. {_PLAIN}", self._name, row,
+            )
         if "." not in cell.text:
             self._has_hundreds = self._has_hundreds or abs(cell.number) >= _A_HUNDRED
         elif _THOUSANDS.fullmatch(cell.text):
@@ -610,8 +613,8 @@ class Column:
         """
         if self._grouped and self._has_hundreds and not self._has_decimals:
             raise self._table.refuse(
-                "stands among numbers of 100 and more without decimals: does its mark separate "
-                f"thousands? {_PLAIN}", self._name, self._grouped,
+                "is among numbers of 100 and more without decimals: is its mark a thousands "
+                f"separator? {_PLAIN}", self._name, self._grouped,
             )
         numbers = np.array(self._given)
         given = Given(

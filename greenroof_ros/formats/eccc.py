@@ -167,9 +167,9 @@ def _find_quantity(name: str) -> str | None:
 def _check_kind(table: Table, names: Iterable[str], quantities: Container[str]) -> None:
     """Reject a file that does not have the rain of every hour, and state what it is."""
     if any(_LONGER in name for name in names):
-        what = "holds days or months, not hours"
+        what = "contains daily or monthly values, not hourly ones"
     elif PRECIPITATION not in quantities:
-        what = "holds hours without precipitation, which files from before 2021 do not have"
+        what = "contains hourly values without precipitation, which files from before 2021 lack"
     else:
         return
     raise table.refuse(f"is a file of Environment Canada that {what}: {_DOWNLOAD}")

@@ -86,7 +86,7 @@ def join_members(numbered: Iterable[tuple[float, IssuedForecast]]) -> IssuedFore
     if numbers != list(range(len(numbers))):
         wrong = (
             f"has members {', '.join(f'{number:g}' for number in numbers)}; they must be 0, 1, 2 "
-            "and so on, each once"
+            "and so on, with each number used once"
         )
     elif len(numbers) > MAX_MEMBERS:
         wrong = f"has {len(numbers)} members; no more than {MAX_MEMBERS} are allowed"
@@ -119,11 +119,11 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
     used = [number for number, hours in enumerate(lengths) if hours and 2 * hours >= max(lengths)]
     if not used:
         raise ConfigurationError(
-            f"has no precipitation after its run, {to_minutes(issue.issued)}", file=issue.file,
+            f"contains no precipitation after its run, {to_minutes(issue.issued)}", file=issue.file,
             line=issue.line,
         )
     notes = [
-        f"member {number} is left out: it has {hours} hours, and others {max(lengths)}"
+        f"member {number} is left out: it has {hours} hours, while others have {max(lengths)}"
         for number, hours in enumerate(lengths) if number not in used
     ]
     hours = min(lengths[number] for number in used)
@@ -135,13 +135,14 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
         hours = min(hours, _count_complete_hours(evapotranspiration))
         if not hours:
             raise ConfigurationError(
-                f"has no evapotranspiration at {to_minutes(issue.issued)}", file=issue.file,
+                f"contains no evapotranspiration at {to_minutes(issue.issued)}", file=issue.file,
                 line=issue.line,
             )
     if temperature is not None:
         known = _count_complete_hours(temperature)
         if 2 * known < hours:
-            notes.append(f"temperature is left out: it has {known} hours, and others {hours}")
+            notes.append(f"temperature is left out: it covers {known} hours, while the other "
+                f"quantities cover {hours}")
             temperature = None
         else:
             hours = min(hours, known)
@@ -149,7 +150,8 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
         notes.append(f"ends after {hours} of {max(lengths)} hours: later values are missing")
     count = int(np.isnan(issue.rain[used, :hours]).sum())
     if count:
-        notes.append(f"{count} missing hours of precipitation are the mean of their neighbours")
+        notes.append(f"{count} missing hours of precipitation were filled with the mean of the "
+            "adjacent hours")
     return replace(
         issue, rain=rain[used, :hours],
         notes=(*issue.notes, *(
@@ -185,7 +187,7 @@ class Repetition:
             return ""
         return (
             f"the forecasts have not changed since {to_minutes(self._since)}: they repeat a single "
-            "run of a model, and are as old as that run"
+            "model run, and are as old as that run"
         )
 
 
@@ -212,9 +214,9 @@ def check_same_form(earlier: IssuedForecast, later: IssuedForecast) -> None:
     """
     wrong, when = "", to_minutes(later.issued)
     if earlier.order == later.order:
-        wrong = f"has the issue of {when}, which is already in {earlier.file.name}"
+        wrong = f"contains the issue of {when}, which is already in {earlier.file.name}"
     elif (earlier.evapotranspiration is None) != (later.evapotranspiration is None):
-        wrong = f"must have evapotranspiration exactly if {earlier.file.name} has it"
+        wrong = f"must contain evapotranspiration if and only if {earlier.file.name} does"
     if wrong:
         raise ConfigurationError(wrong, file=later.file, line=later.line)
 

@@ -81,8 +81,9 @@ class Records:
     def rain_note(self) -> str:
         """What every result computed from the rain must state; usually empty."""
         return self.rain_kind and (
-            f"rain is from a {self.rain_kind}, the mean of a grid cell: its peaks are lower than a "
-            "gauge's, so overflow, discharge and peaks of runoff are underestimated"
+            f"rain is from a {self.rain_kind}, which gives the mean over a grid cell: its peaks "
+            "are lower than those of a rain gauge, so overflow, discharge and peaks of runoff are "
+            "underestimated"
         )
 
     @property
@@ -279,7 +280,8 @@ def _add_quantities(first: Records, other: Records) -> Records:
     """
     if (other.first - first.first) % HOUR:
         raise ConfigurationError(
-            f"its hours must begin when those of {first.source} do, which has other quantities",
+            f"its hours must begin at the same minute as those of {first.source}, which contains "
+            "other quantities",
             file=other.source,
         )
     begin = min(first.first, other.first)

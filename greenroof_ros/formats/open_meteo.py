@@ -98,7 +98,9 @@ _ONLY_ITS_OWN = re.compile(
     r"|shortwave_radiation|et0_fao_evapotranspiration"
 )
 _SOURCE = "Open-Meteo's hourly files"
-_OTHER_JSON = "is JSON, but not an hourly answer of Open-Meteo; from other services, download CSV"
+_OTHER_JSON = (
+    "is JSON, but not an Open-Meteo response with hourly data; from other services, download CSV"
+)
 # Keys under which services state what went wrong.
 _MESSAGES = ("reason", "message", "detail", "description", "error", "title")
 VARIABLES = {
@@ -239,7 +241,7 @@ def _read_tables(file: Path) -> tuple[Table | None, Table]:
     header = next(hours, None)
     if header is None:
         raise ConfigurationError(
-            "must have two lines about the place, then a header and records", file=file
+            "must begin with two lines about the place, followed by a header and records", file=file
         )
     return read_table(file, about), read_table(file, itertools.chain([header], hours))
 
@@ -306,7 +308,7 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
     except json.JSONDecodeError as error:
         raise refuse(f"is not valid JSON: {error}", line=error.lineno) from error
     except RecursionError as error:
-        raise refuse("is JSON nested too deeply to be an answer") from error
+        raise refuse("is JSON that is nested too deeply to be a response") from error
     if isinstance(content, list) and "hourly" in str(content)[:_JUDGED_ROWS]:
         raise refuse("must be for one place; download places separately")
     if not isinstance(content, dict):
@@ -317,11 +319,11 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
     units, hourly = (content.get(key, {}) for key in ("hourly_units", "hourly"))
     for key, value in (("hourly_units", units), ("hourly", hourly)):
         if not isinstance(value, dict):
-            raise refuse("must be a mapping, as in hourly answers", key=key)
+            raise refuse("must be a mapping, as in responses with hourly data", key=key)
     if "hourly" not in content:
         present = ", ".join(key for key in ("current", "minutely_15", "daily") if key in content)
         raise refuse(
-            f"has no hourly values, only {present}; download hourly variables" if present
+            f"contains no hourly values, only {present}; download hourly variables" if present
             else _OTHER_JSON
         )
     hourly = {"time": [], **hourly}
@@ -405,7 +407,7 @@ def read_records(file: Path, site: Site, /) -> Records:
     if not records.places:
         records = replace(records, left_out=(*records.left_out, (
             f"{file.name}: its variables are named as in Open-Meteo's files, so times without an "
-            "offset are taken as UTC"
+            "offset are interpreted as UTC"
         )))
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last has
@@ -518,7 +520,7 @@ def _select_run(hours: Records, run: datetime) -> IssuedForecast:
     start, rest = divmod(run - hours.first, HOUR)
     if rest or not 0 <= start < hours.hours:
         raise refuse(
-            f"must have the hour after its run, {to_minutes(run)}; its first time is "
+            f"must contain the hour after its run, {to_minutes(run)}; its first time is "
             f"{to_minutes(hours.first + HOUR)}"
         )
     # Some runs have no control run, and a download may lack a member.
@@ -529,8 +531,8 @@ def _select_run(hours: Records, run: datetime) -> IssuedForecast:
     )
     if issue.hours > _MAX_RUN_H:
         raise refuse(
-            f"has {issue.hours} hours; a run has no more than {_MAX_RUN_H}. For a longer past, "
-            "use previous runs, precipitation_previous_day1 and so on"
+            f"has {issue.hours} hours; a run covers no more than {_MAX_RUN_H}. For a longer period "
+            "in the past, use previous runs, precipitation_previous_day1 and so on"
         )
     known = np.flatnonzero(~np.isnan(issue.rain).all(axis=0))  # NaN beyond the model's horizon
     end = known[-1] + 1 if known.size else 1
@@ -544,9 +546,9 @@ def _read_run_time(file: Path) -> datetime:
             year, month, day, hour = map(int, match.groups())
             return datetime(year, month, day, hour, tzinfo=timezone.utc)
     raise ConfigurationError(
-        "its name must end with the run that it holds, such as 2024060112: year, month, day and "
-        "hour in UTC; the file itself does not state it. For more than one run, use previous "
-        "runs, precipitation_previous_day1 and so on", file=file,
+        "its name must end with the time of the run that it contains, such as 2024060112: year, "
+        "month, day and hour in UTC; the file itself does not state it. For more than one run, use "
+        "previous runs, precipitation_previous_day1 and so on", file=file,
     )
 
 

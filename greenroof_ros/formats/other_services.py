@@ -172,12 +172,13 @@ def explain_file(file: Path) -> None:
     first = next((line.strip() for line in lines if line.strip()), "")
     if first.startswith(("{", "[")):
         raise ConfigurationError(
-            f"is JSON, perhaps a service's message: {first[:_MAX_SHOWN]}", file=file
+            f"is JSON, perhaps a message from the service: {first[:_MAX_SHOWN]}", file=file
         )
     # For a single line, the first clause is enough.
     words = re.split("[,;]", first)[0] if len(lines) == 1 else first
     if _MESSAGE.fullmatch(words) and not first.startswith("#"):
         raise ConfigurationError(
-            f"begins with {first[:_MAX_SHOWN]!r}, which is not a header: did a service send it?",
+            f"begins with {first[:_MAX_SHOWN]!r}, which is not a header: is it a message from a "
+            "service?",
             file=file,
         )

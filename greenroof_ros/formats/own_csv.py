@@ -140,7 +140,8 @@ def read_rows(
     if (stamped or about.stamped) == END:
         rows, since = _end_at_stamps(rows, since)
         first -= timedelta(seconds=float(rows.durations[0]))
-        notes.append(f"{file.name}: each row ends at its time; the time was moved to its start")
+        notes.append(f"{file.name}: the time of each row is the end of its interval; it was "
+            "moved to the start")
     table = _open(file)  # again: amounts per row can be judged now that the step is known
     read: dict[float, dict[str, Column]] = {}
     for duration_s in np.unique(rows.durations).tolist():
@@ -166,8 +167,8 @@ def read_rows(
     if (np.diff(steps) == 0).any():
         notes.append(
             f"{file.name}: {np.count_nonzero(np.diff(steps) == 0)} rows are in the same step as "
-            "the row before, as after a clock was set; their amounts are added up, and other "
-            "values averaged"
+            "the previous row, as happens when a clock is set; their amounts are added up, and "
+            "other values are averaged"
         )
         steps, begins, counts = np.unique(steps, return_index=True, return_counts=True)
         since, rows = since[begins], rows._replace(steps=steps, durations=rows.durations[begins])
@@ -225,8 +226,8 @@ def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[
         )
         if before is not None and time <= before:
             raise table.refuse(
-                "must be later than the time of the row before; if the clock has daylight saving "
-                "time, set time_zone in the site file, or write times in UTC, such as "
+                "must be later than the time of the previous row; if the clock observes daylight "
+                "saving time, set time_zone in the site file, or write times in UTC, such as "
                 "2015-06-01T14:05Z", TIME, row,
             )
         first, before = first or time, time
@@ -235,8 +236,8 @@ def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[
     notes = []
     if site.time_zone is None and parse_time(table.cell(table.first, TIME)).tzinfo is None:
         notes.append(
-            f"{table.file.name}: its times are taken as UTC{first:%z}, the utc_offset of the site "
-            "file; if its clock has daylight saving time, set time_zone in the site file"
+            f"{table.file.name}: its times are interpreted as UTC{first:%z}, the utc_offset of the "
+            "site file; if its clock observes daylight saving time, set time_zone in the site file"
         )
     return first, seconds, notes
 
@@ -313,7 +314,7 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
         notes.append(
             f"{file.name}: rows are {' and '.join(duration(3600 * each) for each in durations_h)} "
             "apart: their rain is simulated as recorded, to the minute; other quantities are "
-            "means of hours"
+            "averaged over each hour"
         )
     if steps.changes:
         notes.append(
@@ -506,8 +507,8 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
             )
         if issued < last:
             raise table.refuse(
-                f"must not be before {to_minutes(last)}, the previous issue: issues must be in "
-                "order of time", "issued", row,
+                f"must not be before {to_minutes(last)}, the time of the previous issue: issues "
+                "must be in chronological order", "issued", row,
             )
         lines.setdefault((issued, available), row.line)
         rows = rows_of.setdefault((issued, available), {}).setdefault(member, [])

@@ -81,7 +81,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
             file for file in source.iterdir() if file.is_file() and not file.name.startswith(".")
         )
         if not files:
-            raise ConfigurationError("must contain files of forecasts", file=source)
+            raise ConfigurationError("must contain forecast files", file=source)
         for file in files:
             if file.suffix not in SUFFIXES:
                 raise ConfigurationError(
@@ -130,11 +130,12 @@ def _equalise_members(issues: Sequence[IssuedForecast]) -> tuple[list[IssuedFore
     minimum = min(len(issue.rain) for issue in used)
     notes += [
         f"{issue.file.name}: the issue of {to_minutes(issue.issued)} is left out: it has "
-        f"{len(issue.rain)} members, and others {maximum}"
+        f"{len(issue.rain)} members, while others have {maximum}"
         for issue in alike if 2 * len(issue.rain) < maximum
     ]
     if minimum < maximum:
-        notes.append(f"all issues have {minimum} members, like the one with the fewest")
+        notes.append(f"{minimum} members of every issue are used, as many as the smallest issue "
+            "has")
     notes[:0] = [note for issue in used for note in issue.notes]
     return [replace(issue, rain=issue.rain[:minimum]) for issue in used], notes
 

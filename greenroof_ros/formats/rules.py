@@ -114,7 +114,7 @@ def find_much_rain(record: StepRecord, _site: Site) -> Iterator[str]:
     water, limit = float(record.water.sum()), _MAX_A_DAY * max(days, _MIN_DAYS)
     if water > limit:
         yield (
-            f"rain is {water:.4g} mm in {days:.3g} days, with pumped water; more than "
+            f"rain is {water:.4g} mm in {days:.3g} days, including pumped water; more than "
             f"{limit:.4g} mm is rare: is the unit of the column right?"
         )
 
@@ -139,8 +139,8 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
         if value < low or value > high:
             bound = f"no more than {high:.4g}" if value > high else f"at least {low:.4g}"
             yield (
-                f"{column}: is {value:.3g} {what}; it must be {bound}: is the unit of the column "
-                "right, and those of the others?"
+                f"{column}: is {value:.3g} {what}; it must be {bound}: is the unit of this "
+                "column right, and are those of the others?"
             )
 
 
@@ -183,8 +183,8 @@ def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
         )
     if wet.size >= _FEW_WET and (wet % 1 == 0).all() and wet.max() > 1:
         yield (
-            f"rain is a whole number of millimetres in all {wet.size} wet hours: is it a number of "
-            "tips, or in tenths of a millimetre?"
+            f"rain is a whole number of millimetres in all {wet.size} wet hours: is it a count of "
+            "bucket tips, or in tenths of a millimetre?"
         )
     for what, at in (
         ("falls", np.flatnonzero(hours)), ("changes", np.flatnonzero(np.diff(hours))),
@@ -246,7 +246,7 @@ def find_unlike_air(record: StepRecord, _site: Site) -> Iterator[str]:
             if saturated > _MAX_SATURATED * dew_point.size:
                 yield (
                     f"{DEW_POINT} is more than {_MAX_ABOVE:g} K above the temperature in "
-                    f"{saturated} rows: is it vapour pressure, or from another place?"
+                    f"{saturated} rows: is it vapour pressure, or was it measured at another place?"
                 )
         if len(dew_point) * record.step_s >= _DEW_HOURS * HOUR_S and (
             dew_point.min() >= 0 and dew_point.max() <= _VAPOUR_KPA
@@ -300,14 +300,14 @@ def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
     excess = float(np.sum(np.maximum(gone - came, 0.0)))
     if excess > max(_DROPS, _MAX_EXCESS * float(np.sum(gone))):
         yield (
-            f"runoff is {excess:.3g} mm more than the water of its storms: are the units right, "
-            "and a2?"
+            f"runoff is {excess:.3g} mm more than the water that its storms brought: are the units "
+            "and a2 right?"
         )
     kept = float(np.max(came - gone, initial=0.0))
     if kept > 1000 * site.z_soil + _EXTRA_STORAGE:
         yield (
             f"rain is {kept:.3g} mm more than the runoff of a storm, which the soil cannot hold: "
-            "are the units right, and z_soil?"
+            "are the units and z_soil right?"
         )
 
 
@@ -410,8 +410,8 @@ def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
             if stuck and len(same) >= _SAME_STEPS:
                 yield (
                     f"{column} is {value:g} {'m' if column == 'level' else 'mm'} for "
-                    f"{same_s / HOUR_S:.0f} h from {record.time(int(same[0]))}, while "
-                    f"{np.sum(record.water[same]):.3g} mm of water came: is the sensor stuck or "
+                    f"{same_s / HOUR_S:.0f} h from {record.time(int(same[0]))}, although "
+                    f"{np.sum(record.water[same]):.3g} mm of water arrived: is the sensor stuck or "
                     "dead? Leave these cells empty"
                 )
                 break
@@ -428,8 +428,8 @@ def find_blocked_gauge(record: StepRecord, _site: Site) -> Iterator[str]:
         if low > 0 and outflow > _UNEXPLAINED:
             yield (
                 f"rain is 0 for {(high - low + since - 1) * record.step_s / DAY_S:.0f} days before "
-                f"{record.time(high)}, while {outflow:.3g} mm run off: is the gauge blocked or "
-                "stuck, or is it melted snow? Leave the cells empty there"
+                f"{record.time(high)}, although {outflow:.3g} mm ran off: is the gauge blocked or "
+                "stuck, or is the runoff melted snow? Leave these cells empty"
             )
             return
 

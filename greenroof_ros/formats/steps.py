@@ -99,9 +99,9 @@ def find_steps(read: Callable[[], Table], column: str, since: Values) -> RowStep
     table = read()  # again, for the row's line and text
     row = next(itertools.islice(table.rows, int(off[0]) + 1, None))
     raise table.refuse(
-        f"must be {step_s:g} s after the row before, or a whole number of such steps, not "
-        f"{spacing[off[0]]:g} s; {len(off)} of {len(since)} rows are like this, too many for a "
-        "clock that was set: write rows at a regular step", column, row,
+        f"must be {step_s:g} s after the previous row, or a whole number of such steps, not "
+        f"{spacing[off[0]]:g} s; {len(off)} of {len(since)} rows are like this, which is too many "
+        "for a clock that was merely set: write rows at a regular step", column, row,
     )
 
 

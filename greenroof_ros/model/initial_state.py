@@ -60,7 +60,7 @@ def find_state(
         volumes = states[name]
     elif states.get(name or "", volumes) != volumes:
         raise ConfigurationError(
-            "has volumes that differ from those given for cistern and roof; leave one of them out",
+            "has volumes that differ from those given for cistern and roof; remove one of them",
             key="initial", value=name,
         )
     check_volumes(site, *volumes)

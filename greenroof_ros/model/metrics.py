@@ -457,7 +457,7 @@ METRICS = (
     ),
     Metric(
         "near_target_hours", "h", "near the target",
-        f"time with the roof within {NEAR_TARGET:.0%} of its target",
+        f"time during which the roof is within {NEAR_TARGET:.0%} of its target",
         _ticks_where(
             lambda site, samples: np.abs(samples.roof - site.x2_star) <= NEAR_TARGET * site.x2_star
         ),
@@ -471,7 +471,7 @@ METRICS = (
     ),
     Metric(
         "stress_hours", "h", "water stress",
-        "time in which plants receive less water than they need: K_s of FAO-56 is below 1, or "
+        "time during which plants receive less water than they need: K_s of FAO-56 is below 1, or "
         "the roof is empty",
         _ticks_where(
             lambda site, samples: (samples.roof < soil_of(site).stress_volume) | (samples.roof <= 0)
@@ -491,13 +491,13 @@ METRICS = (
         _roof_water, _sums_by, ".1%", finish=_retained,
     ),
     Metric(
-        "rain_kept_share_hour", "1", "rain kept above 20 mm/h",
-        "the same for hours with more than 20 mm of rain, within the hour",
+        "rain_kept_share_hour", "1", "rain kept in hours above 20 mm",
+        "share of the rain kept within the hour, in hours with more than 20 mm of rain",
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=20.0),
     ),
     Metric(
-        "rain_kept_share_day", "1", "rain kept above 10 mm in 24 h",
-        "the same for any 24 hours with more than 10 mm of rain",
+        "rain_kept_share_day", "1", "rain kept in 24 h above 10 mm",
+        "share of the rain kept within 24 hours, in any 24 hours with more than 10 mm of rain",
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=10.0, hours=24),
     ),
     Metric(
@@ -509,7 +509,7 @@ METRICS = (
     ),
     Metric(
         "demand_met_share", "1", "irrigation without mains water",
-        "share of the pumped water that the mains did not replace, if there is a top-up",
+        "share of the pumped water that was not replaced from the mains, if there is a top-up",
         lambda site, samples: None if site.mains_level is None else (
             samples.duration * np.stack((samples.mains, samples.pump))
         ),
@@ -525,7 +525,7 @@ METRICS = (
     ),
     Metric(
         "final_layer_m3", "m3", "drainage layer at the end",
-        "volume in the drainage layer at the end, on a field-capacity soil",
+        "volume in the drainage layer at the end, for a field-capacity soil",
         lambda site, samples: None if site.drainage_storage is None else samples.layer,
         _last, ".6g",
     ),
@@ -533,7 +533,8 @@ METRICS = (
         "pumped_m3", "m3", "pumped", "water pumped from the cistern to the roof", _volume("pump"),
     ),
     Metric(
-        "outflow_m3", "m3", "outflow", "water from the cistern to the sewer", _volume("outflow"),
+        "outflow_m3",
+        "m3", "outflow", "water that flowed from the cistern to the sewer", _volume("outflow"),
     ),
     Metric("drainage_m3", "m3", "drainage", "water that drained off the roof", _volume("drainage")),
     Metric(
@@ -558,8 +559,9 @@ METRICS = (
     *(
         Metric(
             f"peak_discharge_{minutes}min_mm_h", "mm/h", f"peak discharge depth, {minutes} min",
-            "the same, divided by the connected area: the roof, and the catchment times its runoff "
-            "coefficient", _storm_water, _sums_by, finish=partial(_peak_depth, minutes=minutes),
+            "highest mean discharge, divided by the connected area: the roof, and the catchment "
+            "times its runoff coefficient",
+            _storm_water, _sums_by, finish=partial(_peak_depth, minutes=minutes),
         )
         for minutes in (5, 15, 60)
     ),
@@ -605,7 +607,7 @@ METRICS = (
         lambda site, samples: samples.command, _maximum, ".6g", max=1,
     ),
     Metric(
-        "beyond_hours", "h", "beyond the pump", "time with a command above 1",
+        "beyond_hours", "h", "beyond the pump", "time during which the command is above 1",
         _ticks_where(lambda site, samples: samples.command > 1), form=".4f", max=0, finish=_hours,
     ),
     Metric(
@@ -638,7 +640,7 @@ METRICS = (
     ),
     Metric(
         "electric_energy_kwh", "kWh", "electric energy",
-        "hydraulic energy divided by pump_efficiency",
+        "electric energy: hydraulic energy divided by pump_efficiency",
         lambda site, samples: _hydraulic_energy(site, samples) / site.pump_efficiency,
     ),
 )

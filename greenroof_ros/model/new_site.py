@@ -103,7 +103,7 @@ def _head(given: Mapping[str, Any]) -> Iterator[str]:
     text = (
         f"A green roof of {given['roof_area']:g} m2 and its cistern, written by 'greenroof "
         "new-site'. The source of every value is in brackets: [given] in an answer, [assumed], or "
-        "the source that is named there. Change what you know better; "
+        "the name of a source. Replace values for which you have better ones; "
         "doc/reference/file-formats.md lists all keys."
     )
     yield from (f"# {line}" for line in _wrap(text, _WIDTH - 2))
@@ -120,14 +120,14 @@ def _place(given: Mapping[str, Any]) -> Iterator[str]:
     yield from _line(given, "latitude", None, "positive to the north")
     yield from _line(given, "longitude", None, "positive to the east")
     yield from _line(
-        given, "elevation", 100.0, "above sea level; if left out, it follows from the weather's "
-        "mean pressure", "", active=False,
+        given, "elevation", 100.0, "above sea level; if omitted, it follows from the weather's "
+            "mean pressure", "", active=False,
     )
     zone = given.get("time_zone")
     offset = standard_offset(zone) if zone else float(round(given["longitude"] / 15))
     yield from _line(
-        given, "time_zone", "Europe/Berlin", "for quiet_hours, and for weather files on a clock "
-        "with daylight saving", "", active=False,
+        given, "time_zone", "Europe/Berlin", "for quiet_hours, and for weather files whose clock "
+            "observes daylight saving time", "", active=False,
     )
     yield from _line(
         given, "utc_offset", offset, "local standard time; needed for weather files that do not "
@@ -152,7 +152,7 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     )
     like_valve = "[assumed, as in site_valve.yaml]"
     yield from _line(given, "z_pump", 0.0, "the pump is at the bottom", like_valve)
-    yield from _line(given, "z_H", _SUCTION, "depth of water that it needs above it", like_valve)
+    yield from _line(given, "z_H", _SUCTION, "depth of water that the pump needs", like_valve)
     if not mains:
         yield "# No mains water [given]. To add it:"
     yield from _line(
@@ -240,9 +240,9 @@ def find_target(given: Mapping[str, Any]) -> tuple[float, str]:
     onset = depth * (substrate.wilting_point + (1 - substrate.depletion_fraction) * available)
     target = min(onset + _DAY * _CROP, _MAX_FILLED * depth * substrate.field_capacity)
     return math.floor(1e4 * target) / 1e4, (
-        f"where plants begin to lack water, {1000 * onset:.1f} mm, plus the demand of a summer "
-        f"day, {1000 * _DAY * _CROP:.1f} mm, but at most {_MAX_FILLED:.0%} of what the substrate "
-        "holds"
+        f"the level at which plants begin to lack water, {1000 * onset:.1f} mm, plus the demand of "
+        f"a summer day, {1000 * _DAY * _CROP:.1f} mm, but at most {_MAX_FILLED:.0%} of what the "
+        "substrate holds"
     )
 
 
@@ -267,8 +267,8 @@ def _pump(given: Mapping[str, Any]) -> Iterator[str]:
             "[assumed; drip lines: 2 to 4]",
         )
     yield from _line(
-        given, "d", LIFT, "height of the roof above the cistern's base; it affects only the "
-        "pump's energy",
+        given, "d", LIFT, "height of the roof above the cistern's base; this affects only the "
+            "pump's energy",
     )
     yield (
         '# quiet_hours: ["22:00-06:00"]  # when the pump stays off, in time_zone; none [assumed]'

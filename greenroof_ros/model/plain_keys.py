@@ -113,7 +113,8 @@ class PlainKeys:
         "depth of the substrate: z_soil", 0.02, 2.0, unit="m", default=None, usual=(0.06, 0.5),
     )
     pump_flow: float | None = entry(
-        "flow of the pump at full command, at any level of the cistern: a_hat and c_hat", 1.0, 1e6,
+        "flow of the pump at full command, whatever the level of the cistern: a_hat and c_hat",
+        1.0, 1e6,
         unit="l/h", default=None, usual=(100, 5000),
     )
     irrigation_rate: float | None = entry(
@@ -148,7 +149,7 @@ _RIVALS: dict[str, tuple[str, ...]] = {
     for same in _SAME for names in same for name in names
 }
 _PLACE = {"latitude", "longitude"}
-NO_VALUE = "needs a value; leave this line out if there is none"
+NO_VALUE = "must have a value; leave this line out if there is none"
 """why an empty value is rejected"""
 
 # Keys that a file for another place does not inherit from the file that it extends.
@@ -198,7 +199,7 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
             where = "" if own[rival].line is None else f" in line {own[rival].line}"
             raise ConfigurationError(
                 f"contradicts {rival} = {own[rival].value}{where}, which sets the same quantity: "
-                "leave one of them out", file=file, line=line, key=name, value=value,
+                "remove one of them", file=file, line=line, key=name, value=value,
             )
     if own.keys() >= _PLACE:
         replaced.update(_FOLLOW_PLACE)

@@ -34,6 +34,6 @@ def note_pumps(site: Site) -> Iterator[str]:
     if share > _MAX_SHARE:
         yield (
             f"in a tick of {site.tau:g} s the pumps can lift {share:.0%} of the target: simulated "
-            "pumps stop at the target within the tick, as with a float switch, and real ones need "
-            f"one; or use ticks of up to {_MAX_SHARE * site.x2_star / flow:.3g} s"
+            "pumps stop at the target within the tick, as with a float switch, and real pumps need "
+            f"one; alternatively, use ticks of up to {_MAX_SHARE * site.x2_star / flow:.3g} s"
         )

@@ -25,17 +25,18 @@ class SensorAndPump:
     """How level sensor and pumps differ from the paper's; by default they do not."""
 
     roof_noise: float = entry(
-        "standard deviation of the roof's level sensor, independent per tick", 0.0, 1.0, unit="m",
+        "standard deviation of the noise of the roof's level sensor, which is independent in each "
+        "tick", 0.0, 1.0, unit="m",
         default=0.0,
     )
     roof_offset: float = entry(
         "amount by which the roof sensor reads above the true level", -1.0, 1.0, unit="m",
         default=0.0,
     )
-    noise_seed: int = entry("seed of the noise", 0, 2**31 - 1, default=0)
+    noise_seed: int = entry("random seed of the noise", 0, 2**31 - 1, default=0)
     pump_min_on: float = entry(
-        "once on, the pumps stay on for this time, except in frost, with a full roof or with an "
-        "empty cistern", 0.0, 86_400.0, unit="s", default=0.0,
+        "once on, the pumps stay on for this time, except in frost or if the roof is full or the "
+        "cistern empty", 0.0, 86_400.0, unit="s", default=0.0,
     )
     pump_min_off: float = entry(
         "once off, the pumps stay off for this time", 0.0, 86_400.0, unit="s", default=0.0

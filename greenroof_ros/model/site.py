@@ -83,7 +83,7 @@ class Site:
     Unit, range and meaning of each are next to it; :func:`site_parameters` lists them.
     """
 
-    a1: float = entry("bottom surface area of the cistern", *_POSITIVE, unit="m2")
+    a1: float = entry("area of the cistern's base", *_POSITIVE, unit="m2")
     a_in: float = entry(
         "area whose rain flows into the cistern; in Table I the area of its inlet", *_POSITIVE,
         unit="m2",
@@ -93,16 +93,16 @@ class Site:
     c_d: float = entry(
         "discharge coefficient of the overflow and of the low outlet", *_POSITIVE, unit="1"
     )
-    a2: float = entry("bottom surface area of the rooftop vegetation", *_POSITIVE, unit="m2")
+    a2: float = entry("area of the rooftop vegetation", *_POSITIVE, unit="m2")
     z_veg: float = entry("desired water in the substrate, as a depth", *_POSITIVE, unit="m")
     x2_star: float = entry(
-        "desired water volume on the roof: a2 z_veg; computed if left out", *_POSITIVE,
+        "desired water volume on the roof: a2 z_veg; computed if omitted", *_POSITIVE,
         unit="m3",
     )
     z_soil: float = entry("soil depth of the roof", *_POSITIVE, unit="m")
     z_cap: float = entry(
-        "water that the soil holds before it drains: a2 z_soil; for field-capacity soil a2 z_soil "
-        "field_capacity; computed if left out", *_POSITIVE, unit="m3",
+        "water that the soil holds before it drains: a2 z_soil; for field-capacity soil, a2 z_soil "
+        "field_capacity; computed if omitted", *_POSITIVE, unit="m3",
     )
     K: float = entry("saturated hydraulic conductivity", *_POSITIVE, unit="m/s")
     a_hat: float = entry(
@@ -119,7 +119,7 @@ class Site:
         "elevation of the pumps above the cistern's base", *_NOT_NEGATIVE, unit="m",
     )
     z_H: float = entry(
-        "minimum water level above the pumps' base that they need", *_NOT_NEGATIVE, unit="m",
+        "minimum water level that the pumps need above their base", *_NOT_NEGATIVE, unit="m",
     )
     g: float = entry("acceleration due to gravity", *_POSITIVE, unit="m/s2")
     epsilon: float = entry("steepness of the smooth model's sigmoids", *_POSITIVE, unit="1")
@@ -131,34 +131,35 @@ class Site:
         default=1.0, usual=(0.75, 0.95),
     )
     field_capacity: float | None = entry(
-        "water that the substrate holds against gravity, per volume of it; it makes the soil a "
-        "field-capacity soil; without it the roof drains by Eq. (4)", 0.01, 0.9, unit="1",
+        "water that the substrate holds against gravity, per volume of substrate; if given, the "
+        "roof has a field-capacity soil; if omitted, it drains according to Eq. (4)",
+        0.01, 0.9, unit="1",
         default=None,
     )
     wilting_point: float | None = entry(
-        "water that plants cannot take, per volume of the substrate", 0.0, 0.5, unit="1",
+        "water that plants cannot take up, per volume of substrate", 0.0, 0.5, unit="1",
         default=None,
     )
     depletion_fraction: float | None = entry(
         "p of FAO-56 Eq. 84: share of the water between field capacity and wilting point that "
-        "plants take before they evaporate less", 0.0, 0.95, unit="1", default=None,
+        "plants take up before they evaporate less", 0.0, 0.95, unit="1", default=None,
     )
     drainage_storage: float | None = entry(
-        "depth of water in the full drainage layer below the substrate; without it the roof has "
-        "none", 0.0001, 1.0, unit="m", default=None,
+        "depth of water in the full drainage layer below the substrate; if omitted, the roof has "
+        "no drainage layer", 0.0001, 1.0, unit="m", default=None,
     )
     drainage_time: float | None = entry(
-        "time constant of the full drainage layer: its storage over its outflow", 1.0, 1e6,
+        "time constant of the full drainage layer: its storage divided by its outflow", 1.0, 1e6,
         unit="s", default=None,
     )
     mains_level: float | None = entry(
-        "cistern level below which a valve lets mains water in; without it there is no valve",
+        "cistern level below which a valve lets mains water in; if omitted, there is no such valve",
         0.01, 100.0, unit="m", default=None,
     )
     mains_flow: float | None = entry("inflow from the mains", 1e-6, 1.0, unit="m3/s", default=None)
     low_outlet_level: float | None = entry(
         "elevation of a second, throttled outlet of the cistern, below the first: it empties the "
-        "detention volume above it between storms; without it there is no such outlet", 0.001,
+        "detention volume above it between storms; if omitted, there is no such outlet", 0.001,
         100.0,
         unit="m", default=None,
     )
@@ -166,30 +167,30 @@ class Site:
         "radius of the low outlet", 0.001, 1.0, unit="m", default=None,
     )
     low_outlet_valve: bool = entry(
-        "whether a valve opens and closes the low outlet, as /outlet/command requests; without one "
-        "it is always open", default=False,
+        "whether a valve opens and closes the low outlet, as /outlet/command requests; without a "
+        "valve, the outlet is always open", default=False,
     )
     valve_closed_in_frost: bool = entry(
-        "whether the valve is closed in frost, because it could freeze while it is open; a valve "
-        "below the frost line works in frost, too", default=False,
+        "whether the valve is closed in frost, because it could freeze open; a valve below the "
+        "frost line also works in frost", default=False,
     )
     drainage_to_cistern: float = entry(
         "share of the roof's drainage that flows into the cistern; the rest reaches the sewer",
         0.0, 1.0, unit="1", default=0.0,
     )
     wet_after: float = entry(
-        "how long after rain the sewer still carries storm water, so that what reaches it counts "
-        "as discharge in wet weather [assumed]", 0.0, 48.0, unit="h", default=2.0,
+        "time after rain during which the sewer still carries storm water, so water that reaches "
+        "it counts as discharge in wet weather [assumed]", 0.0, 48.0, unit="h", default=2.0,
     )
     event_separation: float = entry(
         "minimum time without rain between two rain events", 0.1, 48.0, unit="h", default=6.0,
     )
     initial_cistern: float | None = entry(
-        "volume in the cistern at the start of a run; without it, low-low from Table II",
+        "volume in the cistern at the start of a run; if omitted, that of low-low in Table II",
         *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_roof: float | None = entry(
-        "volume on the roof at the start of a run; without it, low-low from Table II",
+        "volume on the roof at the start of a run; if omitted, that of low-low in Table II",
         *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_layer: float = entry(
@@ -201,8 +202,8 @@ class Site:
         default=0.5,
     )
     starts_per_hour: float = entry(
-        "how many times an hour the pumps may start; beyond this there is a warning, and lookahead "
-        "does not start them more often", 1.0, 3600.0, unit="1/h", default=20.0,
+        "how many times an hour the pumps may start; a warning is given if they start more often, "
+        "and lookahead does not let them", 1.0, 3600.0, unit="1/h", default=20.0,
     )
     latitude: float | None = entry(
         "latitude, positive to the north", -90.0, 90.0, unit="degrees", default=None,
@@ -210,7 +211,9 @@ class Site:
     longitude: float | None = entry(
         "longitude, positive to the east of Greenwich", -180.0, 180.0, unit="degrees", default=None,
     )
-    elevation: float | None = entry("above mean sea level", -430.0, 6000.0, unit="m", default=None)
+    elevation: float | None = entry(
+        "elevation above mean sea level", -430.0, 6000.0, unit="m", default=None,
+    )
     utc_offset: float | None = entry(
         "offset of local standard time from UTC, without daylight saving", -12.0, 14.0,
         unit="h", default=None,
@@ -239,14 +242,15 @@ class Site:
     )
     quiet_hours: tuple[str, ...] | None = entry(
         "times of day in which the pump stays off, on the clock of time_zone, such as "
-        '["22:00-06:00", "12:00-13:30"]; without them it may run at any time', default=None,
+        '["22:00-06:00", "12:00-13:30"]; if omitted, it may run at any time', default=None,
     )
     time_zone: str | None = entry(
         "IANA name of the time zone of quiet_hours and of the page, such as America/Toronto; it "
         "includes daylight saving; its standard time is utc_offset", default=None,
     )
     max_dose: float | None = entry(
-        "maximum volume of a dose, which a person requests; without it there are no doses", 0.001,
+        "maximum volume of a dose that a person requests; if omitted, no doses can be requested",
+        0.001,
         1e6, unit="m3", default=None,
     )
 
@@ -393,9 +397,10 @@ def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, 
         x2: volume on the roof (m3).
     """
     full = site.roof_level(site.z_cap)
-    cistern = f"its outlet is at {site.z_o:g} m, the roof {site.d:g} m above its base"
+    cistern = f"its outlet is at {site.z_o:g} m, and the roof {site.d:g} m above its base"
     roof = (
-        f"the soil holds {site.z_cap:g} m3, {full:g} m, and up to {_MAX_PONDED:g} m stay on it"
+        f"the soil holds {site.z_cap:g} m3 ({full:g} m), and up to {_MAX_PONDED:g} m can stand on "
+        "it"
     )
     for name, volume, area, level, why in (
         ("cistern", x1, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o), cistern),
@@ -456,7 +461,7 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Entry]
         if following.resolve() not in chain:
             return override(_entries(following, chain), entries)
         ring = [*chain[chain.index(following.resolve()):], following.resolve()]
-        expected += f"; this is a ring: {' extends '.join(map(str, ring))}"
+        expected += f"; these files form a loop: {' extends '.join(map(str, ring))}"
     raise ConfigurationError(expected, file=path, line=line, key=_EXTENDS, value=base)
 
 

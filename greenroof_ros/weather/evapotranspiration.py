@@ -168,8 +168,8 @@ def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
         )
     if is_polar(site):
         raise ConfigurationError(
-            f"{_LATITUDES.expected()} to compute evapotranspiration with FAO-56, which divides the "
-            "day by sunrise and sunset; provide a column of evapotranspiration, or "
+            f"{_LATITUDES.expected()} to compute evapotranspiration with FAO-56, which splits the "
+            "day at sunrise and sunset; provide an evapotranspiration column, or set "
             "monthly_evapotranspiration in the site file",
             key="latitude", value=site.latitude,
         )
@@ -387,7 +387,7 @@ def compute_hargreaves(records: Records, site: Site) -> Values:
     """
     if TEMPERATURE not in records.values:
         raise ConfigurationError(
-            f"has no {TEMPERATURE}, from which {HARGREAVES} is computed", file=records.source
+            f"contains no {TEMPERATURE}, from which {HARGREAVES} is computed", file=records.source
         )
     check_place(site, HARGREAVES, _PLACE)
     site = _complete_place(site, records)

@@ -48,7 +48,7 @@ MAX_GAP_H = {
 }
 
 _NO_TEMPERATURE = (
-    "there is no temperature, so no frost is assumed; nothing would be pumped in frost"
+    "there is no temperature, so no frost is assumed; during frost, nothing would be pumped"
 )
 
 # Offsets from a missing hour to the hours at the same time of day whose mean replaces it.
@@ -78,7 +78,7 @@ def read_measured(
     if PRECIPITATION not in joined.values:
         raise ConfigurationError(
             f"has no {PRECIPITATION}, as in a column 'precipitation [mm/h]' or 'rain [mm]'; add "
-            "the file that has it", file=joined.source,
+            "the file that contains it", file=joined.source,
         )
     return drop_empty(_drop_partial_hours(joined))
 
@@ -166,7 +166,7 @@ def drop_empty(records: Records) -> Records:
         values={name: series for name, series in records.values.items() if name not in empty},
         method="" if EVAPOTRANSPIRATION in empty else records.method,
         left_out=(*records.left_out, *(
-            f"{name} has no value in {records.source}" for name in empty
+            f"there is no value of {name} in {records.source}" for name in empty
         )),
     )
 
@@ -212,7 +212,8 @@ def compute_evapotranspiration(
                 f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]'; set "
                 "monthly_evapotranspiration in the site file to use its means", file=records.source,
             )
-        return means, chosen, [f"evapotranspiration is the site's monthly means{for_want}"]
+        return means, chosen, ["evapotranspiration is taken from the site's monthly "
+            f"means{for_want}"]
     series = compute_fao56(records, site)
     computed = np.isnan(records.values.get(RADIATION, series)) & ~np.isnan(series)
     if not computed.any():

@@ -276,8 +276,8 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
     way_out = "choose another window, or fill in values from another station"
     if weather.gaps == REFUSE:
         way_out += (
-            "; or fill the gaps (gaps: fill): missing rain is set to 0, and others to the mean "
-            "at that time of day over the three days before and after"
+            "; or fill the gaps (gaps: fill): missing rain is set to 0, and other missing values "
+            "to the mean at that time of day over the three days before and after"
         )
     own = () if weather.method in COMPUTED else (EVAPOTRANSPIRATION,)
     for quantity in (PRECIPITATION, TEMPERATURE, *own):
@@ -347,7 +347,7 @@ def align_to_hours(issues: Sequence[IssuedForecast], weather: Weather) -> list[I
             resampled.append(issue)
     if not resampled:
         raise ConfigurationError(
-            f"must have more than an hour, or begin a whole number of hours from "
+            "must contain more than an hour, or begin a whole number of hours from "
             f"{to_minutes(weather.first)}, where {weather.source} begins",
             file=issues[0].file, line=issues[0].line, key="issued",
             value=to_minutes(issues[0].issued),

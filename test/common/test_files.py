@@ -155,16 +155,16 @@ def nested(levels: int, brackets: str = "[{}]", item: str = "{1}") -> str:
     [
         ("a: 1\nb: 2\na: 3\n", ", line 3: is not valid YAML: a appears twice, here and in line"),
         ("a: " + "[" * 300 + "]" * 300, ": is nested more than 200 levels deep"),
-        ("a: 1\nb: \0\n", ", line 2: is not a text file (it holds a NUL byte)"),
+        ("a: 1\nb: \0\n", ", line 2: is not a text file (it contains a NUL byte)"),
         ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text; save it in UTF-8"),
         ("a:\n\tb: 1\n", ", line 2: is not valid YAML: indent with spaces, not tabs"),
-        ("a: !!int 5\n", ", line 1: is not valid YAML: its values must have no tags such as"),
+        ("a: !!int 5\n", ", line 1: is not valid YAML: its values must not have tags such as"),
         ("a: &x {b: *x}\n", ": is not valid YAML: a value contains itself"),
         ("a: &x [*x]\n", ": is not valid YAML: a value contains itself"),
         (f"a: {nested(8)}\n", ": is not valid YAML: its aliases (*NAME) add more than 10000"),
         ("a: " + nested(8, "{{{}}}", "k{0}: {1}"), ": is not valid YAML: its aliases (*NAME) add"),
-        (f"a: {{? {nested(8)} : 1}}\n", ", line 1: is not valid YAML: a key must be a text"),
-        ("a: {!!str b: 1}\n", ", line 1: is not valid YAML: a key must be a text, without a tag"),
+        (f"a: {{? {nested(8)} : 1}}\n", ", line 1: is not valid YAML: a key must be text"),
+        ("a: {!!str b: 1}\n", ", line 1: is not valid YAML: a key must be text without a tag"),
         (f"a: {'x' * 1_000_000}\n", ": is longer than 1 MB"),
         (f"a: [{'x, ' * 200_000}\n", ": is not valid YAML: "),
     ],
@@ -219,7 +219,7 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     existing = tmp_path / "there.csv"
     existing.touch()
     for file, reason in (
-        (tmp_path / "a.pdf", "must be the name of a file that ends in .html or .csv"),
+        (tmp_path / "a.pdf", "must be a file name that ends in .html or .csv"),
         (tmp_path / "no" / "a.csv", "must be in a directory that exists"),
         (existing, "exists; name another file"),
     ):

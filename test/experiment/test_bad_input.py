@@ -44,7 +44,7 @@ FORECASTS = [
     (["issued,time", f"{H0},{H0}"], 1, "'precipitation [mm/h]'"),
     ([f"{HEADER},snow [cm]", f"{H0},{H0},0,2,1"], 1, "one column too many"),
     ([HEADER, f"{H0},{H0},0,2", f"{H0},{H2},0,2"], 3, f"must be {H1}"),
-    ([HEADER, f"{H1},{H1},0,2", f"{H0},{H0},0,2"], 3, "must be in order of time"),
+    ([HEADER, f"{H1},{H1},0,2", f"{H0},{H0},0,2"], 3, "must be in chronological order"),
     ([MEMBERS, f"{H0},{H0},-1,0"], 2, "member = '-1': must be a number from 0 to 99 (whole)"),
     ([MEMBERS, f"{H0},{H0},{'9' * 5000},0"], 2, "member = '99"),
     ([MEMBERS, f"{H0},{H0},0,0", f"{H0},{H0},2,0"], 2, "members 0, 2; they must be 0, 1, 2 and"),

@@ -306,7 +306,7 @@ def test_evapotranspiration_in_a_part(tmp_path: Path) -> None:
         midnight = MIDNIGHT.replace(day=day)
         issue = IssuedForecast(midnight, file, None, np.zeros((1, 1)), evapotranspiration)
         file.write_text(write_forecasts([issue]))
-    wrong = r"8.csv, line 2: must have evapotranspiration exactly if 7.csv has it"
+    wrong = r"8.csv, line 2: must contain evapotranspiration if and only if 7.csv does"
     refusal(read_archive, tmp_path, PAPER_SITE, match=wrong)
 
 

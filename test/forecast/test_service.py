@@ -90,7 +90,7 @@ def test_each_hour_has_the_rain_and_temperature_that_are_forecast_for_it(server)
     ("limit", "429 Too Many Requests: .*Minutely API request limit"),
     ("error", "503 Service Unavailable: upstream is down"),
     ("length", "temperature_2m: must be a list of values, one for each time"),
-    ("missing", "has no precipitation after its run"),
+    ("missing", "contains no precipitation after its run"),
     ("clock", "check the clock of this machine"),
 ])
 def test_a_bad_answer_is_refused_and_replaces_nothing(server, tmp_path, monkeypatch, fault, reason):

@@ -158,5 +158,5 @@ def test_columns_that_must_be_there() -> None:
         f"{FILE}, line 1: must have a column 'b', as such files have"
     )
     assert refusal(read.require_columns, ["a"], "such files") == (
-        f"{FILE}, line 1: 'a': is the name of two columns"
+        f"{FILE}, line 1: 'a': is the name of more than one column"
     )

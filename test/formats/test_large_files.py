@@ -100,7 +100,7 @@ def test_a_file_of_any_kind_that_is_too_large(
         stream.truncate(150_000_000)
     assert refusal(read, file) == (
         f"{file}: has 150 MB to read; a file may have at most 100 MB: leave out what no run needs, "
-        "or split it, since weather can be several files and forecasts a directory of files"
+        "or split it: weather can consist of several files, and forecasts of a directory of files"
     )
 
 

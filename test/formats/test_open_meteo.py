@@ -137,7 +137,7 @@ def test_places(tmp_path: Path) -> None:
     path = write(tmp_path, place=f"location_id,{PLACE}", values=f"1,{VALUES}")
     refusal(read_weather, [path], TORONTO, match="line 2: location_id = '1': must be for one place")
     path.write_text(f"{PLACE}\n{VALUES}\n")
-    refusal(read_weather, [path], TORONTO, match="must have two lines about the place, then")
+    refusal(read_weather, [path], TORONTO, match="must begin with two lines")
 
 
 def test_shifted_files_join_without_a_gap(tmp_path: Path) -> None:
@@ -255,24 +255,24 @@ HEAD = KNMI.read_text().splitlines()[0]
 ROWS = ["2024-03-01 00:00:00,0.0,0.1,0.2,0.3,0.4", "2024-03-01 01:00:00,0.0,0.1,0.2,0.3,0.4"]
 WRONG = {
     "cut.json": ('{"latitude": 42.25,\n"long', ", line 2: is not valid JSON: "),
-    "deep.json": ("[" * 200_000, ": is JSON nested too deeply to be an answer"),
+    "deep.json": ("[" * 200_000, ": is JSON that is nested too deeply to be a response"),
     "refusal.json": (
         '{"error": true, "reason": "Daily API request limit exceeded."}',
         ": is not a forecast but an error message of the service: Daily API request limit",
     ),
-    "days.json": ('{"daily": {"time": ["2021-07-07"]}}', ": has no hourly values, only daily; "),
-    "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in hourly answers"),
+    "days.json": ('{"daily": {"time": ["2021-07-07"]}}', ": contains no hourly values, only "),
+    "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in responses"),
     "temperature.csv": (
         "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS, ""]),
         ", line 1: must have precipitation, precipitation_member01 or precipitation_previous_day1",
     ),
-    "unnamed.json": (run_of(), ": its name must end with the run that it holds, such as 20240601"),
-    "other_2024060118.json": (run_of(), ": must have the hour after its run, 2024-06-01T18:00"),
+    "unnamed.json": (run_of(), ": its name must end with the time of the run"),
+    "other_2024060118.json": (run_of(), ": must contain the hour after its run, 2024-06-01T18:00"),
     "history_2024010100.csv": (
         "\n".join(["time,precipitation", *(
             f"{parse_time('2024-01-01T00:00Z') + hour * HOUR},0.0" for hour in range(37 * 24)
         )]),
-        ": has 887 hours; a run has no more than 864. For a longer past, use previous runs",
+        ": has 887 hours; a run covers no more than 864. For a longer period",
     ),
     "hours.csv": (
         "\n".join([HEAD, *(f"2024-03-01 {hour:02}:00:00,0,0,0,0,0" for hour in range(2, 7))]),
@@ -292,13 +292,13 @@ def test_wrong_files(tmp_path: Path, name: str) -> None:
 
 def test_wrong_directories(tmp_path: Path) -> None:
     """An archive has one format, one kind, and each issue once."""
-    refusal(read_archive, tmp_path, TORONTO, match="must contain files of forecasts")
+    refusal(read_archive, tmp_path, TORONTO, match="must contain forecast files")
     (tmp_path / "a_2024060112.json").write_text(run_of(1))
     for name, text, wrong in (
         ("README.md", "# Forecasts", r"README.md: must end in .csv or .json, like "),
         (
             "b_2024060112.json", run_of(1, precipitation=[1.0] * 6),
-            r"has the issue of 2024-06-01T12:00.00:00, which is already in a_2024060112.json",
+            r"contains the issue of 2024-06-01T12:00.00:00, which is already in a_2024060112.json",
         ),
         ("b.csv", GEM.read_text(), r"a_2024060112.json: must contain previous runs, like b.csv"),
         (

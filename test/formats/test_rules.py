@@ -220,7 +220,7 @@ def test_a_well_kept_roof_off_which_nothing_runs_is_right() -> None:
         replace(flooded, runoff=np.zeros(flooded.steps), level=None), TWIN
     )
     assert dead == (
-        "runoff is 0 mm for 648 h from 2021-07-01 00:00:00, while 415 mm of water came: is "
+        "runoff is 0 mm for 648 h from 2021-07-01 00:00:00, although 415 mm of water arrived: is "
         "the sensor stuck or dead? Leave these cells empty"
     )
     # 720 mm in a month on 100 mm of soil: four dry months after it excuse nothing.

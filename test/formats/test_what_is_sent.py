@@ -154,9 +154,9 @@ def test_a_short_control_an_hour_and_an_empty_member(tmp_path: Path) -> None:
     assert issue.rain.tolist() == [[0.0] * 47, [1.0] * 47, [2.0] * 47]
     where = "gem_2021070705.json, issue of 2021-07-07T05:00+00:00: "
     assert archive.notes == (
-        f"{where}member 3 is left out: it has 0 hours, and others 71",
+        f"{where}member 3 is left out: it has 0 hours, while others have 71",
         f"{where}ends after 47 of 71 hours: later values are missing",
-        f"{where}1 missing hours of precipitation are the mean of their neighbours",
+        f"{where}1 missing hours of precipitation were filled with the mean of the adjacent hours",
     )
 
 
@@ -193,7 +193,7 @@ def test_runs_of_an_archive_with_fewer_members(tmp_path: Path) -> None:
     assert [issue.issued.day for issue in archive.issues] == [7, 8]
     assert archive.members == 3
     assert archive.verified is archive.issues
-    assert "all issues have 3 members, like the one with the fewest" in archive.notes
+    assert "3 members of every issue are used, as many as the smallest issue has" in archive.notes
 
 
 def test_members_that_a_download_lacks(tmp_path: Path) -> None:
@@ -223,8 +223,8 @@ def test_downloads_that_failed(tmp_path: Path) -> None:
     refused, short, nothing, fewer = archive.notes
     assert "limit exceeded; the file is left out" in refused
     assert "gem_2021070605.json" in short and "is not valid JSON" in short
-    assert "gem_2021070705.json: has no precipitation after its run" in nothing
-    assert fewer == "all issues have 1 members, like the one with the fewest"
+    assert "gem_2021070705.json: contains no precipitation after its run" in nothing
+    assert fewer == "1 members of every issue are used, as many as the smallest issue has"
 
 
 def test_own_forecasts(tmp_path: Path) -> None:
@@ -258,7 +258,7 @@ def test_without_radiation(tmp_path: Path) -> None:
     without = read_weather([file], TORONTO)
     assert read.evapotranspiration.tobytes() == without.evapotranspiration.tobytes()
     assert not np.isnan(read.evapotranspiration[:48]).any()
-    assert f"solar radiation has no value in {file}" in read.notes
+    assert f"there is no value of solar radiation in {file}" in read.notes
     one = weather(tmp_path, shortwave_radiation=among(None, 100.0), **columns)
     assert not np.isnan(one.evapotranspiration[:48]).any()
     assert one.evapotranspiration[29] == without.evapotranspiration[29]
@@ -271,7 +271,7 @@ def test_without_temperature(tmp_path: Path) -> None:
     read = nothing(tmp_path, replace(TORONTO, crop_coefficient=0.5))
     assert read.evapotranspiration.tolist() == [pytest.approx(2.01)] * 71
     assert (read.method, read.frost) == ("monthly", None)
-    assert "evapotranspiration is the site's monthly means, for lack of temperature" in read.notes
+    assert "evapotranspiration is taken from the site's monthly means, for" in read.notes
     without = replace(TORONTO, monthly_evapotranspiration=None)
     refusal(nothing, tmp_path, without, match="set monthly_evapotranspiration in the site file")
 
@@ -341,7 +341,7 @@ def test_second_downloads(tmp_path: Path, name: str) -> None:
     archive = read_archive(tmp_path, TORONTO)
     assert len(archive.issues) == 1 and "is left out: it is the same as" in archive.notes[0]
     run(tmp_path, "gem_2021070705.json", precipitation=[1.0] * 72)
-    refusal(read_archive, tmp_path, TORONTO, match="has the issue of 2021-07-07T05:00.00:00, which")
+    refusal(read_archive, tmp_path, TORONTO, match="contains the issue of 2021-07-07T05:00.00:00")
 
 
 # --- offsets of half an hour ----------------------------------------------------------------------
@@ -410,11 +410,11 @@ def test_french_and_older_names(tmp_path: Path, form: str) -> None:
     ("header", "row", "what"),
     [
         ('"Date/Time","Year","Month","Day","Time","Temp (°C)","Temp Flag"',
-         '"2019-07-01 00:00","2019","07","01","00:00","20.1",""', "hours without precipitation"),
+         '"2019-07-01 00:00","2019","07","01","00:00","20.1",""', "values without precipitation"),
         ('"Longitude (x)","Latitude (y)","Station Name","Climate ID","Date/Time","Year","Month",'
          '"Day","Data Quality","Max Temp (°C)","Total Precip (mm)"',
          '"-79.4","43.6","X","1","2021-07-01","2021","07","01","","25.0","1.0"',
-         "holds days or months, not hours"),
+         "contains daily or monthly values, not hourly ones"),
     ],
 )
 def test_files_that_do_not_suffice(tmp_path: Path, header: str, row: str, what: str) -> None:
@@ -448,7 +448,7 @@ def test_semicolons_decimal_commas_and_rows_left_out(tmp_path: Path) -> None:
         [0.5, np.nan, np.nan, np.nan, 0.5], nan_ok=True
     )
     file.write_text(file.read_text().replace("T04", "T01"))
-    refusal(read_weather, [file], TORONTO, match="must be later than the time of the row before")
+    refusal(read_weather, [file], TORONTO, match="must be later than the time of the previous row")
 
 
 @pytest.mark.parametrize(

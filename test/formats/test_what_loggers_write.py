@@ -81,7 +81,7 @@ def test_rows_that_end_at_their_times(tmp_path: Path, step_s: int) -> None:
         assert records.values["precipitation"].tolist() == (
             starts.values["precipitation"].tolist()
         )
-        assert "each row ends at its time" in records.notes[0]
+        assert "the time of each row is the end of its interval" in records.notes[0]
 
 
 @pytest.mark.parametrize(("before_s", "after_s"), [(300, HOUR), (HOUR, 600), (600, 900)])
@@ -128,7 +128,7 @@ def test_the_separator_in_a_line_of_its_own(tmp_path: Path, head: str) -> None:
 def test_lines_that_are_no_records(tmp_path: Path, line: str) -> None:
     """Units below the header, and totals at the end."""
     for text in (write_rows(3).replace("\n", f"\n{line}\n", 1), f"{write_rows(3)}{line}\n"):
-        assert "units or a sum rather than a record, leave it out" in refusal(read, tmp_path, text)
+        assert "units or a sum instead of a record, leave it out" in refusal(read, tmp_path, text)
 
 
 def test_files_that_were_appended(tmp_path: Path) -> None:
@@ -315,7 +315,7 @@ def test_fractions_of_humidity(tmp_path: Path) -> None:
         48, rain=lambda row: f"0,20,{0.6 + 0.42 * shine(row):.2f}",
         header="time,rain [mm],temperature [degC],relative humidity [%]\n",
     )
-    assert "are they fractions? Then its unit is [1]" in refusal(read, tmp_path, text)
+    assert "are they fractions? If so, the unit is [1]" in refusal(read, tmp_path, text)
     fractions = read(tmp_path, text.replace("[%]", "[1]"))
     # By FAO-56 Eqs. 11 and 14: 0.6 of 2.338 kPa at 20 degC is 1.403 kPa, which 12.0 degC have.
     assert fractions.values["dew point"][0] == pytest.approx(12.0, abs=0.05)
@@ -393,7 +393,7 @@ def test_a_point_between_thousands_of_one_column(
         header="time,rain [mm],solar radiation [W/m2]\n",
     )
     if is_refused:
-        assert "does its mark separate thousands?" in refusal(read, tmp_path, text)
+        assert "is its mark a thousands separator?" in refusal(read, tmp_path, text)
     else:
         read(tmp_path, text)
 
@@ -402,7 +402,7 @@ HOT, SUN = "temperature [degC]", "solar radiation [W/m2]"
 DEW, WIND = "dew point [degC]", "wind speed [km/h]"
 SUSPICIOUS: dict[str, tuple[str, Callable[[int], object], str]] = {
     "right": ("", lambda row: RAIN[row], ""),
-    "tips": ("", lambda row: round(RAIN[row] / 0.2), "is it a number of tips"),
+    "tips": ("", lambda row: round(RAIN[row] / 0.2), "is it a count of bucket tips"),
     "a day's total": ("", lambda row: DAILY[row // 24] * (row % 24 == 0), "only every 24 h"),
     "six hours'": ("", lambda row: round(sum(RAIN[row // 6 * 6:][:6]), 1), "only every 6 h"),
     "km/h": (WIND, lambda row: f"{RAIN[row]},{15 + 10 * shine(row):.0f}", ""),
@@ -411,7 +411,7 @@ SUSPICIOUS: dict[str, tuple[str, Callable[[int], object], str]] = {
     "degC of dew": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 + 5 * shine(row)},"
                     f"{9 + row // 72 % 3}", ""),
     "hPa of vapour": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 - 9 * shine(row)},13.1",
-                      "is it vapour pressure, or from another place?"),
+                      "is it vapour pressure, or was it measured at another place?"),
     "kPa of vapour": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 + 5 * shine(row)},"
                       f"{1.2 + row // 72 % 3 / 10}", "is it vapour pressure?"),
     "kPa in frost": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{-6 + 5 * shine(row)},0.3{row % 9}",
@@ -508,8 +508,8 @@ GEOMET = (
     ("<!DOCTYPE html><html>", "a web page"), ("\n <HTML>\n", "a web page"),
     ('{"code": "x", "description": "Invalid query"}', "service: Invalid query"),
     ('{"error": true, "reason": "limit exceeded"}', "service: limit exceeded"),
-    ("Too Many Requests\n", "did a service send it?"),
-    ("Error 503: Unavailable, try again\n", "did a service send it?"),
+    ("Too Many Requests\n", "is it a message from a service?"),
+    ("Error 503: Unavailable, try again\n", "is it a message from a service?"),
     (gzip.compress(b"time", mtime=0), "gzip"), (b"PK\x03\x04", "workbook"),
     (b"\xd0\xcf\x11\xe0", "Excel"),
     ("time,rain [mm]".encode("utf-16"), "UTF-16"), (b"%PDF-1.4", "PDF"),
@@ -531,8 +531,8 @@ GEOMET = (
     ("Station_ID|Station_name|Year|Month\nUSW1|X|2024|1\n", "Climatology Network hourly"),
     ("NUM_POSTE;NOM_USUEL;AAAAMMJJHH;RR1\n1;X;2024060100;0\n", "'rain [mm]' = RR1"),
     ("NUM_POSTE;NOM_USUEL;AAAAMMJJ;RR\n1;X;20240601;0\n", "France, values that are not hourly"),
-    ('[{"station_code": 260, "hour": 1}]', "not an hourly answer of Open-Meteo"),
-    ('{"type": "FeatureCollection", "features": []}', "not an hourly answer of Open-Meteo"),
+    ('[{"station_code": 260, "hour": 1}]', "not an Open-Meteo response with hourly"),
+    ('{"type": "FeatureCollection", "features": []}', "not an Open-Meteo response with hourly"),
     ('[{"hourly": {}}]', "download places separately"),
     (RAIN_OF_DWD.replace("1219;2024060102", "44;2024060102"), "line 4: STATIONS_ID = '44'"),
     (GEOMET + "-79,43,HAMILTON,2021-07-07 03:00,20,,,0,5\n", "line 5: STATION_NAME = 'HAMILTON'"),
@@ -579,7 +579,7 @@ def test_hours_of_geomet(tmp_path: Path) -> None:
     )
     assert records.values["temperature"].tolist() == [24.5, 23.5, 22.7]
     assert (records.rain_late, [*records.places.values()]) == (1, [(43.63, -79.4)])
-    assert "Environment Canada that holds days" in refusal(
+    assert "Environment Canada that contains daily" in refusal(
         read, tmp_path, "x,y,LOCAL_DATE,MAX_TEMPERATURE\n-79.4,43.63,2021-07-07 00:00:00,3\n"
     )
 

@@ -150,7 +150,7 @@ def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, range_: str) -
         assert f"{path}, line " in message and f": {key} = " in message
         assert f" number {range_}" in message
     path = house(tmp_path / "own.yaml", **{"irrigation_rate": None, key: ""})
-    assert f": {key}: needs a value; leave this line out" in refusal(read_site, path)
+    assert f": {key}: must have a value; leave this line out" in refusal(read_site, path)
 
 
 @pytest.mark.parametrize(

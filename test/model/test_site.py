@@ -121,7 +121,7 @@ CLIMATE = "monthly_evapotranspiration"
     ("base", "changes", "key", "reason"),
     [
         # Out of range: with a unit, without one, and a whole number.
-        (PAPERS, {"a2": "-68.8"}, "a2", "a number greater than 0 and at most 1e+09 m2 (bottom"),
+        (PAPERS, {"a2": "-68.8"}, "a2", "a number greater than 0 and at most 1e+09 m2 (area"),
         (PAPERS, {"a_hat": "0"}, "a_hat", "a number of at least -1e+21 and less than 0 s2/m5 (co"),
         (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 ticks (look-ahead"),
         # A value that contradicts another.
@@ -145,7 +145,7 @@ CLIMATE = "monthly_evapotranspiration"
         (PAPERS, {CLIMATE: MONTHS[:11]}, CLIMATE, "twelve numbers, January to December"),
         (PAPERS, {CLIMATE: [*MONTHS[:11], 20.1]}, f"{CLIMATE}.12", "a number from 0 to 20 mm/day"),
         (PAPERS, {CLIMATE: 3.0}, CLIMATE, "a list (means of the reference evapotranspiration"),
-        (PAPERS, {"elevation": ""}, "elevation", "needs a value"),
+        (PAPERS, {"elevation": ""}, "elevation", "must have a value"),
         (PAPERS, {"quiet_hours": '["22:00-06:00"]'}, "quiet_hours", "needs time_zone as well"),
     ],
 )
@@ -159,7 +159,7 @@ def test_wrong_values(
         if text.startswith(f"{key.partition('.')[0]}: ")
     ]
     message = refusal(path)
-    assert re.match(rf"{re.escape(f'{path}, line {line}: {key}')}( = |: needs)", message)
+    assert re.match(rf"{re.escape(f'{path}, line {line}: {key}')}( = |: must have)", message)
     assert re.search(rf": (must be |must exceed |){re.escape(reason)}", message)
 
 
@@ -225,7 +225,7 @@ def test_a_site_is_written_as_a_complete_file(tmp_path: Path) -> None:
     assert read_site(written) == site
     lines = {line.partition(":")[0]: line for line in text.splitlines()}
     assert lines["a2"].endswith("# m2      as built")
-    assert lines["a1"].endswith("# m2      bottom surface area of the cistern")
+    assert lines["a1"].endswith("# m2      area of the cistern's base")
 
 
 def test_what_cannot_be_extended(tmp_path: Path) -> None:
@@ -236,8 +236,8 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
         ("3", "child.yaml, line 1: extends = 3: must be the name of another site file, such as"),
         ("absent.yaml", "child.yaml, line 1: extends = 'absent.yaml': must be the name of "),
         ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of another "
-         "site file, such as site.yaml, next to this one or of this package; this is a ring: "
-         f"{child} extends {tmp_path / 'circle.yaml'} extends {child}"),
+         "site file, such as site.yaml, next to this one or of this package; these files form a "
+         f"loop: {child} extends {tmp_path / 'circle.yaml'} extends {child}"),
         ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3 = 5.0: is not a key here"),
     ):
         child.write_text(f"extends: {base}\na1: 3.0\n")

@@ -148,7 +148,8 @@ def read_parameters(instance: Controller, choice: ControllerChoice) -> dict[str,
     values = {name: getattr(instance, name) for name in names if hasattr(instance, name)}
     if "horizon" in names and "horizon" not in values:
         raise ConfigurationError(
-            "must have its parameter horizon as an attribute, or its forecast's length is "
-            "unknown; or pass the class, and horizon=", key=f"an instance of {choice.name}",
+            "must have its parameter horizon as an attribute, since the length of its forecast is "
+            "unknown otherwise; or pass the class and horizon=", key="an instance of "
+            f"{choice.name}",
         )
     return values

@@ -177,7 +177,7 @@ class Environment:
             (0, 0.5, 4.18)
         """
         if self.done:
-            raise ConfigurationError("has ended; reset() begins it again", key="the run")
+            raise ConfigurationError("has ended; call reset() to begin again", key="the run")
         share = read_number(command)
         if share is None or not 0 <= share < math.inf:
             raise ConfigurationError(

@@ -110,7 +110,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         for name in map(attrgetter("name"), choose_class(FunctionController).of_valve):
             if inputs.get(name) is not None:
                 raise ConfigurationError(
-                    "is for what commands the outlet valve; here the action does that", key=name,
+                    "selects what commands the outlet valve; here the action does so", key=name,
                     value=inputs[name],
                 )
         self.render_mode, self._reward = render_mode, reward
@@ -232,5 +232,6 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
                 continue
             return start
         raise ConfigurationError(
-            f"{_MAX_DRAWS} drawn starts have missing hours; gaps='fill' fills them", key="weather"
+            f"in {_MAX_DRAWS} attempts, every drawn start led to missing hours; gaps='fill' fills "
+            "them", key="weather"
         )

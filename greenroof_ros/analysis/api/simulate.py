@@ -433,6 +433,6 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
     trajectory = run.trajectory()
     if trajectory is None:
         raise ConfigurationError(
-            "has only results: the run wrote no trajectory", file=Path(path)
+            "contains only results: the run wrote no trajectory", file=Path(path)
         )
     return make_table(run.site, trajectory)

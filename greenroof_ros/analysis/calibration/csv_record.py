@@ -63,7 +63,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
          "both 'minimum temperature [degC]' and 'maximum temperature [degC]'"),
         ("pump state" not in columns or "cistern level" in columns,
          "with 'pump state' there must be a column 'cistern level [m]', on which the pumps' flow "
-         "depends; or use 'pumped [l]' instead"),
+         "depends; alternatively, use 'pumped [l]'"),
     ):
         if not there:
             raise rows.table.refuse(message)
@@ -168,9 +168,9 @@ def _bridge_short_gaps(record: StepRecord, values: Values, counts: Steps) -> Val
         gap_s = (high - low) * record.step_s
         if gap_s > max(HOUR_S, record.step_s) and counts[low:high].any():
             raise ConfigurationError(
-                f"has no value from {record.time(low)} for {name_time(gap_s)}: up to an hour may "
-                "be missing, since a roof also dries while sensors have gaps; write a day's value "
-                "into each of its rows, and add missing rows with the time and this value, and "
+                f"has no value from {record.time(low)} for {name_time(gap_s)}: at most an hour may "
+                "be missing, since the roof continues to dry during a gap; write a daily value "
+                "into every row of its day, and add missing rows with the time and this value, and "
                 "all other cells empty", file=record.source, key=column,
             )
     steps = np.arange(len(values))
@@ -220,7 +220,7 @@ def _compute_from_temperatures(
         )
     there = ~np.isnan(extremes).any(axis=0)
     if not there.any():
-        raise ConfigurationError("no day has its temperatures", file=record.source)
+        raise ConfigurationError("no day has all its temperatures", file=record.source)
     temperatures = DailyTemperatures(dates, extremes)
     counted: NDArray[np.datetime64] = np.unique(record.times[counts].astype("datetime64[D]"))
     far = temperatures.far(counted)

@@ -79,7 +79,7 @@ def draw_quantity(
     boundary = [{"t": row["t"]} for row in days if row["part"] == [*halves][1]][:1]
     caption = (
         f"{'Sums' if adds_up else 'Means'} of days, and the residuals (simulated minus measured). "
-        "The dashed line separates fit and validation; what was not measured is left out."
+        "The dashed line separates fit and validation; times without measurements are left out."
     )
     data = alt.Chart(alt.NamedData(f"{name}-days"))
     rule = alt.Chart(alt.InlineData(boundary)).mark_rule(

@@ -116,7 +116,7 @@ def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
         raise ConfigurationError(
             f"falls while the pumps run as if they lifted {1000 * flow:.2g} l/s at full command; "
             f"according to the site's curve, they lift {1000 * curve:.2g} l/s: is the sensor "
-            "stuck, a unit wrong, a clock shifted, or the pump state from other pumps?",
+            "stuck, a unit wrong, a clock shifted, or does the pump state belong to other pumps?",
             file=record.source, key="cistern level",
         )
     without = site.a1 * (np.sum(falls) - falls) / (np.sum(seconds) - seconds)

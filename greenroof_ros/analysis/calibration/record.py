@@ -122,7 +122,7 @@ def read_months(span: str) -> tuple[int, int]:
     first, last = map(int, match.groups()) if match else (0, 0)
     if not (1 <= first <= 12 and 1 <= last <= 12):
         raise ConfigurationError(
-            "must be the first and the last month that count, such as 4-10, or 11-3 over new year",
+            "must be the first and the last month to use, such as 4-10, or 11-3 over new year",
             key="--months", value=span,
         )
     return first, last

@@ -11,7 +11,7 @@ from greenroof_ros.model.site import format_site, read_site
 
 CROP_NOTE = (
     "applies only if evapotranspiration is computed (fao56; hargreaves in calibrate), not if a "
-    "weather file has it"
+    "weather file contains it"
 )
 """where a crop coefficient has an effect"""
 INTERVAL_NOTE = (

@@ -178,8 +178,8 @@ def _draw(district: District, name: str, draw: Draw, count: int) -> Sequence[Any
     )
     if up_to - below < _MIN_SHARE:
         raise district.refuse(
-            f"draw.{name}", f"has only a share of {max(0.0, up_to - below):.2g} of its "
-            "distribution between low and high; change low, high or the mean",
+            f"draw.{name}", "has a distribution of which only a share of "
+            f"{max(0.0, up_to - below):.2g} is between low and high; change low, high or the mean",
         )
     drawn = np.exp(middle + width * ndtri(below + (up_to - below) * shares))
     values: list[float] = np.clip(drawn, low, high).tolist()  # rounding may exceed the limits

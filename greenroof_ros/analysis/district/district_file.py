@@ -114,16 +114,16 @@ class DistrictWeather:
     """The weather of all cells, and the period that is simulated."""
 
     start: str = entry(
-        "time of the first tick (ISO 8601), the same instant in all cells; without an offset from "
-        "UTC it is in the site's time_zone, or else in the zone or offset of the first cell's "
-        "weather"
+        "time of the first tick (ISO 8601), the same instant in all cells; if it has no offset "
+        "from UTC, it is in the site's time_zone or, if there is none, in the zone or offset of "
+        "the first cell's weather"
     )
     hours: float = entry("length of the run", 1e-9, 1e6, unit="h")
     file: str | None = entry(
         "weather file, or a pattern such as '2021_*.csv', for all buildings", default=None
     )
     cells: dict[str, str] | None = entry(
-        "instead of file: the weather file or pattern of each cell, by the cell's name",
+        "the weather file or pattern of each cell, listed under the cell's name, instead of file",
         default=None,
     )
     evapotranspiration: str | None = entry("method of evapotranspiration", default=None)
@@ -152,18 +152,18 @@ class District:
         "number of buildings, drawn from the distributions", 1, _MAX_BUILDINGS, default=None
     )
     file: str | None = entry(
-        "instead of buildings: CSV file with one row per building", default=None
+        "CSV file with one row per building, instead of buildings", default=None
     )
     seed: int = entry(
         "random seed of the distributions and of the order of adoption", 0, 2**32, default=1
     )
     draw: dict[str, Draw] = entry(
-        "distributions of keys of a site, and of outlet_reserve, outlet_price, outlet_reach and "
-        "level, by key", factory=dict,
+        "distributions of site keys and of outlet_reserve, outlet_price, outlet_reach and level, "
+        "listed under the key", factory=dict,
     )
     tau: float = entry("duration of a tick", 1.0, 300.0, unit="s", default=60.0)
     outlets: tuple[str, ...] = entry(
-        "ways to empty the cisterns; none is simulated in any case", choices=OUTLETS,
+        "ways to empty the cisterns; 'none' is always simulated", choices=OUTLETS,
         default=OUTLETS,
     )
     orifice: Orifice = entry("orifice in place of a valve", factory=lambda: Orifice())
@@ -176,12 +176,12 @@ class District:
         "place; the others only overflow", 0.0, 1.0, unit="1", default=1.0,
     )
     forecast: str = entry(
-        "what plan knows about the coming rain: all of it, or nothing",
+        "what plan knows about the coming rain: all of it (perfect), or nothing",
         choices=(PERFECT, NO_FORECAST), default=PERFECT,
     )
     sewer_capacity: float | None = entry(
-        "flow that the sewer can take, over the connected area of all buildings; the sewer "
-        "overflows above it", 1e-6, 1000.0, unit="mm/h", default=None,
+        "flow that the sewer can take, per connected area of all buildings; above it, the sewer "
+        "overflows", 1e-6, 1000.0, unit="mm/h", default=None,
     )
     path: Path = Path()
     """path of the file"""
@@ -277,14 +277,14 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
     """Yield the key of each contradiction, and what would be right."""
     if (district.buildings is None) == (district.file is None):
         yield "buildings", (
-            "is missing; set it, or set file to a CSV file of the buildings"
+            "is missing; set it, or set file to a CSV file that lists the buildings"
             if district.file is None
             else "cannot be combined with file, which lists the buildings"
         )
     weather = district.weather
     if (weather.file is None) == (weather.cells is None):
         yield "weather.file" if weather.file else "weather", (
-            "must have either file, for all buildings, or cells, with one file per cell"
+            "must contain either file, for all buildings, or cells, with one file per cell"
         )
     if weather.cells == {}:
         yield "weather.cells", "must name at least one cell"

@@ -314,7 +314,7 @@ def _draw_storm(run: DistrictRun, totals: Totals, names: list[str]) -> Figure:
     below = [] if capacity is None else [_draw_level(capacity)]
     panel = series_panel(lines, "outlet", names, f"Means of {_POINT_MIN} minutes", below)
     return Figure(
-        "storm", "The highest hour, and the days after it",
+        "storm", "The hour with the highest flow, and the days after it",
         f"With green roofs and cisterns on {name_share(highest, len(run.buildings))}. "
         + _capacity_note(capacity), (panel._replace(height=320),), 1, {"storm": rows},
     )

@@ -52,7 +52,7 @@ def _closed_and_repair(bag: Path, run: Path) -> tuple[Path | None, str]:
     closed. A single file counts as a bag.
     """
     new = name_recovered_bag(bag)
-    repair = f"greenroof recover {run} makes a whole one from what is left"
+    repair = f"greenroof recover {run} recovers a complete bag from the remaining data"
     closed = bag if bag.is_file() or (bag / METADATA).is_file() else None
     if not (new / METADATA).is_file():
         return closed, repair
@@ -91,7 +91,8 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
     file = given if isinstance(given, Path) else own_site if own_site.is_file() else None
     site = given if isinstance(given, Site) else read_site(file or default_site_file())
     if file is None and given is None:
-        notes.append("no site file came with the bag: the site is the paper's, config/site.yaml")
+        notes.append("the bag contains no site file: the paper's site, config/site.yaml, is "
+            "assumed")
     name = run.resolve().name
     row: Row = {
         **about.row, "run": name, "site": file.name if file else "the paper's", "season": "",
@@ -102,9 +103,9 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
     trajectory, unknown, events = None, frozenset[str](), about.events
     if closed is not None:
         if closed == name_recovered_bag(bag):
-            notes.append(f"{closed.name} is what greenroof recover found whole")
+            notes.append(f"{closed.name} contains the data that greenroof recover could recover")
             if repair:
-                notes.append(f"more was recorded since: {repair}")
+                notes.append(f"more has been recorded since: {repair}")
         if zone is None:
             notes.append("times are in UTC: no configuration states the offset")
         trajectory, further, unknown = load_bag(
@@ -116,7 +117,8 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
         trajectory = load_trajectory(kept)
     elif any(bag.glob("*.mcap")):
         raise ConfigurationError(
-            f"has no metadata.yaml: it is being recorded, or was cut off; {repair}", file=bag
+            "has no metadata.yaml: it is still being recorded, or its recording was cut off; "
+            f"{repair}", file=bag
         )
     elif about.ending:
         raise ConfigurationError("no bag", file=path)
@@ -149,7 +151,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
             for alarm in read_alarms(run)
         ]
     except (OSError, ValueError) as error:
-        notes.append(f"the alarms next to the bag are damaged, and not used: {error}")
+        notes.append(f"the file of alarms next to the bag is damaged and is not used: {error}")
         alarms = []
     return ReportedRun(
         site=site, row=row, notes=notes, alarms=alarms, kept=trajectory, kept_events=events or (),

@@ -140,8 +140,9 @@ def draw_discharge(cases: Sequence[CaseRuns], name: str) -> Figure:
         ).mark_point(filled=True, opacity=1, size=60)
         panels.append(Panel(chart, f"from {initial}", 260))
     return Figure(
-        name, f"What keeps storm water out of the sewer: {cases[0].place[0]}",
-        "Minimum possible: for on/off control's irrigation, with all weather known in advance",
+        name, f"Effect of each controller on storm water in the sewer: {cases[0].place[0]}",
+        "Minimum possible: the least discharge with the irrigation of on/off control and all "
+        "weather known in advance",
         tuple(panels), min(len(panels), 2), data,
     )
 

@@ -96,8 +96,8 @@ def find_runs(
         name = run_directory(path).resolve().name
         if name in named:
             raise ConfigurationError(
-                f"{named[name]} and {path} have the same name, {name}: name each path once, or "
-                "rename one of the directories"
+                f"{named[name]} and {path} have the same name, {name}: list each path only once, "
+                "or rename one of the directories"
             )
         named[name] = path
     sources, single = Sources(), dict[Path, ReportedRun]()
@@ -206,7 +206,7 @@ def _read_results(file: Path) -> list[Row]:
         for column, cell in cells.items():
             try:
                 if not isinstance(cell, str):
-                    raise ValueError("one cell too many or too few")
+                    raise ValueError("there is one cell too many or too few")
                 cells[column] = _READ.get(column, str)(cell)
             except ValueError as error:
                 raise ConfigurationError(
@@ -227,7 +227,7 @@ def _read_results(file: Path) -> list[Row]:
 def _find_damage(row: Row, earlier: Container[str]) -> Iterable[tuple[str, str]]:
     """Yield the columns in which a row is not as a study writes it, each with what is wrong."""
     if not row["run"].strip(".") or "/" in row["run"] or row["run"] in earlier:
-        yield "run", "must be the name of a directory under runs/, in one row"
+        yield "run", "must be the name of a directory under runs/, and must appear in one row only"
     if row["status"] not in ("done", "failed", "not run"):
         yield "status", "must be done, failed or not run"
     if row["status"] == "done":
@@ -235,4 +235,4 @@ def _find_damage(row: Row, earlier: Container[str]) -> Iterable[tuple[str, str]]
         for column in (_NEEDED - {"error", "season"}).intersection(empty):
             yield column, "must not be empty, because the run is done"
         if row["season"] and len(row.get("weekly_deviation_m3", ())) < row["hours"] // 168:
-            yield "season", "must be empty, or weekly_deviation_m3 must have all weeks"
+            yield "season", "must be empty, or weekly_deviation_m3 must contain every week"

@@ -162,13 +162,14 @@ _NOTED = {
     "suspicious": "suspicious weather, not changed",
     "forecast_repeats_from": "a forecast ends here; later values are assumed",
     "fallbacks": "ticks in which the controller's solver found no solution",
-    "limited_steps": "ticks in which a tank ran empty, and what left it was limited",
+    "limited_steps": "ticks in which a tank ran empty, so its outflow was limited",
     "beyond_hours": "hours with a command above 1, more than the pumps' maximum flow: no real pump "
     "can follow it",
     "excess_starts": "pump starts beyond starts_per_hour of the site",
     "frost_pumped_m3": "m³ of water pumped during frost",
-    "roof_noise": "m of noise of the roof's level sensor: the level is the sensor's reading",
-    "roof_offset": "m of offset of the roof's level sensor: the level is the sensor's reading",
+    "roof_noise": "m of noise in the roof's level sensor: the level shown is the sensor's reading",
+    "roof_offset": "m of offset in the roof's level sensor: the level shown is the sensor's "
+    "reading",
 }
 
 
@@ -187,7 +188,7 @@ def make_notes(report: Report) -> dict[str, list[str]]:
                 notes.setdefault(text, []).append(f"{run.name}: {shown}")
     few = [case for case in report.cases if 0 < len(case.deviations.weeks) < _FEW_YEARS]
     if few:
-        notes[f"fewer than {_FEW_YEARS} years: a lead in all of them may be chance"] = [
+        notes[f"with fewer than {_FEW_YEARS} years, a lead in all of them may be due to chance"] = [
             f"{case.label}: {len(case.deviations.weeks)}" for case in few
         ]
     return notes

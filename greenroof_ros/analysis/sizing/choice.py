@@ -37,15 +37,15 @@ class Prices:
     """
 
     mains_price: float = entry(
-        "price of a m3 of mains water, including the waste-water fee if it is charged on the "
+        "price of 1 m3 of mains water, including the waste-water fee if it is charged on the "
         "metered water", 0.0, 1e9,
     )
     storm_water_price: float = entry(
-        "value of a m3 of storm water that does not reach the sewer in wet weather; 0 if the "
+        "value of 1 m3 of storm water that does not reach the sewer in wet weather; 0 if the "
         "storm-water fee is charged on the connected area, which neither cistern nor valve changes",
         0.0, 1e9,
     )
-    cistern_price: float = entry("price of a cistern per m3 of its volume", 0.0, 1e9)
+    cistern_price: float = entry("price of a cistern, per m3 of volume", 0.0, 1e9)
     cistern_years: float = entry(
         "period over which the cistern's price is spread, without interest", 1.0, 200.0,
         unit="years",

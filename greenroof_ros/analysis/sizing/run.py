@@ -131,7 +131,8 @@ def _read_prices(given: Mapping[str, Any]) -> Prices | None:
     for name in PRICES:
         if name not in given:
             raise ConfigurationError(
-                "is missing: costs need the years and all prices (0 for what costs nothing)",
+                "is missing: to compute costs, set the years and all prices (0 for anything that "
+                "costs nothing)",
                 key=name,
             )
     return make_record(Prices, given)

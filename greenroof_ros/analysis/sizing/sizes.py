@@ -230,8 +230,8 @@ class Sizes:
             return "the only one that was compared."
         if self.find_knee(self.recommended.target, self.outlet) is None:
             return (
-                f"the largest of all: there is no size beyond which {amount} ({what}), so larger "
-                "ones are worth trying."
+                f"the largest of all: none of the sizes is one beyond which {amount} ({what}), so "
+                "larger ones are worth trying."
             )
         if self.recommended.volume == self.volumes[0]:
             return (

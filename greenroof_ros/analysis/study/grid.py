@@ -366,7 +366,7 @@ class _Grid:
                 name = next(iter(needed))
                 block = YamlMapping({name: block}, {name: mapping.lines[key]})
             if not isinstance(block, YamlMapping):
-                expected = _BLOCKS.get(key, "parameters, a list of these, or nothing")
+                expected = _BLOCKS.get(key, "a mapping of parameters, a list of these, or nothing")
                 raise self._refuse(mapping, key, f"must be {expected}")
             self._check_keys(block, needed, further)
             lists = [self._list(block, name) if name not in whole else [block[name]]

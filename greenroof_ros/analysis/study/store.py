@@ -144,7 +144,8 @@ class StudyStore:
         ):
             if not isinstance(begun, dict) or begun.get(key) != identity[key]:
                 raise ConfigurationError(
-                    f"holds a study begun with {what}; use those, or choose another directory",
+                    f"holds a study that was begun with {what}; use those, or choose another "
+                    "directory",
                     key="--output", value=str(self.directory),
                 )
 

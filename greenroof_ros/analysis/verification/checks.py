@@ -30,8 +30,8 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     """
     scores = {key: tally.scores() for key, tally in tallies.items()}
     warnings = [
-        f"{lead} has {ratio:.2f} times the water of the other leads, most likely because of an "
-        "error in the archive; --horizon leaves late leads out"
+        f"{lead} has {ratio:.2f} times the rain of the other lead times, most likely because of an "
+        "error in the archive; --horizon excludes long lead times"
         for lead, ratio in (_find_odd_leads(scores) if previous_runs else {}).items()
     ]
     # Classes with few pairs tell nothing, nor do classes whose forecast or rain never varies.
@@ -42,7 +42,7 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     if known and max(known) < _MIN_R:
         warnings.append(
             f"these forecasts are unrelated to these records: no correlation reaches {_MIN_R:g}; "
-            "are both for the same place, and are the hours of both right?"
+            "are both for the same place, and are the times of both right?"
         )
     return warnings
 

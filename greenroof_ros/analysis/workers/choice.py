@@ -30,8 +30,8 @@ def add_worker_arguments(parser: argparse.ArgumentParser, what: str) -> None:
     )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS",
-        help=f"hand the {what} to a Dask cluster, such as tcp://10.0.0.1:8786, instead of "
-        "processes on this machine; its workers need greenroof_ros[dask,study]",
+        help=f"run the {what} on a Dask cluster, such as tcp://10.0.0.1:8786, instead of in "
+            "processes on this machine; its workers need greenroof_ros[dask,study]",
     )
 
 

@@ -156,8 +156,8 @@ def test_wrong_files_are_refused(name: str, file: Path) -> None:
         (2 * 1440 * np.arange(120),
          "line 1: the rows are 2 days apart; more than a day is not allowed"),
         (np.cumsum(np.resize([5, 5, 7], 200)),
-         "line 4: time = '2021-06-01T00:17': must be 300 s after the row before, or a whole number "
-         "of such steps, not 420 s; 66 of 200 rows are like this"),
+         "line 4: time = '2021-06-01T00:17': must be 300 s after the previous row, or a whole "
+         "number of such steps, not 420 s; 66 of 200 rows are like this"),
     ],
 )
 def test_rows_that_are_on_no_clock_are_refused(
@@ -199,7 +199,7 @@ def test_an_hour_may_be_missing_and_no_more(what: str, file: Path) -> None:
 
     assert without(12).reference == pytest.approx(values / 288)
     assert refusal(without, 13).startswith(
-        f"{file}: {REFERENCE}: has no value from 2021-06-01 02:30:00 for 65 min: up to "
+        f"{file}: {REFERENCE}: has no value from 2021-06-01 02:30:00 for 65 min: at most "
         "an hour may be missing"
     )
 
@@ -242,7 +242,7 @@ def test_temperatures_that_show_no_day_are_refused(file: Path) -> None:
     six_hourly = text_of(f"{RAIN},{LEVEL},temperature [degC]", "0,0.02,12", hours[::6])
     for text, message in (
         (of_days(dict.fromkeys(range(10), "5,15")), "no temperature within 3 days of 2021-04-14"),
-        (of_days({}), "no day has its temperatures"),
+        (of_days({}), "no day has all its temperatures"),
         (of_days(dict.fromkeys(range(60), "5,15") | {0: "40,15"}),
          "on 2021-04-01 the minimum temperature, 40 degC, is above the max"),
         (winter, "has no temperature within 3 days"),

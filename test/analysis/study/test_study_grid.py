@@ -201,7 +201,7 @@ def test_sites_with_other_values(tmp_path: Path) -> None:
     assert site["initial_cistern"] == pytest.approx(10.0)
     assert site["initial_roof"] == pytest.approx(2.0)
     assert site["z_o"] == 3.0
-    assert "bottom surface area of the cistern" in cases[0].site.content.decode()
+    assert "area of the cistern's base" in cases[0].site.content.decode()
     volumes = {
         (inputs.initial, case.site.name): (inputs.cistern, inputs.roof)
         for case in cases for inputs in [case.inputs]
