@@ -212,8 +212,8 @@ def compute_evapotranspiration(
                 f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]'; set "
                 "monthly_evapotranspiration in the site file to use its means", file=records.source,
             )
-        return means, chosen, ["evapotranspiration is taken from the site's monthly "
-            f"means{for_want}"]
+        note = f"evapotranspiration is taken from the site's monthly means{for_want}"
+        return means, chosen, [note]
     series = compute_fao56(records, site)
     computed = np.isnan(records.values.get(RADIATION, series)) & ~np.isnan(series)
     if not computed.any():
