@@ -54,7 +54,7 @@ setup(
         "Development Status :: 4 - Beta",
         "Intended Audience :: Science/Research",
         "License :: OSI Approved :: Apache Software License",
-        "Operating System :: POSIX :: Linux",  # others: see doc/howto/install.md, Tested
+        "Operating System :: POSIX :: Linux",  # others: see doc/howto/install.md, What was tested
         "Programming Language :: Python :: 3",
         "Programming Language :: Python :: 3 :: Only",
         "Topic :: Scientific/Engineering :: Hydrology",

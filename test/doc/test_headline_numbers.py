@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import re
 from pathlib import Path
 from typing import Any
@@ -32,16 +33,34 @@ def test_papers_runs_are_reproduced_as_the_readme_says(papers: Path) -> None:
     assert 3e-5 < max(errors) < 4e-5 and "within 0.004 %" in README
 
 
+def write_forecast_without_rain(path: Path) -> str:
+    """Write issues of three days for every six hours of the season, and return their path."""
+    first = dt.datetime(2021, 4, 30, tzinfo=dt.timezone(dt.timedelta(hours=-5)))
+    lines = ["issued,time,precipitation [mm/h]"]
+    for issue in range(4 * 186):
+        issued = first + dt.timedelta(hours=6 * issue)
+        lines += (
+            f"{issued.isoformat()},{(issued + dt.timedelta(hours=hour)).isoformat()},0.0"
+            for hour in range(72)
+        )
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return str(path)
+
+
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_a_season_is_as_the_readme_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_season_is_as_the_readme_says(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+) -> None:
     """The table below the lines of the example, and what the text derives from it."""
     monkeypatch.chdir(CHECKOUT)
     names: dict[str, Any] = {}
     exec((CHECKOUT / "examples" / "one_season.py").read_text(encoding="utf-8"), names)
     closed, drain, plan = names["runs"].table.to_dicts()
     assert f"for {closed['rain_m3']:.1f} m³ of rain" in README
+    # By default ten days of irrigation at 4 mm a day.
+    reserve = 10 * 0.004 * names["site"].a2
     for run, name in (
-        (closed, "closed"), (drain, "drains to a fixed reserve in dry weather"),
+        (closed, "closed"), (drain, f"drains to a fixed reserve of {reserve:.2f} m³ in dry weather"),
         (plan, "plans with a perfect forecast"),
     ):
         figures = f"{run['wet_discharge_m3']:.1f} m³ | {run['mains_m3']:.1f} m³"
@@ -52,9 +71,15 @@ def test_a_season_is_as_the_readme_says(monkeypatch: pytest.MonkeyPatch) -> None
 
     assert f"a fixed reserve keeps {less(drain)} of the storm water" in README
     assert f"a perfect forecast {less(plan)}." in README
-    wet, mains = (drain[each] - plan[each] for each in ("wet_discharge_m3", "mains_m3"))
-    assert f"another {wet:.1f} m³ out of the sewer" in README
-    assert f"saves {mains:.1f} m³ of mains water" in README
+    dry = gr.simulate(
+        "onoff", outlet="plan", forecast=write_forecast_without_rain(tmp_path / "dry.csv"),
+        forecast_delay=0, **names["season"],
+    ).metrics
+    assert f"`plan` takes {dry['mains_m3']:.1f} m³ from the mains even if" in README
+    wet, perfect = dry["wet_discharge_m3"], plan["wet_discharge_m3"]
+    assert f"{wet:.1f} m³ reaches the sewer in wet weather, and {perfect:.1f} m³ with" in README
+    errors = gr.simulate("onoff", outlet="plan", forecast="errors", **names["season"]).metrics
+    assert f"of weather services, it was {errors['wet_discharge_m3']:.1f} m³" in README
     watering = gr.simulate("lookahead", outlet="closed", **names["season"]).metrics
     assert closed["stress_hours"] == 0
     assert f"plants lack water for {watering['stress_hours']:.0f} hours instead of none" in README
@@ -66,7 +91,7 @@ def test_a_season_is_as_the_readme_says(monkeypatch: pytest.MonkeyPatch) -> None
 def test_the_storm_is_the_animations() -> None:
     picture = (CHECKOUT / "doc" / "_static" / "storm-animation.svg").read_text(encoding="utf-8")
     full, room = re.findall(r">([0-9.]+) m³ to the sewer in wet weather<", picture)
-    text = f"{full} m³ reach the sewer in wet weather without a valve, and {room} m³ if a valve"
+    text = f"{full} m³ reaches the sewer in wet weather without a valve, and {room} m³ if a valve"
     assert text in README
     storm = gr.simulate(
         "onoff", site=gr.read_site(CHECKOUT / "config" / "site_valve.yaml", tau=60.0, M=1),
@@ -82,4 +107,9 @@ def test_faults_are_those_of_the_campaign() -> None:
         page, re.MULTILINE,
     )
     assert row is not None
-    assert f"within its bound in all {row[1]} cases; the closest takes **{row[2]}**" in README
+    assert f"in all {row[1]} cases with a fault of a drive, its line or its power" in README
+    assert f"the case nearest to its bound took **{row[2]}**" in README
+    day = re.search(r"a whole run of (\d+ \w+ \d{4})", page)
+    cases = re.search(r"^\| together \| (\d+) \|", page, re.MULTILINE)
+    assert day is not None and cases is not None
+    assert f"a run of {day[1]} with {cases[1]} cases" in README

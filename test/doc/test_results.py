@@ -40,7 +40,7 @@ def test_the_papers_runs(papers: Path) -> None:
         for row in csv.DictReader(stream):
             if row["initial"] == "low-low":
                 value = float(row["parameter:weight"] or row["parameter:fraction"])
-                name = "mpc" if row["controller"] == "mpc" else "on/off"
+                name = "mpc, `weight`" if row["controller"] == "mpc" else "on/off, `fraction`"
                 total, mean = table[f"{name} {value:.5f}".rstrip("0").rstrip(".")]
                 assert total.split(" / ")[0] == f"{float(row['total_deviation_m3']):.0f}"
                 assert mean.split(" / ")[0] == f"{float(row['mean_deviation_mm']):.2f}"
