@@ -60,7 +60,8 @@ def test_a_season_is_as_the_readme_says(
     # By default ten days of irrigation at 4 mm a day.
     reserve = 10 * 0.004 * names["site"].a2
     for run, name in (
-        (closed, "closed"), (drain, f"drains to a fixed reserve of {reserve:.2f} m³ in dry weather"),
+        (closed, "closed"),
+        (drain, f"drains to a fixed reserve of {reserve:.2f} m³ in dry weather"),
         (plan, "plans with a perfect forecast"),
     ):
         figures = f"{run['wet_discharge_m3']:.1f} m³ | {run['mains_m3']:.1f} m³"
