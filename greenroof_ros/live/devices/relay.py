@@ -306,7 +306,7 @@ class Relay:
             return None, f"{timer.path} is {raw:g}: off"
         if seconds < self.file.min_timer:
             return None, (
-                f"{timer.path} is {raw:g}, which is {seconds:g} s; one shorter than "
+                f"{timer.path} is {raw:g}, which is {seconds:g} s; a timer shorter than "
                 f"{self.file.min_timer:g} s cannot be renewed in time"
             )
         self._timer_s = seconds

@@ -271,14 +271,16 @@ def _mistakes(
         of = first.replace("_", " ")
         if earlier.unique_key == later.unique_key:
             key = "register" if isinstance(later, ModbusSensor) else "address"
-            yield f"{second}.{key}", f"is also that of the {of}: both sensors would be the same"
+            yield f"{second}.{key}", (
+                f"is also the {key} of the {of}: both sensors would be the same"
+            )
         if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and parse_address(
             later.address
         ).shares_line(parse_address(earlier.address)):
             if later.device_id == earlier.device_id:
                 yield f"{second}.device_id", (
-                    f"is also that of the {of} on the same serial line: a late answer would be "
-                    "taken for the other's; give each sensor a slave address of its own"
+                    f"is also the device id of the {of} on the same serial line: a late answer "
+                    "would be taken for the other's; give each sensor a slave address of its own"
                 )
             for key in ("baud_rate", "parity", "stop_bits"):
                 if getattr(later, key) != (value := getattr(earlier, key)):

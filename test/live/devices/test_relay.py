@@ -129,12 +129,12 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("make", "faults"), [
     ("tasmota", {
         "timer_off": "^PulseTime1.Set is 0: off$",
-        "timer_long": "PulseTime1.Set is 20, which is 2 s; one shorter than 3 s cannot",
+        "timer_long": "PulseTime1.Set is 20, which is 2 s; a timer shorter than 3 s cannot",
         "power_up_on": "^the state after power-up: PowerOnState is 3, but must be 0$",
     }),
     ("shelly_gen2", {
         "timer_off": "^auto off: result.auto_off is false, but must be true$",
-        "timer_long": "auto_off_delay is 2, which is 2 s; one shorter than 3 s cannot",
+        "timer_long": "auto_off_delay is 2, which is 2 s; a timer shorter than 3 s cannot",
         "power_up_on": "initial_state is on, but must be off$",
         "auto_on": "^auto on: result.auto_on is true, but must be false$",
     }),

@@ -344,7 +344,7 @@ def test_sensors_behind_one_gateway_share_a_connection() -> None:
         (["high: 0.6 ", "substrate_depth: 0.1\n  high: 0.1 ",
           "scale: 0.0001                  # m per count [", "scale: 0.00001  # ["], 30,
          "roof.scale = 1e-05: cannot yield 0 to 0.1 m: uint16 with offset 0 yields 0 to 0.065535"),
-        (["5031", "5030"], 27, "roof.register = 0: is also that of the cistern: both sensors"),
+        (["5031", "5030"], 27, "roof.register = 0: is also the register of the cistern: both"),
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(
@@ -364,9 +364,9 @@ def test_a_wrong_file_is_refused_with_line_key_and_value(
     [
         (2, "", 0, ""),
         (2, "parity: even\n  stop_bits: 1\n  baud_rate: 19200", 0, ""),  # the defaults
-        (1, "register: 4", 26, "roof.device_id = 1: is also that of the cistern on the same "
-         "serial line: a late answer would be taken for the other's; give each sensor a slave "
-         "address of its own"),
+        (1, "register: 4", 26, "roof.device_id = 1: is also the device id of the cistern on the "
+         "same serial line: a late answer would be taken for the other's; give each sensor a "
+         "slave address of its own"),
         (2, "baud_rate: 9600", 37, "roof.baud_rate = 9600: must be 19200, as for the cistern on "
          "the same line"),
         (2, "parity: none", 37, "roof.parity = 'none': must be even, as for the cistern"),
