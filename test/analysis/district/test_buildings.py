@@ -167,7 +167,7 @@ WRONG_CSV = {
     "line 3: id = 'A': is also the building in line 2": CSV.replace("B,", "A,"),
     "line 1: must have a column 'id'": CSV.replace("id,", "name,"),
     "line 1: must have a column 'cell'": CSV.replace("cell,", "zone,"),
-    "line 1: 'catchment_area': is the name of two columns": CSV.replace("a1", "catchment_area"),
+    "line 1: 'catchment_area': is the name of more than": CSV.replace("a1", "catchment_area"),
     "line 2: catchment_area = '-120': must be a number from": CSV.replace("120", "-120"),
     "line 2: catchment_area = 'wide': must be a number from": CSV.replace("120", "wide"),
     "line 2: catchment_area = '': must be a number from": CSV.replace("120", ""),
@@ -177,7 +177,7 @@ WRONG_CSV = {
     "line 3: must have 5 cells, like the header, not 4": CSV.replace(",Lane 2", ""),
     "has a header but no records": CSV.partition("\n")[0] + "\n",
     "is empty": "",
-    "is a zip archive, or a workbook": "PK\x03\x04",
+    "is a zip archive or a spreadsheet": "PK\x03\x04",
 }
 
 
@@ -220,7 +220,7 @@ WRONG = {
     "draw.catchment_area.mean = 200: also needs sd": (", sd: 120", ""),
     "draw.catchment_area.mean = 0: must be": ("mean: 200", "mean: 0"),
     "draw.catchment_area.sd = -120: must be": ("sd: 120", "sd: -120"),
-    "draw.catchment_area: has only a share of 0 of its distribution":
+    "draw.catchment_area: has a distribution of which only a share of 0":
         ("low: 60, high: 1000", "low: 1e8"),
     "draw.cistern_volume: must be a number from 0.01 to 100000 m3, but": ("low: 1.0", "low: -5"),
     "draw.substrate_depth.values: must list at least one": ("[0.08, 0.108]", "[]"),
@@ -239,7 +239,7 @@ WRONG = {
     "line 8: weather.start = 'noon': must be a time": ("2021-07-07T00:00", "noon"),
     "weather.file = 'gone.csv': there is no such file in": (str(WEATHER), "gone.csv"),
     "but the run starts at 2021-08-07": ("2021-07-07T00:00", "2021-08-07T00:00"),
-    "weather: must have either file, for all buildings, or cells": (f"file: {WEATHER}, ", ""),
+    "weather: must contain either file, for all buildings, or cells": (f"file: {WEATHER}, ", ""),
     "site = 'gone.yaml': there is no such file in": ("site_valve.yaml", "gone.yaml"),
     "needs a valve for drain and plan": ("site_valve.yaml", "site_catchment.yaml"),
 }

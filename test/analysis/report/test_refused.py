@@ -88,7 +88,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "a-week": (with_cells(weekly_deviation_m3="1 inf"), "weekly_deviation_m3 = '1 inf': is not a"),
     "a-season-without-weeks": (
         with_cells(hours=384.0, season="May", weekly_deviation_m3="1.5"),
-        "season = 'May': must be empty, or weekly_deviation_m3 must have all weeks",
+        "season = 'May': must be empty, or weekly_deviation_m3 must contain",
     ),
     "volume-a-word-after-an-error-of-two-lines": (
         study(

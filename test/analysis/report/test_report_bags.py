@@ -93,10 +93,10 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path) -> None:
         for name in (TOTAL, "pumped_m3", "rain_m3", "drainage_m3", "final_cistern_m3"):
             assert row[name] == pytest.approx(example.row[name], rel=1e-12), name
         assert (row["controller"], row["initial"]) == ("unknown", "the recorded volumes")
-    assert "no site file came with the bag: the site is the paper" in page_of(report)
+    assert "the bag contains no site file: the paper" in page_of(report)
     assert len(report.windows()) == 2  # foreign bags are not compared
     both = write_bag(tmp_path / "both", {**plain, **spaced})
-    refusal(report_of, both, match=r"from one graph, but has .* /, /site1")
+    refusal(report_of, both, match=r"from one graph, but contains .* /, /site1")
 
 
 def loaded(path: Path) -> tuple[Trajectory, list[str]]:
@@ -344,7 +344,7 @@ def test_names_distinguish_paths(tmp_path: Path) -> None:
     names = [run.name for run in find_runs([paths[0].parent, *paths[1:3], paths[4]]).runs]
     assert names == ["mon", "bag", "deep", "one"]
     for first, second in (paths[:2], paths[2:4]):
-        reason = refusal(report_of, first, second, match=f"have the same name, {first.name}: name")
+        reason = refusal(report_of, first, second, match=f"have the same name, {first.name}: list")
         assert str(first) in reason and str(second) in reason
     row = simulate("onoff", "0.5", "low-low").row
     studies = [write_study(tmp_path / place / "study", [(row, None)]) for place in ("a", "b")]
@@ -354,7 +354,7 @@ def test_names_distinguish_paths(tmp_path: Path) -> None:
     windows = [case.place[0].partition("/")[0] for case in report_of(*studies).cases]
     assert windows == ["study", "other"]
     again = tmp_path / "mon" / ".." / "mon" / "bag"
-    refusal(report_of, paths[0], again, match="mon/../mon/bag have the same name, bag: name each")
+    refusal(report_of, paths[0], again, match="mon/../mon/bag have the same name, bag: list each")
 
 
 # --- graphs --------------------------------------------------------------------------------------
@@ -506,7 +506,7 @@ def test_a_live_site(tmp_path: Path) -> None:
     ]
     assert "2026-11-20 21:25:20-05:00" in page_of(path)
     (path / "alarms.jsonl").write_text(f"{{}}\n{json.dumps(loss)}\n")
-    assert "alarms next to the bag are damaged, and not used" in page_of(path)
+    assert "alarms next to the bag is damaged and is not used" in page_of(path)
 
 
 # --- damaged bags --------------------------------------------------------------------------------
@@ -525,13 +525,13 @@ def test_what_recover_makes_of_a_damaged_bag_is_reported(tmp_path: Path, recorde
     assert recover(run).losses
     trajectory, _ = loaded(run)
     assert 16 <= len(trajectory.time) < 361
-    assert "bag-recovered is what greenroof recover found whole" in page_of(report_of(run))
+    assert "bag-recovered contains the data that greenroof" in page_of(report_of(run))
     later = time.time() + 60
     os.utime(file, (later, later))
-    advice = f"remove {run}/bag-recovered, and greenroof recover {run} makes a whole one"
+    advice = f"remove {run}/bag-recovered, and greenroof recover {run} recovers a"
     refusal(report_of, run, match=f"run/bag: cannot be read as a bag.*{advice}")
     (run / "bag" / "metadata.yaml").unlink()
-    assert f"more was recorded since: {advice}" in page_of(report_of(run))
+    assert f"more has been recorded since: {advice}" in page_of(report_of(run))
     os.utime(file, (1.0, 1.0))
     (run / "bag-recovered" / "bag-recovered_0.mcap").write_bytes(b"")
     reason = refusal(report_of, run, match="bag-recovered: cannot be read as a bag")

@@ -274,7 +274,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"season": "summer"}, "season = 'summer': must be the first and the last day"),
     ({"knee": -1}, "knee = -1: must be"),
     ({"jobs": 0}, "jobs = 0: must be"),
-    ({"mains_price": 2.0}, "storm_water_price: is missing: costs need the years and all"),
+    ({"mains_price": 2.0}, "storm_water_price: is missing: to compute costs, set"),
     ({"mains_price": -2.0, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 30},
      "mains_price = -2.0: must be"),
     ({"mains_price": 2, "storm_water_price": 1, "cistern_price": 1, "cistern_years": 0},
@@ -305,7 +305,7 @@ def test_a_site_without_its_place(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("options", "message"), [
     (["--volumes", "5,0"], "--volumes: must be a number from 0.05 to 100000, with a decimal"),
     (["--volumes", "5", "5"], "error: --volumes = 5.0: appears twice"),
-    (["--cistern-price", "600"], "error: --mains-price: is missing: costs need the years and all"),
+    (["--cistern-price", "600"], "error: --mains-price: is missing: to compute costs, set"),
     (["--season", "04-01/10-31"], "does not cover a complete season, 1 April to 31 October"),
     (["--output", "mine"], "error: --output = 'mine': holds letter.txt, which is not the result"),
 ])
