@@ -20,24 +20,24 @@ _NO_OUTLET = 1e-200
 
 
 class CisternFlows(NamedTuple):
-    """What moves in a tick (m3), each of shape (n,)."""
+    """Volumes that flow in a tick (m3), each of shape (n,)."""
 
     volumes: Values
-    """pumped in each step, shape (steps, n)"""
+    """volume pumped in each step, shape (steps, n)"""
     outflow: Values
     low_outlet: Values
     mains: Values
 
 
 class Cisterns:
-    """What of the sites' parameters decides the flows of cisterns, each of shape (n,).
+    """The site parameters that determine the flows of cisterns, each of shape (n,).
 
     Attributes:
         upper: volume up to the upper outlet (m3).
         lower: volume up to the low outlet, or to the upper one if there is none (m3).
-        lowest: volume that the pumps leave (m3).
-        filled: volume up to which the mains fill (m3).
-        mains_flow: see :class:`.site.Site`, as others are.
+        lowest: volume that the pumps leave in the cistern (m3).
+        filled: volume up to which the mains fill the cistern (m3).
+        mains_flow: inflow from the mains (m3/s).
     """
 
     def __init__(self, values: Values) -> None:
@@ -50,7 +50,7 @@ class Cisterns:
 
     @classmethod
     def of(cls, sites: Sites) -> Cisterns:
-        """Return those of sites."""
+        """Return the cisterns of sites."""
         a1 = sites.a1
         return cls(np.stack((
             a1, sites.b, sites.c_hat - sites.d, sites.c_out, sites.c_low, sites.mains_flow,
@@ -90,7 +90,7 @@ class Cisterns:
     def step_short(
         self, tau: float, x1: Values, collected: Values, flow: Values, outlet: Values
     ) -> tuple[CisternFlows, Flags]:
-        """Return what moves in a short tick, and where less was there than was demanded.
+        """Return the volumes that flow in a short tick, and where the demand was not met.
 
         Args:
             tau: duration of the tick (s).
@@ -114,14 +114,14 @@ class Cisterns:
         return np.asarray(pumped > self._much)
 
     def drain(self, seconds: float, steps: int, x1: Values, outlet: Values) -> Values:
-        """Return what low outlets take in steps if nothing else flows in or out (m3).
+        """Return the volume that leaves through low outlets if nothing else flows (m3).
 
         It is what :class:`_Outlets` computes. With c and t of the outlet, the head h and
         u^2 = h (2 a1 / (c t))^2, a step leads from u to sqrt(1 + u^2) - 1.
 
         Args:
             seconds: duration of a step (s).
-            steps: their number.
+            steps: number of steps.
             x1: volume in each cistern (m3).
             outlet: share to which each low outlet is open (1).
         """
@@ -144,12 +144,12 @@ class Cisterns:
         self, tau: float, steps: int, x1: Values, collected: Values, command: Values,
         outlet: Values, missing: Values, rise: Values,
     ) -> CisternFlows:
-        """Return what moves in a long tick.
+        """Return the volumes that flow in a long tick.
 
         Args:
             tau: duration of the tick (s).
-            steps: into which it is divided if something is quick; otherwise what is pumped is
-                shared among them.
+            steps: number of steps into which the tick is divided if a flow is large; otherwise
+                the pumped volume is divided evenly among them.
             x1: volume in each cistern (m3).
             collected: rain that flows in (m3/s).
             command: command to the pumps (share of the maximum flow).
@@ -183,7 +183,7 @@ class Cisterns:
         self, tau: float, steps: int, x1: Values, collected: Values, command: Values,
         outlet: Values, missing: Values, rise: Values,
     ) -> CisternFlows:
-        """Return what moves in a long tick, each site in the same number of steps."""
+        """Return the volumes that flow in a long tick, with the same number of steps everywhere."""
         seconds = tau / steps
         arrives = seconds * collected if collected.any() else 0.0
         running = np.zeros(len(x1), bool)
@@ -223,7 +223,7 @@ class Cisterns:
             flow: flow of the pumps (m3/s).
             missing: volume to be pumped until the roof is at its target (m3).
             rise: rate at which rain reduces that volume (m3/s).
-            running: whether the pumps ran at the end of the step before.
+            running: whether the pumps ran at the end of the previous step.
             volume: array to which the pumped volume is written (m3).
         """
         share = np.divide(flow, flow + rise, out=np.zeros_like(flow), where=flow > 0)
@@ -243,7 +243,7 @@ class Cisterns:
     def let_out_all(
         self, seconds: float, x1: Values, arriving: Values, outlet: Values, volumes: Values
     ) -> CisternFlows:
-        """Return what moves in a long tick if the pumped volume is known.
+        """Return the volumes that flow in a long tick if the pumped volume is known.
 
         Args:
             seconds: duration of a step.
@@ -262,18 +262,18 @@ class Cisterns:
 
 
 class _Outlets:
-    """Both outlets of cisterns in steps; :class:`.plant.Plant` has the formula.
+    """Both outlets of cisterns in steps, computed with the formula of :class:`.plant.Plant`.
 
     Attributes:
-        upper: volume that the upper outlets have taken (m3).
-        low: volume that the low ones have taken (m3).
+        upper: volume that has left through the upper outlets (m3).
+        low: volume that has left through the low outlets (m3).
     """
 
     def __init__(self, cisterns: Cisterns, outlet: Values, seconds: float) -> None:
         """Begin with the first step.
 
         Args:
-            cisterns: whose they are.
+            cisterns: cisterns to which the outlets belong.
             outlet: share to which each low outlet is open (1).
             seconds: duration of a step (s).
         """
@@ -287,7 +287,7 @@ class _Outlets:
         return drop, 2 * drop, drop * drop + _TINY
 
     def let_out(self, x1: Values) -> None:
-        """Let out what the outlets take in a step of what the cisterns hold (m3)."""
+        """Subtract from the volumes (m3) the water that leaves through the outlets in a step."""
         above = x1 - self._cisterns.upper
         if above.max() > 0:
             upper = self._take(above, *self._upper)
@@ -298,7 +298,7 @@ class _Outlets:
         x1 -= low
 
     def _take(self, above: Values, drop: Values, double: Values, square: Values) -> Values:
-        """Return what an outlet takes (m3) of what stands above it (m3)."""
+        """Return the volume (m3) that leaves through an outlet, of the volume above it (m3)."""
         np.maximum(above, 0.0, out=above)
         root = self._four_a1 * above
         root += square

@@ -1,13 +1,14 @@
 """The plants of many sites under on/off control: the tick of :mod:`.plant` on arrays.
 
-Each volume and flow is that of :class:`.plant.Plant` from the same state, but for rounding (1e-10
-of it and better). Where a threshold decides, rounding can turn the decision: a roof that the pump
-has just filled to its target is a bit above or below it. Then its next dose comes a tick earlier or
-later, so sums over a run agree at least to what evaporates in a tick.
+Every volume and flow equals that of :class:`.plant.Plant` from the same state, except for rounding
+(a relative error of at most 1e-10). Where a threshold decides, rounding can reverse the decision: a
+roof that the pump has just filled to its target is slightly above or below it. Its next dose then
+begins a tick earlier or later, so sums over a run differ by at most the evaporation of a tick.
 
-In most ticks most sites are calm. No water stands above an outlet that is open; and on/off control
-does not pump, or the pump lifts in the first step of a long tick what is missing on the roof. What
-flows then is known without steps. Only the others are stepped, gathered by their rows.
+In most ticks, most sites are calm: the water level is below every open outlet, and either on/off
+control does not pump, or the pump lifts the whole missing volume in the first step of a long tick.
+These flows can be computed without steps. Only the other sites are computed in steps, as a subset
+of the rows.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ _ALL = slice(None)
 
 
 class Moved(NamedTuple):
-    """What moves during a tick in each site (m3), as :class:`.plant.Flows` times tau."""
+    """Volumes that flow during a tick at each site (m3): :class:`.plant.Flows` times tau."""
 
     outflow: Values
     pump: Values
     drainage: Values
     evapotranspiration: Values
     limited: Values
-    """1 or 0"""
+    """1 if a tank held less than was demanded, otherwise 0"""
     mains: Values
     low_outlet: Values
 
@@ -52,10 +53,10 @@ class _Pumping(NamedTuple):
 
     rows: Rows
     missing: Values
-    """what must be pumped until the roofs are at their targets (m3), infinite in a short tick; 0
+    """volume to be pumped until the roofs are at their targets (m3), infinite in a short tick; 0
     where the pump does not run"""
     rise: Values | float = 0.0
-    """by how much that falls because of rain (m3/s)"""
+    """rate at which rain reduces that volume (m3/s)"""
 
 
 class Plants:
@@ -65,10 +66,10 @@ class Plants:
         x1: volume in each cistern (m3).
         x2: volume on each roof (m3).
         layer: volume in each drainage layer (m3).
-        moved: what has moved in the last tick.
+        moved: volumes that flowed in the last tick.
         all_moved: the same in one array, shape (7, n).
-        flowed: whether something has flowed in it besides drainage, evapotranspiration and pumped
-            water.
+        flowed: whether anything other than drainage, evapotranspiration and pumped water flowed in
+            the last tick.
     """
 
     def __init__(
@@ -159,7 +160,7 @@ class Plants:
     # --- pumps ------------------------------------------------------------------------------
 
     def _find_pumping(self, allowed: Flags | None) -> _Pumping | None:
-        """Return where pumps may run in the tick and how much they move, or None if none may run.
+        """Return where pumps may run in the tick and how much is missing, or None if none may.
 
         On/off control, Eq. (12), pumps while the roof is too dry and the cistern holds enough.
         """
@@ -228,7 +229,7 @@ class Plants:
     def _step_all(
         self, pumping: _Pumping | None, outlet: Values
     ) -> tuple[Values, CisternFlows]:
-        """Write the flows of cisterns in a long tick; return also what they hold after it (m3)."""
+        """Write the flows of cisterns in a long tick; return their volumes (m3) and the flows."""
         flows = self._step_rows(_ALL, pumping, outlet)
         return self._write(_ALL, flows), flows
 
@@ -263,7 +264,7 @@ class Plants:
         return after
 
     def _lift(self, pumping: _Pumping, flowing: Flags, stepped: Flags) -> None:
-        """Write what pumps lift in the first step of a tick without rain, and what needs steps."""
+        """Write the volume pumped in the first step of a dry tick, and mark rows with steps."""
         rows, missing, tau, seconds = *pumping[:2], self._tau, self._tau / self._steps
         cisterns, x1 = self._cisterns.take(rows), self.x1[rows]
         flow = cisterns.pump_flow(x1)
@@ -296,7 +297,7 @@ class Plants:
         return self._calm
 
     def _drain_some(self, flowing: Flags, outlet: Values, after: Values) -> None:
-        """Let low outlets take their part, where nothing else moves after the first step."""
+        """Empty cisterns through low outlets where nothing else flows after the first step."""
         rows = flowing.nonzero()[0]
         if not len(rows):
             return
@@ -311,7 +312,7 @@ class Plants:
     def _step_some(
         self, stepped: Flags, pumping: _Pumping | None, outlet: Values, after: Values
     ) -> None:
-        """Step some cisterns through a long tick, and write what they hold after it (m3)."""
+        """Step some cisterns through a long tick, and write their volumes after it (m3)."""
         rows = stepped.nonzero()[0]
         if len(rows):
             after[rows] = self._write(rows, self._step_rows(rows, pumping, outlet))
@@ -381,7 +382,7 @@ class Plants:
         """Return what remains in some drainage layers and what drains (m3); see :mod:`.soil`.
 
         Args:
-            percolated: out of the substrates (m3).
+            percolated: volume that leaves the substrates (m3).
             rows: which roofs.
         """
         if not self._layers:
