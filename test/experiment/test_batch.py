@@ -230,5 +230,5 @@ def test_ticks_of_other_lengths(tau: float, hours: float) -> None:
 
 def test_a_batch_that_does_not_fit_together(runs: list[Run]) -> None:
     other = run_of(VALVE, {}, "2021-07-06T00:00", 24)
-    with pytest.raises(ConfigurationError, match="as many steps"):
+    with pytest.raises(ConfigurationError, match="number of steps"):
         simulate_batch(batch_of([runs[0], other]))
