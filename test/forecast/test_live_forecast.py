@@ -108,9 +108,9 @@ def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -
 SHORT = {
     "a day for five": (
         24, 0.5, 120.0, r"ends at 2026-07-02 06:00\S*, before the 120 h look-ahead does; the hours "
-        r"after it are treated as dry\. .* needs 122 h, not 24 h, or a horizon of up to 22 h$",
+        r"after it are treated as dry\. .* must cover 122 h, not 24 h, or a horizon of up to 22 h$",
     ),
-    "less than the time for which it is used": (2, 1.0, 6.0, "needs 8 h, not 2 h$"),
+    "less than the time for which it is used": (2, 1.0, 6.0, "must cover 8 h, not 2 h$"),
 }
 
 
@@ -175,7 +175,7 @@ def test_a_file_is_read_again_when_it_is_replaced(file: Path) -> None:
     assert f"{file}, line 2" in forecasts.problem and "'-1.0'" in forecasts.problem
     file.unlink()
     assert not forecasts.update()
-    assert f"{file}: cannot be read: No such file" in forecasts.problem
+    assert f"{file} cannot be read: No such file" in forecasts.problem
     assert forecasts.issues[0].issued == later
     write(file, SIX, [0.0])
     assert forecasts.update()

@@ -101,7 +101,7 @@ def test_a_site_is_kept_up_and_systemd_told(
         # Only the levels: command and pump state may still be of other moments.
         running = "\nrunning: cistern 2.400 m, roof 0.0300 m\n"
         site.until(lambda: running in process.stderr(), 90, "the end of the start")
-        first_line = f": /weather: forecast: there is no forecast; {file}: cannot be read: No such"
+        first_line = f": /weather: forecast: there is no forecast; {file} cannot be read: No such"
         site.until(lambda: first_line in process.stderr(), 60, "the alarm")
         file.parent.mkdir()
         write_forecast(file, timedelta(minutes=1), 0.0, 12.0)

@@ -156,7 +156,10 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
     previous = os.umask(0)  # inherited: the file is private all the same
     try:
         for options, warning in (
-            (("--host", "0.0.0.0", "--token-file", file.name), "view the page and stop the pump"),
+            (
+                ("--host", "0.0.0.0", "--token-file", file.name),
+                "can view the page and stop the pump",
+            ),
             (("--allow-release",), "can release the pump"), (("--token-file", file.name), ""),
         ):
             process = Process(domain, "watch", *options, "--port", str(port), cwd=tmp_path)

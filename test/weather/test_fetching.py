@@ -326,14 +326,14 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
 
 @pytest.mark.parametrize(("url", "reason"), [
     ("archive-api.open-meteo.com/?apikey=s3cr3t", "url: must begin with http:// or https://"),
-    ("http://", "must be the address of a server, such as https://"),
+    ("http://", "must be the address of a server in ASCII"),
     ("http://[::1/?apikey=s3cr3t", "must be the address of a server"),
     ("http://host:99999/?apikey=s3cr3t", "must be the address of a server"),
     ("http://me:s3cr3t@host/", "must be the address of a server"),
     ("http://host/a b?apikey=s3cr3t", "must be the address of a server"),
     ("http://h\u00f6st/?apikey=s3cr3t", "must be the address of a server"),
-    ("http://host/?apikey=s3cr3t&hourly=rain", "url = 'http://host/': must not have hourly in its"),
-    ("http://host/?start_date=2020-01-01", "must not have start_date in its query"),
+    ("http://host/?apikey=s3cr3t&hourly=rain", "url = 'http://host/': must not contain hourly"),
+    ("http://host/?start_date=2020-01-01", "must not contain start_date in its query"),
 ])
 def test_a_url_that_cannot_be_is_refused_without_its_key(url, reason):
     told = refusal(open_meteo_archive, SITE, range(2020, 2021), TODAY, url)

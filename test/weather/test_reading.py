@@ -110,8 +110,8 @@ def test_rain_alone(tmp_path: Path) -> None:
     assert weather.evapotranspiration == pytest.approx([1.98, 1.98, 2.01])
     assert weather.method == "monthly"
     assert weather.notes == (
-        "there is no temperature, so no frost is assumed; nothing would be pumped in frost",
-        "evapotranspiration is the site's monthly means, for lack of temperature",
+        "there is no temperature, so no frost is assumed; during frost, nothing would be pumped",
+        "evapotranspiration is taken from the site's monthly means, for lack of temperature",
     )
     series = WeatherSeries(weather, TORONTO, weather.first, 3600)
     assert (series.frost_hours, series.frost[0]) == (None, 0.0)
@@ -174,7 +174,7 @@ def test_rows_of_a_logger_that_cannot_be_hours(tmp_path: Path) -> None:
     tips = logged(tmp_path / "tips.csv", *((7 * n + n**2 % 5, "0.2,5") for n in range(40)))
     refusal(read_weather, [tips], TORONTO, match="write rows at a regular step")
     back = logged(tmp_path / "back.csv", (0, "0,5"), (5, "0,5"), (0, "0,5"))
-    refusal(read_weather, [back], TORONTO, match=r"line 5: .*must be later than the time of the r")
+    refusal(read_weather, [back], TORONTO, match=r"line 5: .*later than the time of the previous r")
 
 
 # --- several files --------------------------------------------------------------------------------

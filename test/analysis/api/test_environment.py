@@ -64,7 +64,7 @@ def test_what_is_wrong_is_named() -> None:
         refusal(roof.reset, seed, match="seed = .*: must be a whole number and not negative")
     for _ in range(4):
         roof.step(0.0)
-    refusal(roof.step, 0.0, match="the run: has ended; reset")
+    refusal(roof.step, 0.0, match="the run: has ended; call reset")
     refusal(lambda: gr.Environment(horizon=0), match="horizon = 0: must be")
 
 
