@@ -71,7 +71,7 @@ def check_url(url: str, parameters: Collection[str]) -> str:
         is_address = False
     if not is_address or " " in url or not (url.isascii() and url.isprintable()):
         raise ConfigurationError(
-            "must be the address of a server in ASCII, without spaces or a user name, such as "
+            "must be a server address in ASCII characters, without spaces or a user name, such as "
             "https://example.org/v1/archive?apikey=KEY", key="url",
         )
     for name, _ in parse_qsl(parts.query, keep_blank_values=True):

@@ -125,7 +125,7 @@ class PerfectForecast:
     Attributes:
         repeats_from: the earliest time from which its values are assumed.
         max_issue_h: length of its longest issue (h); None if it has no end.
-        notes: what could not be used as it was in a file's forecasts.
+        notes: notes on what could not be used unchanged from a file's forecasts.
     """
 
     max_issue_h = None

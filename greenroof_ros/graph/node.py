@@ -135,7 +135,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     @property
     def acted(self) -> bool:
-        """Whether the node has acted, so that the run has begun for it."""
+        """Whether the node has acted, which means that the run has begun for it."""
         return self.lockstep.tick > 0
 
     @property

@@ -64,7 +64,8 @@ def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
 
     Args:
         nodes: the nodes.
-        may_end: called 20 times a second; it can raise an error to end the run.
+        may_end: function that returns whether the nodes may end, called 20 times a second; it can
+            raise an error to end the run.
 
     Raises:
         LockstepError: if the graph cannot go on.

@@ -195,8 +195,8 @@ class GraphClient:
                 sent.pop(name, None)
             if (len({*self._pumps, *reported}) > 1 or twice) and not to_all:
                 raise PumpRequestError(
-                    "Nothing was done: it is not clear which node controls the pump, "
-                    f"{list_names([*self._pumps, *reported, *twice])}. "
+                    "Nothing was done, because it is not clear which of these nodes controls the "
+                    f"pump: {list_names([*self._pumps, *reported, *twice])}. "
                     "End those that should not run."
                 )
             for name in self._pumps - sent.keys():

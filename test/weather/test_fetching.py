@@ -326,12 +326,12 @@ def test_a_key_in_the_url_reaches_the_service_and_nothing_else(service, tmp_path
 
 @pytest.mark.parametrize(("url", "reason"), [
     ("archive-api.open-meteo.com/?apikey=s3cr3t", "url: must begin with http:// or https://"),
-    ("http://", "must be the address of a server in ASCII"),
-    ("http://[::1/?apikey=s3cr3t", "must be the address of a server"),
-    ("http://host:99999/?apikey=s3cr3t", "must be the address of a server"),
-    ("http://me:s3cr3t@host/", "must be the address of a server"),
-    ("http://host/a b?apikey=s3cr3t", "must be the address of a server"),
-    ("http://h\u00f6st/?apikey=s3cr3t", "must be the address of a server"),
+    ("http://", "must be a server address in ASCII"),
+    ("http://[::1/?apikey=s3cr3t", "must be a server address"),
+    ("http://host:99999/?apikey=s3cr3t", "must be a server address"),
+    ("http://me:s3cr3t@host/", "must be a server address"),
+    ("http://host/a b?apikey=s3cr3t", "must be a server address"),
+    ("http://h\u00f6st/?apikey=s3cr3t", "must be a server address"),
     ("http://host/?apikey=s3cr3t&hourly=rain", "url = 'http://host/': must not contain hourly"),
     ("http://host/?start_date=2020-01-01", "must not contain start_date in its query"),
 ])
