@@ -25,6 +25,7 @@ from greenroof_ros.weather.reading import read_weather
 # Fewer cases are quicker alone; of more, an interruption would lose too many, and memory grows.
 _MIN_GROUP, _MAX_GROUP = 4, 100
 
+
 @dataclass(frozen=True)
 class Outcome:
     """The results of a run.
