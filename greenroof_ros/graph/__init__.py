@@ -1,4 +1,4 @@
-"""What a node of a graph needs: messages, publishers, parameters, reports, lockstep, executable."""
+"""Parts of a graph's nodes: messages, publishers, parameters, reports, lockstep, executables."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""The parameters of a controller's node, with which the controller is made, and the node's help."""
+"""Parameters of a controller's node, from which the controller is created."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ _CHANGES = 50
 
 
 class ControllerParameters:
-    """A controller made from its node's parameters, which may change during a run if so declared.
+    """A controller created from its node's parameters, some of which may change during a run.
 
     Attributes:
-        controller: the controller; None before :meth:`make`, and while it cannot be made.
+        controller: the controller; None before the first call of :meth:`make`, or if that call
+            failed.
     """
 
     def __init__(
@@ -36,12 +37,13 @@ class ControllerParameters:
 
         Args:
             node: the node.
-            choice: which controller it is.
+            choice: the chosen controller.
             site: the site.
-            tick: returns the present tick.
+            tick: function that returns the current tick.
 
         Raises:
-            ConfigurationError: if a value is wrong, or is for a valve that the site does not have.
+            ConfigurationError: if a value is invalid, or if a parameter is for a valve that the
+                site does not have.
         """
         self._node, self._choice, self._site, self._tick = node, choice, site, tick
         known = choice.parameters_on(site)
@@ -57,25 +59,25 @@ class ControllerParameters:
         node.add_on_set_parameters_callback(self._on_parameters)
 
     def make(self) -> Any:
-        """Make the controller with the present values of its parameters, and return it.
+        """Create the controller with the current values of its parameters, and return it.
 
         Raises:
-            ConfigurationError: as for :meth:`ControllerChoice.make`.
+            ConfigurationError: if :meth:`ControllerChoice.make` raises one.
         """
         self.controller = None
         self.controller = self._choice.make(self._site, self._values)
         return self.controller
 
     def make_outlet(self) -> OutletPolicy | None:
-        """Make what commands the outlet valve alongside the controller, if there is one."""
+        """Create the policy, if any, that commands the outlet valve alongside the controller."""
         return self._choice.make_outlet(self._site, self._values, self.controller)
 
     def count_own_steps(self) -> int | None:
-        """Return how many steps of the forecasts the controller takes itself; None for all."""
+        """Return the number of forecast steps that the controller itself uses; None for all."""
         return self._choice.count_own_steps(self._site, self._values)
 
     def changes(self) -> dict[str, Any]:
-        """Return the changes of the parameters, for reports."""
+        """Return the latest parameter changes and their total number, for reports."""
         return {
             "parameter_changes": list(self._changes), "parameter_change_count": self._change_count,
         }
@@ -108,5 +110,5 @@ class ControllerParameters:
 def of_reference(
     parameters: Callable[[ControllerChoice | None], list[Parameter]]
 ) -> Callable[[str | None], list[Parameter]]:
-    """Return a function that finds a controller by name, and returns its node's parameters."""
+    """Return a function that finds a controller by name and returns its node's parameters."""
     return lambda name: parameters(None if name is None else find_controller(name))

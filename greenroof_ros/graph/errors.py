@@ -1,4 +1,4 @@
-"""Errors that end a run, and how they are described. ROS is not imported."""
+"""Errors that end a run, and their descriptions; this module does not import ROS."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from greenroof_ros.common.errors import ConfigurationError, HangError
 
 
 class LockstepError(Exception):
-    """The graph cannot go on; the message names the topic and the node."""
+    """Raised if the graph cannot continue; the message names the topic and the node."""
 
 
 class MalformedMessageError(Exception):
-    """The bytes received do not form a message of the topic's type."""
+    """Raised if the bytes received do not form a message of the topic's type."""
 
 
 def describe(error: Exception) -> str:
@@ -25,7 +25,7 @@ def describe(error: Exception) -> str:
 
 
 def explain(error: Exception) -> tuple[str, int]:
-    """Return in a sentence why a node or a run failed, and the exit code."""
+    """Return a sentence with the reason why a node or a run failed, and the exit code."""
     if isinstance(error, ConfigurationError):
         return str(error), exit_code(error)
     known = isinstance(error, (LockstepError, OSError))

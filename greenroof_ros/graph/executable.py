@@ -1,4 +1,4 @@
-"""The executable of a node: its command line and ``--help``, start, end and exit code."""
+"""Executables of nodes: command line, ``--help``, running the node, and exit code."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from greenroof_ros.graph.spin import destroy_nodes, end_nodes, ros, spin
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reads a node's own arguments (those that are not for ROS); prints errors in one line."""
+    """Parser of the arguments that are for the node, not for ROS, with one-line errors."""
 
     def error(self, message: str) -> NoReturn:
-        """Print an error in one line and end the process."""
-        self.exit(EXIT_USAGE, f"error: {message}; --help shows what the node takes\n")
+        """Print an error as one line, and exit."""
+        self.exit(EXIT_USAGE, f"error: {message}; --help lists the node's arguments\n")
 
 
 def node_command(
@@ -41,18 +41,18 @@ def node_command(
     parameters: Callable[[Any], Iterable[Parameter]], option: str = "",
     spin: Callable[[Any, Callable[[], None]], None] | None = None,
 ) -> Callable[[], NoReturn]:
-    """Return the executable of a node.
+    """Return the main function of a node's executable.
 
     Args:
-        make: returns the node, or the nodes of this process; called with the value of the option,
-            if there is an option.
+        make: function that returns the node, or the nodes, of this process; its argument is the
+            value of the option, if there is an option.
         module: the node's module in this package, for ``--help``.
-        purpose: what the node does, as a module docstring.
-        parameters: returns all parameters that the node declares for a site, or for the value of
-            the option (None if it is missing).
+        purpose: docstring of the node's module, which describes the node.
+        parameters: function that returns all parameters that the node declares for a site or, if
+            there is an option, for the option's value (None if the user omits it).
         option: the option that the node requires, such as ``--of``; empty for none.
-        spin: runs the nodes and calls its second argument, which can raise an error, 20 times a
-            second; None for a node of a simulated graph.
+        spin: function that runs the nodes and, 20 times a second, calls its second argument, which
+            can raise an error; None for a node of a simulated graph.
     """
 
     @command
@@ -82,8 +82,8 @@ def node_help(module: str, purpose: str | None, parameters: Iterable[Parameter])
     """Return the text of a node's ``--help``.
 
     Args:
-        module: the node's module in this package, and the arguments that it requires.
-        purpose: what the node does, as a module docstring.
+        module: the node's module in this package, followed by the arguments that it requires.
+        purpose: docstring of the node's module, which describes the node.
         parameters: all parameters that the node declares.
     """
     lines = [
@@ -122,15 +122,15 @@ def run_nodes(
     make: Callable[[], GraphNode | Sequence[GraphNode]],
     spin: Callable[[Any, Callable[[], None]], None],
 ) -> int:
-    """Run the nodes of this process until the run is over, they are asked to stop, or one fails.
+    """Run the nodes of this process until the run is over, a signal stops them, or a node fails.
 
     Args:
-        make: the node's class, or a function that returns the node or the nodes.
-        spin: as for :func:`node_command`.
+        make: class of the node, or a function that returns the node or the nodes.
+        spin: function that runs the nodes; see :func:`node_command`.
 
     Returns:
-        An exit code: 0 if the run is over or the nodes were asked to stop, 1 if one failed, 2 if
-        arguments or parameters are wrong, 3 if another graph is running.
+        The exit code: 0 if the run is over or a signal stopped the nodes, 1 if a node failed, 2 if
+        an argument or a parameter is invalid, or 3 if another graph is running.
     """
     signals = Signals()
     with ros(sys.argv):
@@ -157,7 +157,7 @@ def run_nodes(
 def spin_alone(nodes: Sequence[SimulationNode], check: Callable[[], None]) -> None:
     """Run a node of a simulated graph until its run is over; see :func:`node_command`.
 
-    Until then, it logs for whom it is waiting whenever this changes.
+    Before the node acts for the first time, log the nodes that it waits for whenever they change.
     """
     (node,) = nodes
     missing: list[str] = []
@@ -171,7 +171,7 @@ def spin_alone(nodes: Sequence[SimulationNode], check: Callable[[], None]) -> No
         if missing != before:
             awaited = ", ".join(missing)
             node.get_logger().info(
-                f"waiting for {awaited}" if missing else "its inputs have publishers"
+                f"waiting for {awaited}" if missing else "all inputs have publishers"
             )
         return node.may_end
 

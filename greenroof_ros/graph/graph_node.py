@@ -1,6 +1,6 @@
-"""A node with the topics of the interface that reports its state.
+"""Base class of the nodes, which use the topics of the interface and report their state.
 
-``msg_defs/topics.yaml`` defines what every node publishes and subscribes to.
+``msg_defs/topics.yaml`` defines the topics that every node publishes and subscribes to.
 """
 
 from __future__ import annotations
@@ -35,17 +35,18 @@ _FLUSH_S = 1.0
 
 
 class GraphNode(Node):
-    """A node with topics of the interface; a subclass makes it act.
+    """A node that uses topics of the interface and reports its state; subclasses add its actions.
 
     Attributes:
-        role: its role in the interface: its name, or ``controller``.
-        failure: the error after which the node cannot go on; None if there is none.
-        on_failure: called when there is such an error.
-        malformed: number of messages dropped as malformed, by topic.
-        inputs: the topics that it acts on, by name in the interface.
+        role: the node's role in the interface: its name, or ``controller``.
+        failure: the error because of which the node cannot continue; None if there is none.
+        on_failure: callback, without arguments, for an error because of which the node cannot
+            continue.
+        malformed: number of malformed messages, which were dropped, by topic.
+        inputs: the topics that the node acts on, by their name in the interface.
         interface: all topics of the graph, by name.
         reports: object that reports the node's state.
-        warnings: what is wrong with its inputs, in sentences.
+        warnings: sentences about faults of the node's inputs.
     """
 
     def __init__(
@@ -55,12 +56,12 @@ class GraphNode(Node):
 
         Args:
             name: the node's name.
-            role: its role in the interface: its name, or ``controller``.
+            role: the node's role in the interface: its name, or ``controller``.
             interface: all topics of the graph, by name.
-            reports: object that reports the node's state.
+            reports: class of the object that reports the node's state.
 
         Raises:
-            ConfigurationError: if ROS arguments or a parameter file are wrong.
+            ConfigurationError: if the ROS arguments or a parameter file is invalid.
         """
         try:
             super().__init__(name)
@@ -84,10 +85,10 @@ class GraphNode(Node):
     # --- to override ------------------------------------------------------------------------
 
     def on_timer(self, now: float) -> None:
-        """Do what is due by the wall clock; called 20 times a second."""
+        """Perform the actions that depend on the wall clock; called 20 times a second."""
 
     def on_stop(self) -> None:
-        """Close what is open; called once at the end, whatever the reason."""
+        """Close open files and connections; called once when the node stops for any reason."""
 
     def progress(self) -> dict[str, Any]:
         """Return the node's additions to all of its reports."""
@@ -98,18 +99,18 @@ class GraphNode(Node):
     def declare_site(self) -> Site:
         """Declare the parameter ``site_file``, and read the site.
 
-        From then on, every report has the absolute path of the file as ``site``, so that observers
-        can read the same site.
+        From then on, every report includes the absolute path of the file as ``site``, so that
+        observers can read the same site file.
 
         Raises:
-            ConfigurationError: if the file, or a value in it, is wrong.
+            ConfigurationError: if the file cannot be read, or if a value in it is invalid.
         """
         file = Path(declare(self, [site_file()])["site_file"])
         self._site_file = {"site": str(as_started(file).resolve())}
         return read_site(file)
 
     def open_outputs(self, *names: str) -> None:
-        """Open topics of the interface for :meth:`publish`."""
+        """Create the publishers of topics of the interface, for :meth:`publish`."""
         for name in names:
             topic = self.interface[name]
             publisher = self.create_publisher(
@@ -120,7 +121,7 @@ class GraphNode(Node):
             self._publish[name] = raw_publish(publisher), encoder(topic.type, topic.dimensions)
 
     def publish(self, name: str, value: Any) -> None:
-        """Publish a value on a topic that :meth:`open_outputs` has opened."""
+        """Publish a value on a topic whose publisher :meth:`open_outputs` has created."""
         publish, encode = self._publish[name]
         publish(encode(value))
 
@@ -128,21 +129,21 @@ class GraphNode(Node):
         self, topic: Topic, callback: Callable[[bytes], None], profile: QoSProfile,
         events: SubscriptionEventCallbacks | None = None,
     ) -> None:
-        """Pass every serialised message of a topic to a callback, and keep its error.
+        """Pass every serialised message of a topic to a callback, and store an error raised by it.
 
         A malformed message is dropped and counted, since any program may publish on the topic.
         """
 
         def guarded(message: bytes) -> None:
-            """Keep an error for the run: the executor would print it with a traceback."""
+            """Store an error until the run ends; the executor would print it with a traceback."""
             try:
                 callback(message)
             except MalformedMessageError as error:
                 self.malformed[topic.name] += 1
                 if self.malformed[topic.name] == 1:
                     self._malformed.append(
-                        f"dropped a malformed message on {topic.name} ({error}); further ones are "
-                        "only counted"
+                        f"dropped a malformed message on {topic.name} ({error}); later malformed "
+                        "messages on this topic are counted but not logged"
                     )
                     self.get_logger().warning(self._malformed[-1])
             except Exception as error:
@@ -156,7 +157,7 @@ class GraphNode(Node):
     # --- running ----------------------------------------------------------------------------
 
     def fail(self, error: Exception) -> None:
-        """Remember the error that ends the run; only the first one counts."""
+        """Store the error that ends the run, unless an earlier error is stored."""
         if self.failure is not None:
             return
         if not isinstance(error, (LockstepError, ConfigurationError, OSError)):
@@ -166,7 +167,7 @@ class GraphNode(Node):
 
     @property
     def acted(self) -> bool:
-        """Whether the node has acted."""
+        """Whether the node has acted at least once."""
         raise NotImplementedError
 
     @property
@@ -181,10 +182,10 @@ class GraphNode(Node):
     # --- ending -----------------------------------------------------------------------------
 
     def end(self, failure: str | None) -> None:
-        """Report that the node ends, and wait at most 1 s until its readers have everything.
+        """Report that the node stops, and wait at most 1 s until its readers have all messages.
 
         Args:
-            failure: the error that ended it; None if there was none.
+            failure: the error that stopped the node; None if there was none.
         """
         self.reports.state = ENDED
         if failure is not None:
@@ -196,7 +197,7 @@ class GraphNode(Node):
         self.reports.flush(max(0.0, until - time.monotonic()))
 
     def report_state(self, **values: Any) -> None:
-        """Report the node's state with further values."""
+        """Report the node's state together with the given values."""
         waiting = {} if self.ready else {"waiting": list(self.absent())}
         refused = {name: entry.refused for name, entry in self.inputs.items()}
         self.reports.publish({

@@ -1,4 +1,4 @@
-"""An input of a node: the newest value on a topic, and whether the node may act on it."""
+"""Inputs of a node: the latest value on each topic, and the check of that value."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from greenroof_ros.graph.messages import decoder
 
 
 class Input:
-    """A topic that a node subscribes to, with its newest value.
+    """A topic that a node subscribes to, with the latest value received.
 
-    A value that is not finite or is outside the interface's range is rejected: it counts as 0 until
-    the next one arrives.
+    A value that is not finite, or is outside the range in the interface, is rejected: the input
+    then has the value 0 until the next message arrives.
 
     Attributes:
         topic: the topic in the interface.
         name: the topic's full name in ROS, with its namespace.
-        value: the newest value: nanoseconds for a clock, otherwise a number or an array of numbers.
-        refusal: why the newest value was rejected; empty if the node may act on it.
-        refused: number of rejected values.
+        value: the latest value: nanoseconds for a clock, otherwise a number or an array of numbers.
+        refusal: the reason why the latest value was rejected; empty if the node may act on it.
+        refused: number of values rejected so far.
     """
 
     def __init__(self, topic: Topic, name: str) -> None:
-        """Start with the value 0.
+        """Create an input with the value 0.
 
         Args:
             topic: the topic in the interface.
@@ -43,18 +43,18 @@ class Input:
 
     @property
     def good(self) -> bool:
-        """Whether the node may act on the newest value."""
+        """Whether the node may act on the latest value."""
         return not self.refusal
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """Why the node must not act on the newest value; None if it may."""
+        """The reason why the node must not act on the latest value; None if it may."""
         if self.good:
             return None
         return Diagnosis.of("input_refused", "refused", topic=self.name, why=self.refusal)
 
     def receive(self, message: bytes) -> None:
-        """Keep the value of a message, or 0 if the value has to be rejected."""
+        """Store the value of a message, or 0 if the value has to be rejected."""
         value = self._decode(message)
         low, high = self._low, self._high
         if isinstance(value, (float, int)):

@@ -1,13 +1,13 @@
 """Topics of the interface in ROS terms: message class, quality of service, and serialised values.
 
-The bytes are as on the wire (CDR, XCDR version 1). Numbers, rows of numbers and the clock are
-encoded and decoded here, in a third of the time that the generated code of the message types takes,
-which first makes a Python object for every field. The generated code also leaves the padding of a
-message uninitialised; here it is 0, so that two equal runs write equal bags. Everything is written
-little-endian, like every machine that ROS 2 runs on. Other messages, such as big-endian ones or
-those with a layout, are decoded by the generated code. A publisher may send any bytes: whatever is
-not a message of the type raises a :class:`~greenroof_ros.graph.errors.MalformedMessageError`, and
-nothing else.
+Messages are serialised in the wire format (CDR, XCDR version 1). This module encodes and decodes
+numbers, rows of numbers and the clock in a third of the time of the generated code of the message
+types, which first creates a Python object for every field. The generated code also leaves the
+padding of a message uninitialised; this module sets it to 0, so that two equal runs write equal
+bags. All messages are written in little-endian byte order, which every machine that runs ROS 2
+uses. The generated code decodes all other messages, such as big-endian messages and messages with a
+layout. A publisher may send any bytes: if they do not form a message of the type, decoding raises a
+:class:`~greenroof_ros.graph.errors.MalformedMessageError`, and no other error.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _NS = 1_000_000_000
 
 
 class WithFront(NamedTuple):
-    """Numbers, preceded by others that the layout's ``data_offset`` skips.
+    """An array of numbers, preceded by other numbers that the layout's ``data_offset`` skips.
 
     A forecast is preceded by the time of its issue and the ends of its steps. A reader that
     respects the layout, as ROS defines it, sees only the forecast.
@@ -60,7 +60,7 @@ def message_class(type_name: str) -> Any:
 
 
 def qos_profile(qos: Qos) -> QoSProfile:
-    """Return the rclpy profile for a profile of the interface."""
+    """Return the rclpy profile for a quality-of-service profile of the interface."""
     profile = QoSProfile(
         depth=qos.depth,
         reliability=ReliabilityPolicy[qos.reliability.upper()],
@@ -73,7 +73,7 @@ def qos_profile(qos: Qos) -> QoSProfile:
 
 
 def find_lacking(offered: QoSProfile, required: Qos) -> list[str]:
-    """Return in which policies an endpoint offers too little, each as a verb and its object."""
+    """Return predicates about the deficiencies of an endpoint's quality of service."""
     lacking = []
     if required.reliability == "reliable" and offered.reliability != ReliabilityPolicy.RELIABLE:
         lacking.append("is best effort")
@@ -92,7 +92,7 @@ def find_lacking(offered: QoSProfile, required: Qos) -> list[str]:
 
 
 def describe_qos(qos: Qos) -> str:
-    """Return a profile in words."""
+    """Return a description of a quality-of-service profile."""
     words = f"{qos.reliability}, {qos.durability}, keep last {qos.depth}".replace("_", " ")
     lease = f", with a liveliness lease of {qos.lease_s:g} s"
     return words + lease if math.isfinite(qos.lease_s) else words
@@ -104,8 +104,8 @@ def encoder(type_name: str, dimensions: tuple[str, ...] = ()) -> Callable[[Any],
     Args:
         type_name: ``std_msgs/msg/Float64`` for a number; ``std_msgs/msg/Float64MultiArray`` for an
             ``array("d")``, a 2-D numpy array or a :class:`WithFront` containing either (the layout
-            holds the shape of an array with more than one row); ``rosgraph_msgs/msg/Clock`` for
-            nanoseconds since 1970; ``std_msgs/msg/String`` for a text.
+            contains the shape of an array that has more than one row); ``rosgraph_msgs/msg/Clock``
+            for nanoseconds since 1970; ``std_msgs/msg/String`` for a string.
         dimensions: labels of the rows and columns of a 2-D array.
     """
     encoders: dict[str, Callable[[Any], bytes]] = {
@@ -121,7 +121,7 @@ def decoder(type_name: str) -> Callable[[bytes], Any]:
     """Return a function that reads the value from a message of a type; see :func:`encoder`.
 
     For a type that has no encoder, the value is the message itself. The function raises
-    MalformedMessageError.
+    MalformedMessageError if the bytes are not a message of the type.
     """
     return {
         "std_msgs/msg/Float64": _decode_number,
@@ -131,9 +131,9 @@ def decoder(type_name: str) -> Callable[[bytes], Any]:
 
 
 def pass_whole(type_name: str, callback: Callable[[bytes], None]) -> Callable[[bytes], None]:
-    """Return a function that passes on the bytes of a message if they form one of a type.
+    """Return a function that passes the bytes of a message on if they form a message of the type.
 
-    Numbers with the same length and layout as the last ones are not decoded.
+    An array of numbers is not decoded if its length and layout are those of the previous message.
     """
     decode, is_array = decoder(type_name), type_name == "std_msgs/msg/Float64MultiArray"
     length, layout = -1, b""
@@ -151,20 +151,20 @@ def pass_whole(type_name: str, callback: Callable[[bytes], None]) -> Callable[[b
 
 
 def deserialize(kind: Any, message: bytes, size: int | None = None) -> Any:
-    """Return a message of a class.
+    """Deserialise the bytes of a message, and return an object of its class.
 
     Args:
-        kind: the class.
-        message: its bytes.
-        size: the number of bytes required; None for any number.
+        kind: class of the message.
+        message: bytes of the message.
+        size: required number of bytes; None if any number is allowed.
 
     Raises:
-        MalformedMessageError: if the bytes are not such a message.
+        MalformedMessageError: if the bytes do not form a message of the class.
     """
     with suppress(Exception):  # errors of the middleware or of the class
         if size in (None, len(message)):
             return deserialize_message(message, kind)
-    raise MalformedMessageError(f"{len(message)} bytes do not form a {kind.__name__}")
+    raise MalformedMessageError(f"{len(message)} bytes do not form a {kind.__name__} message")
 
 
 def _decode_number(message: bytes) -> float:
@@ -177,7 +177,7 @@ def decode_clock(message: bytes) -> int:
     """Return the time of a clock message (ns since 1970).
 
     Raises:
-        MalformedMessageError: if it is not one, or its time is before 1970.
+        MalformedMessageError: if the bytes are not a clock message, or if the time is before 1970.
     """
     if len(message) == _CLOCK.size and message.startswith(_HEADER):
         _, seconds, nanoseconds = _CLOCK.unpack(message)
@@ -185,7 +185,7 @@ def decode_clock(message: bytes) -> int:
         stamp = deserialize(Clock, message, _CLOCK.size).clock
         seconds, nanoseconds = stamp.sec, stamp.nanosec
     if seconds < 0:
-        raise MalformedMessageError(f"a time of {seconds} s is before 1970")
+        raise MalformedMessageError(f"the time {seconds} s is before 1970")
     return int(seconds) * _NS + int(nanoseconds)
 
 
@@ -214,10 +214,11 @@ def _encode_numbers(
 
 
 def decode_numbers(message: bytes) -> WithFront:
-    """Return the numbers of a message, in the shape of its layout, and those in front of them.
+    """Return the numbers of a message in the shape of its layout, and the numbers in front of them.
 
     Raises:
-        MalformedMessageError: if it is not one, or its layout is for a different number of values.
+        MalformedMessageError: if the bytes are not a message with an array of numbers, or if the
+            layout does not fit the number of values.
     """
     if len(message) >= _ROW.size:
         header, dimensions, offset, size = _ROW.unpack_from(message)
@@ -230,5 +231,5 @@ def decode_numbers(message: bytes) -> WithFront:
     if len(shape) < 2:
         return WithFront(front, data)
     if len(shape) > 2 or math.prod(shape) != len(data):
-        raise MalformedMessageError(f"a message has {len(data)} values, but its layout is {shape}")
+        raise MalformedMessageError(f"the layout {shape} does not fit {len(data)} values")
     return WithFront(front, np.asarray(data).reshape(shape))

@@ -1,6 +1,7 @@
-"""A node of a simulated graph: its inputs, and when it acts.
+"""Base class of the nodes of a simulated graph.
 
-A node acts when all inputs are fresh (:mod:`greenroof_ros.graph.lockstep`), and on no other event.
+A node acts only when all its inputs have received their messages of the tick
+(:mod:`greenroof_ros.graph.lockstep`).
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ class SimulationNode(NoClockSubscription, GraphNode):
     """A node of a simulated graph.
 
     A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, using their names
-    in the interface. It overrides :meth:`on_inputs` and, as needed, the other ``on_`` methods,
-    ``progress`` and ``summary``.
+    in the interface. A subclass overrides :meth:`on_inputs` and, if necessary, the other ``on_``
+    methods, ``progress`` and ``summary``.
 
     Attributes:
-        lockstep: makes the node act.
+        lockstep: object that makes the node act.
         peers: the nodes that publish its inputs.
-        result: what it has added to the run's summary; empty until the run is over.
+        result: the node's additions to the summary of the run; empty until the run is over.
     """
 
     def __init__(self, name: str, role: str) -> None:
@@ -53,14 +54,14 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
         Args:
             name: the node's name.
-            role: its role in the interface: its name, or ``controller``.
+            role: the node's role in the interface: its name, or ``controller``.
 
         Raises:
             ConfigurationError: if the ROS arguments or a parameter file is invalid.
         """
         self._now_ns = 0  # 0: not set yet
         super().__init__(name, role, read_topics(), NodeDiagnostics)
-        fix(self, USE_SIM_TIME, True, "must be true: this node is in a simulated graph")
+        fix(self, USE_SIM_TIME, True, "must be true: this node is part of a simulated graph")
         self.peers = Peers(role)
         self.lockstep = Lockstep(self.on_inputs, self.finish, self.peers.publishers_of)
         self.result: dict[str, Any] = {}
@@ -72,7 +73,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
     # --- to override ------------------------------------------------------------------------
 
     def on_inputs(self) -> None:
-        """Act: all inputs are fresh."""
+        """Act on the inputs, all of which have received their messages of the tick."""
 
     def summary(self) -> dict[str, Any]:
         """Return the node's additions to its report at the end of the run."""
@@ -85,7 +86,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         self._now_ns = time_ns
 
     def get_clock(self) -> Clock:
-        """Return the node's clock, which is set only here, since few ticks need it."""
+        """Return the node's clock; only this method updates the clock, since few ticks use it."""
         clock = super().get_clock()
         if self._now_ns:
             now = Time(nanoseconds=self._now_ns, clock_type=ClockType.ROS_TIME)
@@ -103,7 +104,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         return entry
 
     def listen(self, name: str, callback: Callable[[Any], None]) -> None:
-        """Open an input that the node does not wait for: every value is passed to a callback."""
+        """Open an input that the node does not wait for; every value is passed to a callback."""
         entry = self._input(name)
 
         def receive(message: bytes) -> None:
@@ -135,7 +136,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     @property
     def acted(self) -> bool:
-        """Whether the node has acted, which means that the run has begun for it."""
+        """Whether the node has acted, that is, whether the run has begun for this node."""
         return self.lockstep.tick > 0
 
     @property
@@ -145,11 +146,11 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     @property
     def good(self) -> bool:
-        """Whether no input's present value was rejected."""
+        """Whether the current value of every input was accepted."""
         return all(entry.good for entry in self.inputs.values())
 
     def finish(self) -> None:
-        """Report from now on that the run is over for this node, with the node's summary."""
+        """Set the state to finished, and report the state and the node's summary."""
         self._update_warnings(time.monotonic())
         self.result = self._final = self.summary()
         self.reports.state = FINISHED
@@ -159,12 +160,12 @@ class SimulationNode(NoClockSubscription, GraphNode):
         """Check everything that depends on the wall clock, and report the node's state.
 
         Args:
-            now: steady clock (s).
+            now: time on the steady clock (s).
 
         Raises:
-            LockstepError: if the graph cannot go on.
-            OccupiedError: if a topic had a second publisher before the run.
-            OSError: if the node cannot go on, for instance on a full disk.
+            LockstepError: if the graph cannot continue.
+            OccupiedError: if an input has a second publisher before the run.
+            OSError: if the node cannot continue, for instance because the disk is full.
         """
         self.on_timer(now)
         if now - self._checked < _CHECK_S:
@@ -188,8 +189,8 @@ class SimulationNode(NoClockSubscription, GraphNode):
         for entry in self.inputs.values():
             if entry.refused:
                 self._warn(
-                    f"rejected a value on {entry.name}: it {entry.topic.range.expected()}; it acts "
-                    "as 0, and further ones are only counted"
+                    f"rejected a value on {entry.name}: it {entry.topic.range.expected()}; the "
+                    "node used 0 instead, and later rejections are counted but not logged"
                 )
 
     def _warn(self, sentence: str) -> None:
@@ -201,16 +202,16 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     @property
     def may_end(self) -> bool:
-        """Return whether a node alone may end: the run is over and all messages have arrived.
+        """Whether the node may stop: its run is over, and its readers have all its messages.
 
-        The plant leaves first: until then, another node may still need this node's messages.
+        The plant stops first; until then, other nodes may still need the messages of this node.
 
         Raises:
-            LockstepError: if the plant ended before the run did.
+            LockstepError: if the plant stopped before the run was over.
         """
         if not self.finished:
             if self.lockstep.run is not None and self._plant_ended():
-                raise LockstepError("plant has ended, and the run with it")
+                raise LockstepError("the plant has stopped, which ends the run")
             return False
         return self.all_arrived() and (self.role == PLANT or self._plant_ended())
 
@@ -224,11 +225,11 @@ class SimulationNode(NoClockSubscription, GraphNode):
         return all(publisher.wait_for_all_acked(now) for publisher in self._outputs.values())
 
     def report_state(self, **values: Any) -> None:
-        """Report the node's state, with N, the last tick."""
+        """Report the node's state together with the number N of the last tick."""
         run = self.lockstep.run
         super().report_state(run_length=None if run is None else round(run.last_tick), **values)
 
 
 def _required(topic: Topic) -> Qos:
-    """Return what a publisher must offer: in a simulation there is no liveliness lease."""
+    """Return the required quality of service, without the liveliness lease in a simulation."""
     return replace(topic.qos, lease_s=math.inf)

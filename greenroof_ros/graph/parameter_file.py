@@ -1,7 +1,7 @@
-"""The user's ROS 2 parameter file for the nodes of a graph, checked before any node starts.
+"""Check of the user's ROS 2 parameter file for the nodes of a graph, before any node starts.
 
-rclpy silently ignores a parameter that a node has not declared, so a mistyped limit would have no
-effect. Here it is rejected.
+rclpy silently ignores a parameter that a node has not declared, so a limit with a mistyped name
+would have no effect. This module rejects such a parameter.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ def node_parameter_files(
     arguments: argparse.Namespace, modules: Mapping[str, str], controller: ControllerChoice,
     given: Mapping[str, float],
 ) -> list[Path]:
-    """Return a list with the file named by ``--node-parameters``; an empty list if there is none.
+    """Return a list of the file given by ``--node-parameters``; an empty list if none is given.
 
     Args:
-        arguments: the command line.
-        modules: the module of every node that bringup runs, by the node's name.
-        controller: controller of the graph.
-        given: values of the controller's parameters.
+        arguments: the parsed command line.
+        modules: module of every node that bringup runs, by the node's name.
+        controller: the graph's controller.
+        given: values of the controller's parameters, by name.
 
     Raises:
-        ConfigurationError: if the file does not exist, or sets something without effect or
-            something that options set: bringup would then stop the wrong drive, or a summary would
-            be wrong.
+        ConfigurationError: if the file does not exist, or if it sets a parameter that no node has
+            or that an option of bringup sets. With such a parameter, bringup might stop the wrong
+            drive, or a summary might be wrong.
     """
     file: Path | None = arguments.node_parameters
     if file is None:
@@ -64,17 +64,17 @@ def _refuse_unknown(
 ) -> None:
     """Reject parameters in a file that no node of the graph has, or that only bringup may set.
 
-    In a section for several nodes, every name must be known to one of them.
+    In a section for more than one node, every parameter must be known to at least one of the nodes.
 
     Args:
         file: a ROS 2 parameter file.
-        nodes: module of every node, by the node's name with its namespace.
-        controller: controller of the graph.
-        given: values of the controller's parameters.
+        nodes: module of every node, by the node's name including the namespace.
+        controller: the graph's controller.
+        given: values of the controller's parameters, by name.
 
     Raises:
-        ConfigurationError: if there is such a parameter, a section for no node of the graph, or one
-            in which ``ros__parameters`` is missing or not a mapping.
+        ConfigurationError: if the file contains such a parameter, a section for no node of the
+            graph, or a section in which ``ros__parameters`` is missing or is not a mapping.
     """
     known = {name: _names_of(module, controller) for name, module in nodes.items()}
     for section in read_sections(file):
@@ -82,8 +82,8 @@ def _refuse_unknown(
         if not matching:
             names = {node.rpartition("/")[2] for node in known}
             raise ConfigurationError(
-                "bringup starts no such node; the closest is "
-                f"/**/{find_closest(section.name.rpartition('/')[2], names)}; it starts "
+                "bringup starts no such node; the closest match is "
+                f"/**/{find_closest(section.name.rpartition('/')[2], names)}; bringup starts "
                 f"{', '.join(sorted(known))}", file=file, line=section.line, key=section.name,
             )
         names = set().union(*(known[node] for node in matching))
@@ -97,12 +97,13 @@ def _refuse_unknown(
                 option = name in known[node] and _find_option(last, nodes[node], name, value, given)
                 if option:
                     raise ConfigurationError(
-                        f"must not be set for the node {last} here: under bringup {option} sets "
-                        "it", **place,
+                        f"must not be set for the node {last} in this file: under bringup, "
+                        f"{option} sets it", **place,
                     )
             if name not in names and name.partition(".")[0] not in OF_EVERY_NODE:
                 raise ConfigurationError(
-                    f"{suggest_parameter(name, sorted(names))}; --help of the node lists all",
+                    f"{suggest_parameter(name, sorted(names))}; the node's --help lists all "
+                    "parameters",
                     **place,
                 )
 
@@ -110,7 +111,7 @@ def _refuse_unknown(
 def _find_option(
     node: str, module: str, name: str, value: object, given: Mapping[str, float]
 ) -> str:
-    """Return the option that sets a node's parameter; empty if none does, or to the same value."""
+    """Return the option that sets a node's parameter to another value; empty if there is none."""
     of_node = _OF_BRINGUP.get(node, {})
     if name in of_node:
         return of_node[name]

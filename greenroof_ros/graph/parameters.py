@@ -1,8 +1,8 @@
-"""Node parameters: described once, declared with description and range, checked when set.
+"""Parameters of nodes: their declaration with description and range, and the check of their values.
 
-rclpy silently ignores a parameter that a node has not declared, so a mistyped limit would have no
-effect. Here it is rejected on a node's command line; :mod:`greenroof_ros.graph.parameter_file`
-rejects it in files of bringup.
+rclpy silently ignores a parameter that a node has not declared, so a limit with a mistyped name
+would have no effect. This module rejects such a parameter on a node's command line;
+:mod:`greenroof_ros.graph.parameter_file` rejects it in the parameter file for bringup.
 """
 
 from __future__ import annotations
@@ -32,31 +32,34 @@ from greenroof_ros.model.site import Site, read_site
 USE_SIM_TIME = "use_sim_time"  # rclpy's name
 # The name of every Python type in ROS 2.
 _KINDS = {float: "double", int: "integer", bool: "bool", str: "string", list: "string array"}
-_TEXTS = {bool: "true or false", str: "text", list: "a list of texts"}
+_TEXTS = {bool: "true or false", str: "text", list: "a list of strings"}
 
 
 def site_file() -> Parameter:
-    """Return the parameter that names the site file; it is the same for all nodes of a run."""
+    """Return the parameter for the site file, which is the same for all nodes of a run."""
     default = str(default_site_file())
-    return Parameter("site_file", default, meaning="the parameters of Table I")
+    return Parameter(
+        "site_file", default, meaning="path of the site file, which contains the parameters of "
+        "Table I",
+    )
 
 
 def look_ahead_parameters() -> list[Parameter]:
-    """Return the parameters of a weather node that determine what its forecasts cover."""
+    """Return the parameters of a weather node that determine the extent of its forecasts."""
     return [
         Parameter(
-            "horizon", 0.0, "", 0.0, MAX_HORIZON, "how far the forecasts reach (h), in growing "
-                "steps; if 0, they cover the next M ticks",
+            "horizon", 0.0, "", 0.0, MAX_HORIZON, "length of the forecasts (h), in steps of "
+            "increasing duration; 0 for a forecast of the next M ticks",
         ),
         Parameter(
-            "all_members", False, meaning="publish all members of an ensemble, for a controller "
-            "that takes them (lookahead); false: only the first",
+            "all_members", False, meaning="publish all members of a forecast ensemble, for a "
+            "controller that uses them (lookahead); false: publish only the first member",
         ),
     ]
 
 
 def default_site() -> Site:
-    """Return the site of a node without the parameter ``site_file``."""
+    """Return the site of the default value of the parameter ``site_file``."""
     return read_site(Path(str(site_file().default)))
 
 
@@ -69,13 +72,14 @@ def type_name(parameter: Parameter) -> str:
 
 
 def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
-    """Declare the parameters that are not declared yet, and return the values of all by name.
+    """Declare the parameters not declared yet, and return the values of all given parameters.
 
-    A whole number is accepted for a double, as in ``weight: 5``, in a file, on the command line and
-    in ``ros2 param set``; rclpy alone would reject it.
+    An integer such as ``weight: 5`` is accepted for a double in a file, on the command line and in
+    ``ros2 param set``, although rclpy itself would reject the integer.
 
     Raises:
-        ConfigurationError: if a value has the wrong type, or is not in its range or choices.
+        ConfigurationError: if a value has the wrong type, is outside its range, or is not one of
+            its choices.
     """
     declared = list(parameters)
     doubles = {
@@ -93,7 +97,7 @@ def declare(node: Node, parameters: Iterable[Parameter]) -> dict[str, Any]:
 
 
 def find_given(node: Node, names: Iterable[str]) -> dict[str, Any]:
-    """Return the values that a user sets for parameters which a node does not declare."""
+    """Return the values set by the user for parameters that a node does not declare."""
     given = {}
     for name in names:
         anything = ParameterDescriptor(dynamic_typing=True)
@@ -120,10 +124,10 @@ def _declare(node: Node, parameter: Parameter) -> Any:
 
 
 def _check_value(parameter: Parameter, value: Any) -> Any:
-    """Return a value of a parameter in the parameter's type.
+    """Check a value of a parameter, and return it as the parameter's type.
 
     Raises:
-        ValueError: if it is wrong; the message states what it must be.
+        ValueError: if the value is invalid; the message states the valid values.
     """
     kind = type(parameter.default)
     if kind in (int, float):
@@ -151,7 +155,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def fix(node: Node, name: str, value: Any, reason: str) -> None:
-    """Set a parameter of a node, and reject every later change, for a reason in words."""
+    """Set a parameter of a node, and reject every later change with the reason given."""
     node.set_parameters([RosParameter(name, value=value)])
 
     def refuse_change(changes: list[RosParameter]) -> SetParametersResult:
@@ -167,24 +171,24 @@ def fix(node: Node, name: str, value: Any, reason: str) -> None:
 
 
 def refuse_unknown(node: Node, arguments: Sequence[str]) -> None:
-    """Reject a parameter on the command line that the node has not declared.
+    """Reject every parameter on the command line that the node has not declared.
 
-    In a file, only sections that end with the node's name are checked; others are for several
-    nodes.
+    In a parameter file, only the sections whose names end with the node's name are checked; other
+    sections are for more than one node.
 
     Args:
         node: the node, after it has declared all its parameters.
-        arguments: the process's command line.
+        arguments: command line of the process.
 
     Raises:
-        ConfigurationError: if there is such a parameter.
+        ConfigurationError: if the node has not declared a parameter.
     """
     own, known = node.get_name(), node.get_parameters_by_prefix("")
 
     def refuse(name: str, value: object, **place: Any) -> None:
         if name not in known and not name.startswith("qos_overrides."):
             raise ConfigurationError(
-                f"{suggest_parameter(name, known)}; --help lists all",
+                f"{suggest_parameter(name, known)}; --help lists all parameters",
                 key=f"parameter {name} of {own}", value=value, **place,
             )
 

@@ -1,7 +1,7 @@
-"""The nodes that publish the inputs of a node: which are missing, silent or wrong.
+"""The publishers of a node's inputs, and the detection of missing, silent and extra publishers.
 
-No tick needs this. A node of a simulated graph checks it by the wall clock, before a run and while
-it is waiting.
+No tick depends on this module. A node of a simulated graph checks its peers at intervals of wall
+time, before a run and while the node is waiting.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Peers:
     """
 
     def __init__(self, role: str) -> None:
-        """Begin without inputs.
+        """Create an object without inputs.
 
         Args:
             role: the node's own role in the interface.
@@ -32,7 +32,7 @@ class Peers:
     # --- who is missing ---------------------------------------------------------------------
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the inputs without a compatible publisher, by missing role."""
+        """Return the inputs without a compatible publisher, grouped by the missing role."""
         return self._by_role([
             name for name, publishers in self.publishers.items() if not publishers.compatible
         ])
@@ -42,24 +42,24 @@ class Peers:
         return group_by_role(self._role, topics, names)
 
     def describe(self, missing: Mapping[str, Iterable[str]]) -> str:
-        """Return a text that names topics, and the nodes that should publish them."""
+        """Return a list, as text, of missing topics and of the nodes that should publish them."""
         return "; ".join(
             f"{', '.join(self.publishers[name].full_name for name in names)} from "
             f"{self.name_of(role)}" for role, names in missing.items()
         )
 
     def describe_silent(self, names: Collection[str]) -> str:
-        """Return a text that names the topics, and the node, for which this node is really waiting.
+        """Return the text about the node that all other missing nodes are waiting for.
 
         Args:
             names: the awaited topics, in the order of the node's inputs: weather, controller, pump.
-                Each of these waits for those before it.
+                Each of these nodes waits for the nodes before it.
         """
         role, topics = next(iter(self._by_role(names).items()))
         return self.describe({role: topics})
 
     def name_of(self, role: str) -> str:
-        """Return the name of the node with a role: its node name if it publishes an input here."""
+        """Return the name of the node in a role, or the role's usual name if no node has it."""
         nodes = [
             node for publishers in self.publishers.values() if role in publishers.topic.publishers
             for node in publishers.names()
@@ -69,11 +69,11 @@ class Peers:
     # --- what is wrong ----------------------------------------------------------------------
 
     def publishers_of(self, name: str) -> str:
-        """Return the names of the nodes that publish an input, for a sentence."""
+        """Return the names of the nodes that publish an input, as a list for a sentence."""
         return list_nodes(self.publishers[name].names(DISCOVERY_S))
 
     def describe_second(self) -> str:
-        """Return in words which input has a second publisher; empty if none has."""
+        """Return a sentence about the first input with a second publisher; empty if none has."""
         for publishers in self.publishers.values():
             if publishers.count > 1 and publishers.compatible > 1:
                 return f"{publishers.full_name} {publishers.describe_second(DISCOVERY_S)}"
@@ -83,15 +83,15 @@ class Peers:
 def group_by_role(
     own: str, inputs: Mapping[str, Topic], names: Collection[str]
 ) -> dict[str, list[str]]:
-    """Return some of a node's inputs, by the role that should publish them.
+    """Return the given inputs of a node, grouped by the role that should publish each input.
 
-    If the interface names two roles (plant or pump driver), it is the first that publishes none of
-    the node's other inputs, or else the last.
+    If the interface names two roles for an input (plant or pump driver), the first role that
+    publishes none of the node's other inputs is used, or else the last role.
 
     Args:
-        own: role of the node.
-        inputs: inputs of the node, by name in the interface.
-        names: names of some of them.
+        own: the node's own role.
+        inputs: all inputs of the node, by their name in the interface.
+        names: names of the inputs to return.
     """
     present = {own} | {topic.publishers[0] for name, topic in inputs.items() if name not in names}
     roles: dict[str, list[str]] = {}

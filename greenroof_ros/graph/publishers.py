@@ -1,4 +1,4 @@
-"""The publishers of a topic, as ROS knows them: who they are, and whether their QoS fits."""
+"""The publishers of a topic that ROS knows, and the check of their quality of service."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _NAMED = 5
 
 
 class Publishers:
-    """The publishers of a topic; reports a second one, and one whose messages cannot arrive.
+    """The publishers of a topic, including superfluous and incompatible ones.
 
-    All publishers that ROS knows count. ROS is polled for them, since a middleware event can lock
-    up rclpy's fast executor while a peer's liveliness changes (rmw_fastrtps, pull request 890). ROS
-    knows about a publisher before its first message arrives.
+    All publishers that ROS knows are counted. ROS is polled for the publishers, because a
+    middleware event can lock up rclpy's fast executor while the liveliness of a peer changes
+    (rmw_fastrtps, pull request 890). ROS knows about a publisher before its first message arrives.
 
     Attributes:
         topic: the topic in the interface.
@@ -34,7 +34,7 @@ class Publishers:
     """
 
     def __init__(self, node: Node, topic: Topic, required: Qos) -> None:
-        """Prepare for a subscription.
+        """Create an object for the publishers that a subscription receives messages from.
 
         Args:
             node: the subscribing node.
@@ -55,15 +55,15 @@ class Publishers:
 
     @property
     def compatible(self) -> int:
-        """The number of publishers with a compatible quality of service, whose messages arrive."""
+        """The number of publishers that have a compatible quality of service."""
         return len(self._endpoints()) - len(self._incompatible())
 
     def names(self, wait_s: float = 0.0) -> list[str]:
-        """Return the names of the publishers' nodes; if all have gone, the last known names.
+        """Return the names of the publishers' nodes, or the last known names if all are gone.
 
         Args:
-            wait_s: how long to wait for a name that is not discovered yet; after the first
-                messages, this may take :data:`DISCOVERY_S`.
+            wait_s: maximum wait for the names that are not discovered yet (s); after the first
+                messages, discovery may take :data:`DISCOVERY_S`.
         """
         until = time.monotonic() + wait_s
         known = {info.node_name for info in self._endpoints()}
@@ -74,26 +74,26 @@ class Publishers:
         return self._names
 
     def describe_second(self, wait_s: float = 0.0) -> str:
-        """Return a clause about a second publisher; empty if there is none.
+        """Return a predicate about a second publisher, or "" if there is none.
 
         Args:
-            wait_s: as for :meth:`names`.
+            wait_s: maximum wait for names (s), as in :meth:`names`.
         """
         count = self.count
         if count < 2 or len(self._endpoints()) < 2:
             return ""
         names = list_nodes(self.names(wait_s))
         return (
-            f"has {count} publishers ({names}), but must have only one: end the "
-            "other, or use another ROS_DOMAIN_ID or --namespace"
+            f"has {count} publishers ({names}), but must have only one: stop the other publisher, "
+            "or use another ROS_DOMAIN_ID or --namespace"
         )
 
     def describe_incompatible(self) -> str:
-        """Return a clause on which publishers are incompatible, and why; empty if none is.
+        """Return a predicate about incompatible publishers, or "" if there are none.
 
-        DDS does not connect a publisher to a subscription that requests more than it offers, and
-        reports only one of the mismatched policies. The profiles of both are known, so all are
-        listed.
+        DDS does not connect a publisher to a subscription that requests more than the publisher
+        offers, and reports only one of the mismatched policies. The profiles of both sides are
+        known, so this method lists all mismatched policies.
         """
         incompatible = self._incompatible()
         if not incompatible:
@@ -103,11 +103,12 @@ class Publishers:
         why = dict.fromkeys(word for words in offered for word in words)
         return (
             f"has a publisher with an incompatible QoS ({list_nodes(names)}): it "
-            f"{' and '.join(why)}, but must be {describe_qos(self.required)}; change it, or end it"
+            f"{' and '.join(why)}, but must be {describe_qos(self.required)}; change its QoS, or "
+            "stop it"
         )
 
     def warning(self, now: float) -> str:
-        """Return a sentence on publishers that stay incompatible for the discovery time, or "".
+        """Return a sentence about publishers that stay incompatible for the discovery time, or "".
 
         Args:
             now: time on the steady clock (s).
@@ -125,10 +126,10 @@ class Publishers:
 
 
 def display_name(name: str) -> str:
-    """Return the name of a node for a message.
+    """Return the name of a node for use in a message.
 
-    A node that joined just before another one was killed may discover its topics but never its
-    name.
+    A node that joins the graph just before another node is killed may discover the topics of the
+    killed node, but never its name.
     """
     if name == _UNKNOWN_NAME:
         return "a node of unknown name, perhaps because it was killed"
@@ -136,6 +137,6 @@ def display_name(name: str) -> str:
 
 
 def list_nodes(names: Sequence[str]) -> str:
-    """Return the names of nodes for a sentence: the first five, and how many more there are."""
+    """Return the names of the first five nodes, and the number of the others, for a sentence."""
     more = [f"and {len(names) - _NAMED} more"] if len(names) > _NAMED else []
     return ", ".join([*names[:_NAMED], *more])

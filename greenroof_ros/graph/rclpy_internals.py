@@ -1,7 +1,7 @@
-"""All private parts of rclpy that this package uses, each with the reason.
+"""All private parts of rclpy that this package uses, with the reasons for using them.
 
-A new rclpy can drop any of them without notice: ``test/graph/test_rclpy_internals.py`` uses all of
-them, and then fails.
+A new version of rclpy can remove any of these parts without notice.
+``test/graph/test_rclpy_internals.py`` uses all of them, and fails if one is missing.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ _CLOCK = "/clock"  # rclpy's name
 
 
 class NoClockSubscription:
-    """Mixin for ``Node`` that keeps rclpy from subscribing to the clock in simulated time.
+    """Mixin for ``Node`` that prevents rclpy from subscribing to the clock in simulated time.
 
     rclpy's own subscription, which is to ``/clock`` even in a namespace, costs 35 us of processor
-    time per tick in every node. rclpy opens it with this method, and has no public way to prevent
-    it.
+    time per tick in every node. rclpy opens this subscription with ``create_subscription``, and
+    provides no public way to prevent it.
     """
 
     def create_subscription(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
-        """Open a subscription, except rclpy's own subscription to the clock."""
+        """Open a subscription, unless it is rclpy's own subscription to the clock."""
         if topic == _CLOCK:
             return None
         return super().create_subscription(  # type: ignore[misc]
@@ -32,18 +32,19 @@ class NoClockSubscription:
 def raw_publish(publisher: Any) -> Callable[[bytes], None]:
     """Return a function that publishes serialised messages on a publisher.
 
-    For every message, rclpy's own ``publish`` compares types and locks the publisher against its
-    destruction by another thread, which takes a quarter of its time.
+    For every message, rclpy's own ``publish`` compares types and locks the publisher against
+    destruction by another thread; these steps take a quarter of the time of ``publish``.
     """
     publish: Callable[[bytes], None] = publisher.handle.publish_raw
     return publish
 
 
 def take_messages(subscription: Any) -> Iterator[tuple[bytes, Any]]:
-    """Yield the waiting messages, each serialised and with its metadata from rclpy.
+    """Yield the waiting messages, each as serialised bytes with rclpy's metadata.
 
-    rclpy passes messages only to callbacks. Its fast executor calls no callback for messages that
-    waited before it listened, and passes the publisher's sequence number to none.
+    rclpy passes messages only to callbacks. The fast executor of rclpy calls no callback for
+    messages that arrived before the executor began to listen, and does not pass the publisher's
+    sequence number to callbacks.
     """
     with subscription.handle:
         while (sample := subscription.handle.take_message(subscription.msg_type, True)) is not None:

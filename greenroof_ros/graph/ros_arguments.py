@@ -1,7 +1,8 @@
-"""The ROS arguments of ``greenroof run``, after ``--ros-args``, and the nodes they apply to.
+"""The ROS arguments of ``greenroof run``, which follow ``--ros-args``.
 
-A remapping applies to all nodes of the run, or to one: ``NODE:FROM:=TO``. What the run itself needs
-to know becomes its own option: the namespace, and parameters of the controller.
+A remapping applies to all nodes of the run or, in the form ``NODE:FROM:=TO``, to a single node. The
+namespace and the parameters of the controller are converted to options of the run, because the run
+itself needs them.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ _REMAP, _PARAMETER, _FILE = ("-r", "--remap"), ("-p", "--param"), "--params-file
 
 
 def split_ros_arguments(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the words of a command line that are not ROS arguments, and those that are."""
+    """Split the words of a command line, and return other arguments and ROS arguments."""
     others, arguments = list[str](), list[str]()
     into = others
     for word in words:
@@ -31,15 +32,16 @@ def split_ros_arguments(words: Sequence[str]) -> tuple[list[str], list[str]]:
 def read_ros_arguments(
     arguments: Sequence[str], controller: str, parameters: Collection[str]
 ) -> tuple[list[str], list[str]]:
-    """Return the options that some ROS arguments stand for, and the ROS arguments that are left.
+    """Convert ROS arguments to options of a run; return the options and the other ROS arguments.
 
     Args:
         arguments: the words after ``--ros-args``.
-        controller: name of the controller's node.
-        parameters: names of its parameters.
+        controller: name of the node of the controller.
+        parameters: names of the controller's parameters.
 
     Raises:
-        ConfigurationError: if one would move or rename a single node, or sets what options set.
+        ConfigurationError: if an argument would move or rename a single node, or sets a parameter
+            that only options may set.
     """
     options, left, words = list[str](), list[str](), iter(arguments)
     for word in words:
@@ -51,21 +53,22 @@ def read_ros_arguments(
         node, _, name = qualified.rpartition(":")
         if word == _FILE:
             raise ConfigurationError(
-                "is not for a run: set the controller's parameters with --parameters FILE, others "
-                "with --node-parameters FILE", key=word, value=rule,
+                "is not available for a run: set the controller's parameters with --parameters "
+                "FILE, and the parameters of other nodes with --node-parameters "
+                "FILE", key=word, value=rule,
             )
         if word in _PARAMETER:
             if name not in parameters or node.rpartition("/")[2] not in ("", controller):
                 raise ConfigurationError(
-                    f"is not a parameter of the controller's node, {controller}; what other nodes "
-                    "need is set by options of greenroof run", key=word, value=rule,
+                    f"is not a parameter of the controller's node, {controller}; parameters of "
+                    "other nodes are set by options of greenroof run", key=word, value=rule,
                 )
             options.append(f"--{name.replace('_', '-')}={value}")
         elif name in ("__ns", "__node", "__name"):
             if node or name != "__ns":
                 raise ConfigurationError(
-                    "must not rename or move a node of a run: the others know it by its name; "
-                    "__ns:=/NAME moves all of them", key=word, value=rule,
+                    "must not rename or move a node of a run, because the other nodes know it by "
+                    "its name; __ns:=/NAME moves all nodes", key=word, value=rule,
                 )
             options.append(f"--namespace={value}")
         else:

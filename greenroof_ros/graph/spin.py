@@ -1,4 +1,4 @@
-"""Runs nodes of a simulated graph in this process, with one executor, like ROS 2's containers."""
+"""Execution of simulated nodes in one process with one executor, as in a ROS 2 container."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 def ros(arguments: Sequence[str]) -> Iterator[None]:
     """Initialise ROS for the nodes of this process, and shut it down at the end.
 
-    When this ends, the process must be done: see :func:`end_soon`.
+    After the block, the process must exit soon: see :func:`end_soon`.
 
     Args:
-        arguments: the command line, with ROS arguments.
+        arguments: the command line, including ROS arguments.
 
     Raises:
         ConfigurationError: if rcl cannot parse the arguments.
@@ -57,20 +57,20 @@ def ros(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
-    """Run nodes until they may end.
+    """Run nodes until they may stop.
 
-    The loop over messages is in the executor, since a loop in Python would cost a seventh of a
-    tick. In between, everything that depends on the wall clock is checked 20 times a second.
+    The executor loops over the messages, since a loop in Python would take a seventh of the time of
+    a tick. Every 50 ms, the loop is interrupted to check conditions that depend on the wall clock.
 
     Args:
         nodes: the nodes.
-        may_end: function that returns whether the nodes may end, called 20 times a second; it can
+        may_end: function, called 20 times a second, that returns True if the nodes may stop; it can
             raise an error to end the run.
 
     Raises:
-        LockstepError: if the graph cannot go on.
-        ConfigurationError: if the set-up is wrong.
-        OSError: if a node cannot go on, for instance on a full disk.
+        LockstepError: if the graph cannot continue.
+        ConfigurationError: if the configuration of a node is invalid.
+        OSError: if a node cannot continue, for instance because the disk is full.
     """
     executor, pause = make_executor(), Future()
 
@@ -97,10 +97,10 @@ def spin(nodes: Sequence[SimulationNode], may_end: Callable[[], bool]) -> None:
 
 
 def make_executor() -> Any:
-    """Return the fastest executor of this rclpy, for nodes without publisher events.
+    """Return the fastest executor in the installed rclpy, for nodes without publisher events.
 
-    ``rclpy.experimental.EventsExecutor`` takes a third of the processor time. Publisher events can
-    lock it up (rmw_fastrtps, pull request 890).
+    ``rclpy.experimental.EventsExecutor`` uses a third of the processor time of other executors, but
+    publisher events can lock it up (rmw_fastrtps, pull request 890).
     """
     try:
         from rclpy.experimental import EventsExecutor
@@ -110,14 +110,15 @@ def make_executor() -> Any:
 
 
 def start_receiving(executor: Any, node: Any) -> None:
-    """Add a node to an executor, and deliver the messages that arrived before it listened.
+    """Add a node to an executor, and deliver the messages that arrived before it began to listen.
 
-    rmw_fastrtps counts the waiting messages and then starts to listen. A message that arrives in
-    between is not noticed until the next one arrives, which in lockstep never happens.
+    rmw_fastrtps counts the waiting messages and then starts to listen. A message that arrives
+    between these two steps is not noticed until the next message arrives, which never happens in
+    lockstep.
 
     Args:
-        executor: the executor that will serve the node.
-        node: the node; callbacks of its raw subscriptions take one argument.
+        executor: the executor for the node.
+        node: the node; the callbacks of its raw subscriptions have one argument.
     """
     executor.add_node(node)
     executor.spin_once(timeout_sec=0.0)  # this, not add_node, begins to listen
@@ -128,14 +129,15 @@ def start_receiving(executor: Any, node: Any) -> None:
 
 
 def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
-    """End nodes: let each close what is open, and report its end.
+    """Make every node close its open files and connections, and report that it stops.
 
     Args:
         nodes: the nodes.
-        failure: the error that ended them; None if there was none.
+        failure: description of the error that ended the run; None if there was none.
 
     Returns:
-        The first error, including errors while ending; None if there was none.
+        The description of the first error, either the given one or an error while a node stops;
+        None if there was none.
     """
     for node in nodes:
         try:
@@ -149,17 +151,17 @@ def end_nodes(nodes: Sequence[GraphNode], failure: str | None) -> str | None:
 
 
 def destroy_nodes(nodes: Sequence[GraphNode]) -> None:
-    """Let nodes leave the graph, after :func:`end_nodes`; this process must end soon."""
+    """Let the nodes leave the graph after :func:`end_nodes`; this process must then exit soon."""
     end_soon()
     for node in nodes:
         node.destroy_node()
 
 
 def end_soon() -> None:
-    """Let the kernel end this process if it locks up: everything has been sent and written.
+    """Let the kernel kill this process if it locks up after everything has been sent and written.
 
-    A process that has locked up spins, so its processor time is what counts. On a busy machine a
-    normal end takes longer, too, and must keep its exit code.
+    A locked-up process spins, so its processor time is limited. On a busy machine, a normal exit
+    also takes longer in wall time, and must keep its exit code.
     """
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_PROF, SHUTDOWN_S)

@@ -1,4 +1,4 @@
-"""What a weather node publishes: the present weather, frost, and both forecasts."""
+"""Outputs of a weather node: the current weather, frost, and two forecasts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FORECASTS = "/forecast/precipitation", "/forecast/evapotranspiration"
 
 
 class WeatherOutputs:
-    """The outputs of a weather node."""
+    """Publisher of a weather node's outputs."""
 
     def __init__(
         self, node: GraphNode, site: Site, horizon: float, outlet_horizon: float = 0.0
@@ -28,8 +28,9 @@ class WeatherOutputs:
         Args:
             node: the node.
             site: the site.
-            horizon: how far the forecasts reach (h).
-            outlet_horizon: how far they reach for a plan of the outlet valve (h).
+            horizon: length of the forecasts (h); 0 for the next M ticks.
+            outlet_horizon: length of the forecasts for a plan of the outlet valve (h); 0 for no
+                such plan.
         """
         self.publish = node.publish
         # Prefix of every forecast: the time of its issue (s since 1970), and the ends of its steps
@@ -38,7 +39,7 @@ class WeatherOutputs:
         node.open_outputs(FROST, RAIN, EVAPOTRANSPIRATION, *_FORECASTS)
 
     def publish_forecasts(self, issued: datetime | None, *forecasts: Any) -> None:
-        """Publish the forecasts of rain and evapotranspiration, with the time of their issue."""
+        """Publish the forecasts of rain and evapotranspiration, with their time of issue."""
         self._front[0] = math.nan if issued is None else issued.timestamp()
         for topic, forecast in zip(_FORECASTS, forecasts, strict=True):
             self.publish(topic, WithFront(self._front, forecast))

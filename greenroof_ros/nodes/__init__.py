@@ -1,1 +1,1 @@
-"""The nodes of a simulation: plant, weather, controller and recorder, one class and file each."""
+"""The nodes of a simulation: plant, weather, controller and recorder, each in its own module."""

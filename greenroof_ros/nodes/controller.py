@@ -1,7 +1,7 @@
-"""The controller node, for any controller: levels and forecasts in, one command out.
+"""The controller node, which runs any controller on levels and forecasts and publishes its command.
 
 ``python -m greenroof_ros.nodes.controller --controller NAME`` runs a controller of this package, or
-any class as ``package.module:Class``; the node is named after it.
+any class given as ``package.module:Class``. The node has the name of the controller.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from greenroof_ros.graph.parameters import site_file
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
-    """Return the parameters of a controller's node; without a controller, the common ones."""
+    """Return the parameters of a controller's node; None for the parameters of every controller."""
     return [site_file(), *([] if choice is None else choice.parameters.values())]
 
 
 class ControllerNode(SimulationNode):
-    """Runs one controller; commands 0 in frost, in quiet hours and on bad inputs.
+    """Node that runs a controller, and commands 0 in frost, in quiet hours and on invalid inputs.
 
-    At a site with a valve on the low outlet it also commands the valve, even in frost and quiet
+    At a site with an outlet valve, the node also commands the valve, even in frost and in quiet
     hours.
     """
 
@@ -46,7 +46,7 @@ class ControllerNode(SimulationNode):
             controller: name of a controller, or ``package.module:Class``.
 
         Raises:
-            ConfigurationError: if there is no such controller.
+            ConfigurationError: if the controller does not exist.
         """
         self._choice = choice = find_controller(controller)
         _ = choice.kind  # fail before a node is made
@@ -103,7 +103,7 @@ class ControllerNode(SimulationNode):
             self.publish(topic.name, value)
 
     def progress(self) -> dict[str, Any]:
-        """Return the parameter changes."""
+        """Return the changes of the controller's parameters."""
         return self._settings.changes()
 
     def summary(self) -> dict[str, Any]:

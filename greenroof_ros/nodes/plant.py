@@ -1,4 +1,4 @@
-"""The plant node: simulates cistern and roof, and sets the pace of the graph.
+"""The plant node, which simulates the cistern and the roof, and sets the pace of the graph.
 
 In tick k it publishes ``/clock`` and the levels; waits for the weather, the command and, with an
 external pump, the flow; integrates the exact model over one tick; and publishes the clock and
@@ -46,19 +46,27 @@ def parameters(site: Site) -> list[Parameter]:
     return [
         site_file(),
         Parameter(
-            "initial_cistern_volume", cistern, "m3", 0, 1e9, "volume in the cistern at tick 0",
+            "initial_cistern_volume", cistern, "m3", 0, 1e9, "volume of water in the cistern at "
+            "tick 0",
         ),
-        Parameter("initial_roof_volume", roof, "m3", 0, 1e9, "volume on the roof at tick 0"),
-        Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601 with its offset"),
-        Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
-        Parameter("speed", 0.0, "", 0, 1e9, "simulated time per wall time; if 0, the run is as "
-            "fast as possible"),
         Parameter(
-            "pump", "internal", meaning="internal, or external if a driver publishes /pump/flow",
+            "initial_roof_volume", roof, "m3", 0, 1e9, "volume of water on the roof at tick 0",
+        ),
+        Parameter(
+            "start", DEFAULT_START, meaning="time of tick 0 in ISO 8601 format with UTC offset",
+        ),
+        Parameter("run_length", site.N, "ticks", 1, 2**40, "number N of the last tick"),
+        Parameter(
+            "speed", 0.0, "", 0, 1e9, "simulated time divided by wall time; 0 for as fast as "
+            "possible",
+        ),
+        Parameter(
+            "pump", "internal", meaning="source of /pump/flow: internal for the plant, or "
+            "external for a pump driver",
             among=("internal", "external"),
         ),
         *PARAMETERS.values(),
-        Parameter("record", False, meaning="wait for a recorder"),
+        Parameter("record", False, meaning="wait for the recorder node"),
         Parameter("peer_limit", 5.0, "", 2, 1e6, "maximum wait for another node (s of wall time)"),
         Parameter(
             "start_limit", 30.0, "", 0.1, 1e6, "maximum wait for the other nodes to appear (s of "
@@ -68,7 +76,7 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 class PlantNode(SimulationNode):
-    """Simulates the plant, and paces the ticks."""
+    """Node that simulates the plant and paces the ticks."""
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics."""
@@ -128,11 +136,11 @@ class PlantNode(SimulationNode):
         self._publish_if_due()
 
     def _behind(self) -> bool:
-        """Whether the recorder is as far behind as allowed."""
+        """Return True if the recorder's lag has reached its limit."""
         return self._record and self._site.tick >= self._written + _AHEAD
 
     def all_arrived(self) -> bool:
-        """Whether all messages have arrived at their readers, and are flushed to the bag."""
+        """Return True if all messages have reached their readers and are flushed to the bag."""
         recorded = not self._record or self._written > self._run_length
         return recorded and super().all_arrived()
 
@@ -157,11 +165,11 @@ class PlantNode(SimulationNode):
         self.set_time(now)
 
     def on_inputs(self) -> None:
-        """Compute the next tick of the plant: all inputs of this tick have arrived."""
+        """Compute the next tick of the plant from the inputs of this tick."""
         if not self._running or self._paused:
             raise OccupiedError(
-                f"answers to tick {self._site.tick} arrived before it was published: nodes of an "
-                "earlier run are still in this graph; end them"
+                f"answers to tick {self._site.tick} arrived before the tick was published: nodes "
+                "of an earlier run are still in this graph; stop them"
             )
         site = self._site
         if site.tick == 0:
@@ -203,7 +211,7 @@ class PlantNode(SimulationNode):
             self.publish("/pump/flow", flows.pump)
 
     def _publish_if_due(self) -> None:
-        """Publish a tick that waited, if it is due and the recorder is not too far behind."""
+        """Publish the waiting tick if it is due and the recorder is not too far behind."""
         self._pace.cancel()
         if not self._paused or self._behind():
             return
@@ -215,10 +223,10 @@ class PlantNode(SimulationNode):
             self._publish_tick()
 
     def on_timer(self, now: float) -> None:
-        """Start the run once all nodes are there, and check timeouts.
+        """Start the run once all nodes are present, and check timeouts.
 
         Raises:
-            LockstepError: if a node is missing, or does not answer.
+            LockstepError: if a node is missing or does not answer in time.
         """
         if self.finished:
             return
@@ -244,7 +252,7 @@ class PlantNode(SimulationNode):
             raise LockstepError(f"tick {tick}: no message within {limit:g} s on {missing}")
 
     def limit(self) -> float:
-        """Return the maximum wait for another node at present (s of wall time)."""
+        """Return the current maximum wait for another node (s of wall time)."""
         # Nodes that have not answered yet may still be joining, which takes seconds on a busy
         # machine.
         answered = self._site.tick and (self._written or not self._paused)
@@ -253,8 +261,8 @@ class PlantNode(SimulationNode):
     def progress(self) -> dict[str, Any]:
         """Return the tick, the levels (m) and the command.
 
-        These are from the tick that was published last, whose time is the report's stamp: the next
-        one may already be computed, and be waiting for its time.
+        The values are from the tick that was published last, whose time is the time stamp of the
+        report. The next tick may already be computed and waiting to be due.
         """
         tick, cistern, roof = self._published
         return {
@@ -265,7 +273,7 @@ class PlantNode(SimulationNode):
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return the metrics of the run, its weeks, events and duration (s of wall time)."""
+        """Return the metrics, weeks, events and duration (s of wall time) of the run."""
         return {
             "metrics": self._site.metrics.results(),
             "weeks": self._site.metrics.weekly_deviations(),

@@ -1,4 +1,4 @@
-"""The recorder node of a simulation: writes every message of every tick to a bag, once."""
+"""The recorder node of a simulation, which writes every message of every tick to a bag once."""
 
 from __future__ import annotations
 
@@ -27,11 +27,15 @@ def parameters(site: Site | None = None) -> list[Parameter]:
     """Return the node's parameters, which are the same at every site."""
     return [
         site_file(),
-        Parameter("directory", "bag", meaning="directory of the bag, which must not exist"),
         Parameter(
-            "controller", DEFAULT, meaning="the active controller: a name, or package.module:Class",
+            "directory", "bag", meaning="directory in which the bag is created; it must not exist",
         ),
-        Parameter("peer_limit", 5.0, "s", 0.1, 1e6, "maximum wait for the last messages"),
+        Parameter(
+            "controller", DEFAULT, meaning="name of the active controller, or package.module:Class",
+        ),
+        Parameter(
+            "peer_limit", 5.0, "s", 0.1, 1e6, "maximum wait for the messages of the last tick",
+        ),
     ]
 
 
@@ -41,7 +45,7 @@ _MAX_AHEAD = 1000
 
 
 class RecorderNode(SimulationNode):
-    """Writes complete ticks, in the order of the interface, with their simulated time.
+    """Node that writes complete ticks with their simulated time, in the order of the interface.
 
     The k-th message of a topic belongs to tick k. The bag uses the full names of topics, including
     the namespace of the graph.
@@ -67,7 +71,7 @@ class RecorderNode(SimulationNode):
             self._bag = BagWriter(Path(directory), self._in_bag)
         except FileExistsError:
             raise ConfigurationError(
-                "exists; the recorder never overwrites a bag", key="directory", value=directory
+                "exists, but the recorder never overwrites a bag", key="directory", value=directory
             ) from None
         self._closed = False
         self._ending_since: float | None = None
@@ -78,18 +82,18 @@ class RecorderNode(SimulationNode):
             self.record(name, partial(self._receive, name))
 
     def _receive(self, name: str, message: bytes) -> None:
-        """Queue a message of a topic, and write every tick that is now complete.
+        """Queue a message of a topic, and write every tick that has become complete.
 
         Raises:
-            LockstepError: if the topic is further ahead of the others than lockstep allows.
+            LockstepError: if the topic is further ahead of the other topics than lockstep allows.
         """
         queue = self._queues[name]
         queue.append(message)
         if len(queue) > _MAX_AHEAD:
             late = min(self._queues, key=lambda other: len(self._queues[other]))
             raise LockstepError(
-                f"{name} is {len(queue)} messages ahead of {late}; a topic must have one message "
-                "for each tick"
+                f"{name} is {len(queue)} messages ahead of {late}, but every topic must have one "
+                "message per tick"
             )
         while all(self._every_queue):
             now = decode_clock(self._queues[CLOCK][0])
@@ -112,11 +116,11 @@ class RecorderNode(SimulationNode):
 
     @property
     def acted(self) -> bool:
-        """Whether it has written a tick."""
+        """Whether the recorder has written at least one tick."""
         return self._bag.written > 0
 
     def _end_if_complete(self) -> None:
-        """Close the bag once it has the last tick, and nothing is left over."""
+        """Close the bag once the last tick is written, unless there are superfluous messages."""
         run = self.lockstep.run
         if self.finished or run is None or self._bag.written <= run.last_tick:
             return
@@ -126,10 +130,10 @@ class RecorderNode(SimulationNode):
             self.finish()
 
     def on_timer(self, now: float) -> None:
-        """Fail if the last tick stays incomplete beyond the limit.
+        """Raise an error if the last tick is still incomplete after the limit.
 
         Raises:
-            LockstepError: if a topic lacks messages, or has too many.
+            LockstepError: if a topic has too few or too many messages.
         """
         run = self.lockstep.run
         if self.finished or run is None:
@@ -170,7 +174,7 @@ class RecorderNode(SimulationNode):
         )
 
     def on_stop(self) -> None:
-        """Close the bag, which then holds the complete ticks."""
+        """Close the bag, which then contains all complete ticks."""
         if not self._closed:
             self._close()
 

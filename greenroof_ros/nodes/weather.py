@@ -1,4 +1,4 @@
-"""The weather node: answers every ``/clock`` with weather and forecast, from records."""
+"""The weather node, which answers every ``/clock`` with recorded weather and with forecasts."""
 
 from __future__ import annotations
 
@@ -29,32 +29,36 @@ def parameters(site: Site) -> list[Parameter]:
     """Return the node's parameters."""
     return [
         site_file(),
-        Parameter("weather_files", [str(default_weather())], meaning="hourly records, joined"),
-        Parameter("start", DEFAULT_START, meaning="time of tick 0, ISO 8601"),
+        Parameter(
+            "weather_files", [str(default_weather())], meaning="files of hourly weather records, "
+            "joined in time",
+        ),
+        Parameter("start", DEFAULT_START, meaning="time of tick 0 in ISO 8601 format"),
         Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
         Parameter(
-            "evapotranspiration", "", meaning="fao56, hargreaves, monthly, or the name of the "
-                "file's own column; if empty, the file's own column is used, otherwise the first "
-                "of these methods that the file allows",
+            "evapotranspiration", "", meaning="method for evapotranspiration: fao56, hargreaves, "
+            "monthly, or the name of the weather file's own column; if empty, the file's own "
+            "column or, without one, the first of these methods that the file allows",
         ),
         Parameter(
-            "gaps", REFUSE, meaning="reject a run with a missing hour, or fill the hour: no rain, "
-                "and everything else with the mean at that time of day over the three days before "
-            "and after",
+            "gaps", REFUSE, meaning="treatment of missing hours: reject the run, or fill the hour "
+            "with no rain and, for all other quantities, with the mean at the same time of day "
+            "over the three days before and after",
             among=GAPS,
         ),
         *look_ahead_parameters(),
         Parameter(
-            "outlet_horizon", 0.0, "", 0.0, MAX_HORIZON, "how far the forecasts reach for a plan "
-            "of the outlet valve (h), in further steps; if 0, they reach no further",
+            "outlet_horizon", 0.0, "", 0.0, MAX_HORIZON, "length of the forecasts for a plan of "
+            "the outlet valve (h), in additional steps; 0 for no additional steps",
         ),
         Parameter(
             "forecast", PERFECT,
-            meaning=f"{', '.join(MODELS)}, or a file or directory of archived forecasts",
+            meaning=f"forecast model ({', '.join(MODELS)}), or a file or directory of archived "
+            "forecasts",
         ),
         *(
             replace(parameter, default=_USUAL_DELAY, low=_USUAL_DELAY,
-                    meaning=f"{parameter.meaning}; {_USUAL_DELAY:g} for the default")
+                    meaning=f"{parameter.meaning}; {_USUAL_DELAY:g} for the usual value")
             if parameter.default is None else parameter
             for parameter in INPUTS.values()
         ),
@@ -62,10 +66,10 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 def _choose_forecast(values: dict[str, Any]) -> ForecastChoice:
-    """Return the choice of forecasts that the parameters make.
+    """Return the choice of forecasts that corresponds to the values of the parameters.
 
     Raises:
-        ConfigurationError: if a parameter is wrong.
+        ConfigurationError: if a parameter is invalid.
     """
     with rename_keys({name: f"parameter {name} of weather" for name in ("forecast", *INPUTS)}):
         options = choose(values["forecast"]).option_names
@@ -76,13 +80,13 @@ def _choose_forecast(values: dict[str, Any]) -> ForecastChoice:
 
 
 class WeatherNode(SimulationNode):
-    """Publishes the weather and the forecasts of a run."""
+    """Node that publishes the weather and the forecasts of a run."""
 
     def __init__(self) -> None:
         """Declare the parameters, read the records and open the topics.
 
         Raises:
-            ConfigurationError: if a parameter or a file is wrong.
+            ConfigurationError: if a parameter or a weather file is invalid.
         """
         super().__init__("weather", "weather")
         site = self.declare_site()
@@ -105,7 +109,7 @@ class WeatherNode(SimulationNode):
         self._weather = WeatherOutputs(self, site, values["horizon"], values["outlet_horizon"])
 
     def on_inputs(self) -> None:
-        """Publish the weather of the tick, and the forecasts known at that time."""
+        """Publish the weather of the tick, and the forecasts known at the time of the tick."""
         tick = self._tick(self._time.value)
         hour, forecast = self._series.at(tick), self._forecast
         # The controller's inputs come first, since it takes the longest.
@@ -118,16 +122,16 @@ class WeatherNode(SimulationNode):
         self.set_time(self._time.value)
 
     def _tick(self, time_ns: int) -> int:
-        """Return the tick that begins at a time.
+        """Return the number of the tick that begins at a time (ns since 1970).
 
         Raises:
-            LockstepError: if no tick of the run begins then.
+            LockstepError: if no tick of the run begins at the time.
         """
         tick, remainder = divmod(time_ns - self._start_ns, self._tick_ns)
         if remainder or not 0 <= tick <= self._last_tick:
             raise LockstepError(
-                f"/clock is at tick {tick} of a run of {self._last_tick}; plant and weather were "
-                "started for different runs"
+                f"/clock is at tick {tick}, but this run has ticks 0 to {self._last_tick}: plant "
+                "and weather were started for different runs"
             )
         return tick
 

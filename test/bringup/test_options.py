@@ -177,22 +177,23 @@ NO_EFFECT = {
         f"line 4: /**/pump: drive = 'danfoss_fc202': {_ONLY_BRINGUP}",
     # A real drive would run on levels at another speed than --speed, which is refused.
     "site1/plant:\n  ros__parameters:\n    speed: 60.0\n":
-        "line 3: site1/plant: speed = 60.0: must not be set for the node plant here: under "
-        "bringup --speed sets it",
+        "line 3: site1/plant: speed = 60.0: must not be set for the node plant in this file: "
+        "under bringup, --speed sets it",
     # The summary has what the options say.
     "/**:\n  ros__parameters:\n    level: 1\n    fraction: 0.5\n":
-        "line 4: /**: fraction = 0.5: must not be set for the node onoff here: under bringup "
-        "--fraction sets it",
+        "line 4: /**: fraction = 0.5: must not be set for the node onoff in this file: "
+        "under bringup, --fraction sets it",
     "/site1/plant:\n  ros__parameters:\n    run_length: 4\n":
-        "line 3: /site1/plant: run_length = 4: must not be set for the node plant here: under "
-        "bringup an option of greenroof run sets it",
+        "line 3: /site1/plant: run_length = 4: must not be set for the node plant in this file: "
+        "under bringup, an option of greenroof run sets it",
     "/plant:\n  ros__parameters:\n    record: true\n":
-        "line 1: /plant: bringup starts no such node; the closest is /**/plant; it starts /site1/",
+        "line 1: /plant: bringup starts no such node; the closest match is /**/plant; "
+        "bringup starts /site1/",
     "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    max_volume_per_dai: 0.5\n":
         "line 4: /**/pump: max_volume_per_dai = 0.5: there is no such parameter; the closest "
         "is max_volume_per_day;",
     "# mine\n/**/pum:\n  ros__parameters:\n    min_off: 1.0\n":
-        "line 2: /**/pum: bringup starts no such node; the closest is /**/pump;",
+        "line 2: /**/pum: bringup starts no such node; the closest match is /**/pump;",
     "pump:\n  max_volume_per_day: 0.5\n":
         "line 2: pump: max_volume_per_day = 0.5: has no effect here: write /**/NODE: {ros__",
 }
@@ -220,7 +221,7 @@ def test_a_parameter_that_would_have_no_effect(tmp_path: Path, text: str) -> Non
         ("--remap a", "Couldn't parse remap rule"),
         ("-p plant:speed:=4", "is not a parameter of the controller's node, onoff"),
         ("-p weight:=4", "is not a parameter of the controller's node, onoff"),
-        ("--params-file a.yaml", "with --parameters FILE, others with --node-parameters FILE"),
+        ("--params-file a.yaml", "with --parameters FILE, and the parameters of other nodes"),
         ("--log-level loud", "Couldn't parse log level"),
         ("--nonsense", "--ros-args: ['--nonsense']"),
     ],

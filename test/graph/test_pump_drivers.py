@@ -167,5 +167,5 @@ def test_publisher_that_does_not_fit_is_named_at_once(domain: int, tmp_path: Pat
     warnings = [line for line in process.stderr().splitlines() if "warning" in line]
     assert warnings == [
         "warning: /pump/flow has a publisher with an incompatible QoS (pump): it is volatile, but "
-        "must be reliable, transient local, keep last 64; change it, or end it"
+        "must be reliable, transient local, keep last 64; change its QoS, or stop it"
     ]

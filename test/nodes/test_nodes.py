@@ -55,7 +55,7 @@ def test_bad_command_acts_as_zero_and_is_counted(observer: Observer) -> None:
     assert report["metrics"]["pumped_m3"] == 0.0
     assert flows == [0.0] * 21
     plant.terminate()
-    assert "further ones are only counted" in plant.communicate(timeout=300)[1]
+    assert "later rejections are counted but not logged" in plant.communicate(timeout=300)[1]
 
 
 @pytest.mark.parametrize(

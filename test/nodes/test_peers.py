@@ -68,7 +68,7 @@ def test_started_by_hand_gives_the_bag_of_bringup(
     nodes.node("recorder", directory="bag").until_printed("waiting for plant, the controller\n")
     plant = nodes.node("plant", run_length=360, record="true")
     plant.until_printed("waiting for the controller\n")
-    weather.until_printed("its inputs have publishers\n")
+    weather.until_printed("all inputs have publishers\n")
     nodes.node("mpc")
     plant.until_printed("finished 360 ticks")
     for name in nodes.started:
@@ -105,7 +105,7 @@ def test_plant_that_is_killed_ends_the_others(
     for name in ("weather", "onoff", "recorder"):
         assert nodes.code(name) == 1, name
         (line,) = [line for line in nodes.log(name).splitlines() if line.startswith("error: ")]
-        assert "plant has ended" in line
+        assert "the plant has stopped" in line
     with file.open("rb") as stream:
         assert make_reader(stream, validate_crcs=True).get_summary() is not None
 
@@ -172,9 +172,9 @@ WRONG: dict[str, tuple[str, Messages, Messages, int, str]] = {
         "onoff", INPUTS, [LEVEL, RUN], 1, "/cistern/level has a second message in tick 1 ("),
     "another run": (
         "onoff", [("/run", [7.0, 5.0, 0.0]), *INPUTS], [("/run", [8.0, 5.0, 0.0])], 1,
-        "the plant was started again, or there are two"),
+        "the plant was restarted, or there are two plants"),
     "a plant of another version": (
-        "onoff", [("/run", [7.0, 5.0])], [], 1, "the plant has another version"),
+        "onoff", [("/run", [7.0, 5.0])], [], 1, "the plant is from another version"),
     "one more of a topic": ("recorder", [RUN, *RECORDED, LEVEL], [], 1, f"{COUNT}level: 2\n"),
     "one less of a topic": (
         "recorder", [RUN, *(message for message in RECORDED if message != LEVEL)], [], 1,
