@@ -61,8 +61,8 @@ def test_a_season_is_as_the_readme_says(
     reserve = 10 * 0.004 * names["site"].a2
     for run, name in (
         (closed, "closed"),
-        (drain, f"drains to a fixed reserve of {reserve:.2f} m³ in dry weather"),
-        (plan, "plans with a perfect forecast"),
+        (drain, f"drains the cistern to a fixed reserve of {reserve:.2f} m³ in dry weather"),
+        (plan, "follows a plan with a perfect forecast"),
     ):
         figures = f"{run['wet_discharge_m3']:.1f} m³ | {run['mains_m3']:.1f} m³"
         assert f"| {name} | {figures} |" in README
@@ -80,7 +80,7 @@ def test_a_season_is_as_the_readme_says(
     wet, perfect = dry["wet_discharge_m3"], plan["wet_discharge_m3"]
     assert f"{wet:.1f} m³ reaches the sewer in wet weather, and {perfect:.1f} m³ with" in README
     errors = gr.simulate("onoff", outlet="plan", forecast="errors", **names["season"]).metrics
-    assert f"of weather services, it was {errors['wet_discharge_m3']:.1f} m³" in README
+    assert f"of weather services, {errors['wet_discharge_m3']:.1f} m³ reaches the sewer" in README
     watering = gr.simulate("lookahead", outlet="closed", **names["season"]).metrics
     assert closed["stress_hours"] == 0
     assert f"plants lack water for {watering['stress_hours']:.0f} hours instead of none" in README
@@ -98,7 +98,7 @@ def test_the_storm_is_the_animations() -> None:
         "onoff", site=gr.read_site(CHECKOUT / "config" / "site_valve.yaml", tau=60.0, M=1),
         start="2021-07-07T00:00", hours=48,
     )
-    assert f"of {storm.metrics['rain_m3']:.1f} m³ of rain" in README
+    assert f"Of {storm.metrics['rain_m3']:.1f} m³ of rain" in README
 
 
 def test_faults_are_those_of_the_campaign() -> None:
