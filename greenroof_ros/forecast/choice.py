@@ -45,17 +45,19 @@ class ForecastChoice:
     model: str = PERFECT
     file: Path | None = None
     skill: str = entry(
-        "how good the forecasts of errors and ensemble are. real: as good as a weather service's; "
-        "better: like real ones at half the lead time; worse: like real ones at twice the lead "
-        "time; a FILE.yaml: as stated in the file", default=REAL,
+        "skill of the forecasts that errors and ensemble generate: real for that of a weather "
+        "service; better or worse for the skill of real forecasts at half or twice the lead "
+        "time; or a FILE.yaml that states the skill", default=REAL,
     )
     seed: int = entry(
         "random seed of the forecast errors, for errors and ensemble", 0, 2**31 - 1, default=0,
     )
     members: int = entry("number of members of an ensemble", 1, MAX_MEMBERS, default=10)
     delay: float | None = entry(
-        "errors, ensemble, a file: time from an issue's nominal time until it is available; by "
-        f"default {SERVICE_DELAY_H:g} h for the first two, and the usual delay for a file's kind: "
+        "for errors, ensemble and a file: time from the nominal time of an issue until the issue "
+        "is available; by "
+        f"default {SERVICE_DELAY_H:g} h for errors and ensemble, and the usual delay of the kind "
+        "of file: "
         "0 for this project's format, which states when it was available", 0.0, 48.0, unit="h",
         default=None,
     )

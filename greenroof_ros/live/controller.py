@@ -63,12 +63,12 @@ _DECIDING_S = 3.0
 _STARTING_S = 12.0
 LIVE_PARAMETERS = live_parameters([*_INPUTS, _FLOW, _GAUGE])
 STATE_FILE = Parameter(
-    "state_file", "", meaning="file in which the cost of waiting for rain so far is stored across "
-        "restarts; if empty, it is not stored",
+    "state_file", "", meaning="file that preserves the cost of waiting for rain across restarts; "
+        "if empty, the cost is not preserved",
 )
 GIVEN_UP = Parameter(
-    "given_up", "", meaning="reason why the controller cannot run and on/off control replaces it; "
-        "set by bringup; empty if the controller runs",
+    "given_up", "", meaning="reason for which bringup has replaced the controller by on/off "
+        "control; empty if the controller runs",
 )
 # How often learned values are saved (s).
 _SAVE_S = 600.0

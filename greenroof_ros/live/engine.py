@@ -34,19 +34,17 @@ PAUSE_S = 1.0
 _FIRST_S = 1.0
 
 RECOVERY = Parameter(
-    "recovery_time", 10.0, "s", 0.0, 86400.0, "time for which an input that was not good must be "
-        "good before it is used again",
+    "recovery_time", 10.0, "s", 0.0, 86400.0, "time for which an input that broke a rule must keep "
+        "all rules before it is used again",
 )
 _FROZEN_MOVEMENT = Parameter(
-    "frozen_movement", 0.01, "", 1e-6, 10.0, "a level is considered frozen if it does not change "
-        "although pump and rain must have moved it by this much (m); this must be above the "
-        "sensor's resolution",
+    "frozen_movement", 0.01, "", 1e-6, 10.0, "movement that pump and rain must have caused before "
+        "an unchanged level is considered frozen (m); must exceed the sensor's resolution",
 )
 _JUMP_TOLERANCE = Parameter(
-    "jump_tolerance", 0.02, "", 1e-6, 10.0, "largest difference between two values of a level "
-        "beyond what water can cause in between (m); this should be at least 10 times the "
-        "sensor's noise (standard "
-    "deviation)",
+    "jump_tolerance", 0.02, "", 1e-6, 10.0, "maximum difference between two successive values of a "
+        "level, beyond the change that water can cause in the time between them (m); should be at "
+        "least 10 times the standard deviation of the sensor's noise",
 )
 
 

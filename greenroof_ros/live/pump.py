@@ -58,16 +58,16 @@ _AGAIN_S, _REPORT_S = 0.5, 0.2
 _OWN = (
     *CHOICE,
     Parameter(
-        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "longest communication timeout that the "
-        "drive itself may have",
+        "drive_timeout_limit", 10.0, "s", 0.1, 60.0, "maximum permitted value of the drive's own "
+            "communication timeout",
     ),
     Parameter(
-        "local_settings_stop_the_pump", False, meaning="true confirms that someone has set the "
-        "pump to stop when the bus connection ends, and has seen it stop; needed if that setting "
-        "cannot be read",
+        "local_settings_stop_the_pump", False, meaning="confirmation that the drive has been set "
+            "to stop the pump when the bus connection is lost, and that the pump has been seen to "
+            "stop; must be true if that setting cannot be read",
     ),
     Parameter(
-        "state_file", "", meaning="file in which a hold, a fault and the use in 24 h are stored "
+        "state_file", "", meaning="file that preserves a hold, a fault and the pump's use in 24 h "
             "across restarts; if empty, greenroof_ros/NAME.json in $XDG_STATE_HOME or "
             "~/.local/state",
     ),

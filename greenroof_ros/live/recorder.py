@@ -43,7 +43,7 @@ def parameters(site: Site | None = None) -> list[Parameter]:
         Parameter("directory", "bag", meaning="directory of the bag; an existing bag is continued"),
         Parameter(
             "total_limit", 10_000.0, "MB", 0.2, 1e9, "size beyond which the bag's oldest files are "
-            "removed; a file has at most a tenth of this size, and at most 100 MB",
+                "removed; each file is limited to a tenth of this size, and to 100 MB",
         ),
     ]
 

@@ -51,31 +51,31 @@ def parameters(site: Site) -> list[Parameter]:
         site_file(),
         *look_ahead_parameters(),
         Parameter(
-            "forecast", "", meaning="a FILE.csv, which is read again whenever it is replaced; if "
-                "empty, there is no forecast",
+            "forecast", "", meaning="forecast file (FILE.csv), which is read again whenever it is "
+                "replaced; empty for no forecast",
         ),
         Parameter(
-            "fetch", "", meaning="interface of Open-Meteo from which to fetch forecasts, which are "
-            "kept in the FILE.csv of forecast and next to it; if empty, someone else writes the "
-            "file",
+            "fetch", "", meaning="interface of Open-Meteo from which forecasts are fetched; they "
+                "are stored in the file that the parameter forecast names, and next to it. If "
+                "empty, another program writes that file",
             among=("", *INTERFACES),
         ),
         Parameter(
             "fetch_model", "", meaning="Open-Meteo's name for the weather model; if empty, "
-                "Open-Meteo chooses one",
+                "Open-Meteo chooses the model",
         ),
-        Parameter("fetch_url", "", meaning="server compatible with Open-Meteo; if empty, "
-            "Open-Meteo's own server"),
+        Parameter("fetch_url", "", meaning="address of a server that is compatible with "
+            "Open-Meteo; if empty, Open-Meteo's own server is used"),
         Parameter(
-            "fetch_every", 30.0, "min", 10.0, 1440.0, "time between two fetched forecasts"
-        ),
-        Parameter(
-            "issue_limit", 7200.0, "s", 1.0, 1e6, "maximum time since the newest forecast in the "
-                "file was issued",
+            "fetch_every", 30.0, "min", 10.0, 1440.0, "interval at which forecasts are fetched"
         ),
         Parameter(
-            "unknown_frost_may_pump", False, meaning="true: an unknown temperature is treated as "
-            "no frost; false: it keeps the pumps off",
+            "issue_limit", 7200.0, "s", 1.0, 1e6, "maximum age of the newest forecast in the file, "
+                "counted from its time of issue",
+        ),
+        Parameter(
+            "unknown_frost_may_pump", False, meaning="whether an unknown temperature is treated as "
+                "no frost; if false, it keeps the pumps off",
         ),
         *live_parameters(_GAUGES),
     ]

@@ -34,16 +34,16 @@ def parameters(site: Site) -> list[Parameter]:
             "joined in time",
         ),
         Parameter("start", DEFAULT_START, meaning="time of tick 0 in ISO 8601 format"),
-        Parameter("run_length", site.N, "ticks", 1, 2**40, "N"),
+        Parameter("run_length", site.N, "ticks", 1, 2**40, "number N of the last tick"),
         Parameter(
             "evapotranspiration", "", meaning="method for evapotranspiration: fao56, hargreaves, "
             "monthly, or the name of the weather file's own column; if empty, the file's own "
             "column or, without one, the first of these methods that the file allows",
         ),
         Parameter(
-            "gaps", REFUSE, meaning="treatment of missing hours: reject the run, or fill the hour "
-            "with no rain and, for all other quantities, with the mean at the same time of day "
-            "over the three days before and after",
+            "gaps", REFUSE, meaning="treatment of a missing hour: refuse rejects the run; fill "
+            "assumes no rain in that hour and, for all other quantities, the mean at the same time "
+            "of day over the three days before and after",
             among=GAPS,
         ),
         *look_ahead_parameters(),

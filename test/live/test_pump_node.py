@@ -335,7 +335,7 @@ def test_quiet_hours_are_of_the_sites_time(rig: PumpRig) -> None:
         f'quiet_hours: ["{begin:%H:%M}-{end:%H:%M}"]', "time_zone: UTC", "utc_offset: 0"
     ))
     rig.join()
-    held = f"held: these are quiet hours, until {end:%Y-%m-%d %H:%M}+00:00"
+    held = f"held: quiet hours are in force until {end:%Y-%m-%d %H:%M}+00:00"
     rig.tick_until(0.5, lambda: rig.state == held, LATE, held)
     rig.until_code("pump", "quiet_hours")
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
@@ -510,7 +510,7 @@ def test_a_dose_by_the_command(rig: PumpRig) -> None:
     assert rig.call(SetBool, "stop", data=True).success
     rig.tick_until(0.0, lambda: process.process.poll() is not None, LATE, "its end")
     assert process.wait(1) == 1
-    assert "error: the dose ended early, at " in process.stderr()
+    assert "error: the dose ended early, after " in process.stderr()
     rig.tick_until(0.0, lambda: rig.code("dose") == "dose_ended_early", LATE, "its code")
     assert rig.call(SetBool, "stop", data=False).success
     assert [rig.tick(0.0) for _ in range(20)][10:] == [0.0] * 10

@@ -864,7 +864,7 @@ def test_if_a_part_cannot_be_shown_the_pump_can_be_stopped(
 def test_quiet_hours_are_no_warning() -> None:
     """Every night: the pump is off as intended."""
     graph = watched("live")
-    why = "these are quiet hours, until 07:00"
+    why = "quiet hours are in force until 07:00"
     graph.add_statuses(100.0, node(
         "/pump", "pump", ("pump", OK, f"held: {why}", "quiet_hours"),
         **pump_report(f"held: {why}"), stands=True,

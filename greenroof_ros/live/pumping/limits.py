@@ -64,47 +64,50 @@ class PumpSettings:
     """
 
     min_speed: float = entry(
-        "minimum speed of the drive, as a share of the rated speed; the drive file may set a "
-        "higher one",
+        "minimum speed of the drive, as a share of the rated speed; the drive file may specify a "
+        "higher minimum",
         0.05, 1.0, unit="1", default=0.3,
     )
     min_flow: float = entry(
-        "minimum continuous flow, as a share of the maximum; below it the pump runs in pulses",
+        "minimum flow for continuous operation, as a share of the maximum flow; a smaller flow "
+        "is delivered in pulses",
         0.01, 1.0, unit="1", default=_MIN_FLOW,
     )
     min_on: float = entry(
-        "minimum time on", 0.0, 3600.0, unit="s", default=10.0
+        "minimum time for which the pump stays on after a "
+        "start", 0.0, 3600.0, unit="s", default=10.0
     )
     min_off: float = entry(
-        "minimum time off", 0.0, 3600.0, unit="s", default=10.0
+        "minimum time for which the pump stays off after a "
+        "stop", 0.0, 3600.0, unit="s", default=10.0
     )
     starts_per_hour: float = entry(
-        "maximum number of starts in any hour; default: the number in the site "
+        "maximum number of starts in any hour; by default the number in the site "
         "file", 1.0, 3600.0, unit="1/h"
     )
     max_run: float = entry(
-        "maximum uninterrupted run; default: the time in which a fifth of the flow fills an empty "
-        "roof",
+        "maximum time on without a break; by default the time in which a fifth of the maximum "
+        "flow fills an empty roof",
         1.0, DAY_S, unit="s",
     )
     max_run_per_day: float = entry(
-        "maximum time on in any 24 h; default: the time in which a fifth of the flow delivers the "
-        "maximum volume",
+        "maximum time on in any 24 h; by default the time in which a fifth of the maximum flow "
+        "delivers the default of max_volume_per_day",
         1.0, DAY_S, unit="s",
     )
     max_volume_per_day: float = entry(
-        "maximum volume in any 24 h; default: 1.5 times the sum of the volume that fills an "
-        "empty roof and 10 mm for the plants",
+        "maximum volume pumped in any 24 h; by default 1.5 times the volume that fills an empty "
+        "roof and replaces 10 mm of evapotranspiration",
         1e-6, 1e9, unit="m3",
     )
     drive_ramp: float = entry(
-        "the drive's own ramp, from rest to rated speed or back (the longer of the two); the "
-        "default is the longest that a drive may have",
+        "duration of the drive's own ramp between rest and rated speed, up or down, whichever is "
+        "longer; the default is the longest permitted ramp",
         0.0, 30.0, unit="s", default=30.0,
     )
     follow_time: float = entry(
-        "time for which the speed may differ from the requested one, or from the speed that the "
-        "ramp has reached on the way there, before the pump has a fault",
+        "maximum time for which the speed may differ from the requested speed, or from the speed "
+        "that the ramp has reached on the way to it, before a fault is latched",
         0.1, 600.0, unit="s", default=12.0,
     )
     averaging_time: float = entry(
@@ -112,22 +115,24 @@ class PumpSettings:
         1.0, 3600.0, unit="s", default=60.0,
     )
     level_tolerance: float = entry(
-        "unexplained change of a mean level that the delivery check tolerates: 13 times the noise "
-        "of a mean of readings every second with errors of 5 mm, and above a sensor's resolution",
+        "unexplained change of a mean level that the delivery check tolerates; must exceed the "
+        "sensor's resolution. The default is 13 times the noise of the mean if readings arrive "
+        "every second with errors of 5 mm",
         1e-4, 1.0, unit="m", default=0.006,
     )
     level_offset: float = entry(
-        "maximum permanent error of a level sensor, up or down; the dry-run cut is this far "
-        "above the suction level",
+        "maximum permanent error of a level sensor, up or down; also the height of the dry-run "
+        "cut-off above the suction level",
         0.0, 1.0, unit="m", default=0.02,
     )
     min_delivery: float = entry(
-        "share of the pumped volume that must reach the roof; the pumped volume divided by this "
-        "share is the most that may leave the cistern",
+        "minimum share of the pumped volume that must reach the roof; the cistern may lose at "
+        "most the pumped volume divided by this share",
         0.05, 0.95, unit="1", default=0.5,
     )
     max_loss: float = entry(
-        "maximum evapotranspiration of an hour, and maximum drift of a level sensor",
+        "maximum rate of change of a level that the delivery check attributes to "
+        "evapotranspiration or to the drift of a sensor",
         0.01, 1000.0, unit="mm/h", default=1.0,
     )
 

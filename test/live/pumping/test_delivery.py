@@ -63,7 +63,7 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
         # A pump with 0.01 m3/s and a roof that does not rise, with a reading that moves by 1 um:
         # 0.005 t > 0.4128 + 68.8 2.7778e-7 t after 82.88 s.
         (PAPER_SITE, 1.0, {"fall": 0.0004, "wobble": 1e-6, "pumped": 0.01}, 83,
-         "perhaps a burst pipe or a leak behind the pump"),
+         "perhaps a burst pipe or a leak downstream of the pump"),
         # A cistern that loses 0.01 m3/s: 0.01 t > 0.15 + 25 2.7778e-7 t after 15.01 s.
         (PAPER_SITE, 1.0, {"fall": 0.0004}, 16, "or someone else takes water"),
         # One that does not fall, though 0.01 m3/s reach the roof: 0.005 t > 0.15 + 25 2.7778e-7 t
@@ -75,7 +75,7 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
          "or water flows into the cistern"),
         # A roof that stands still: 0.01 t > 0.4128 + 68.8 2.7778e-7 t after 41.36 s.
         (PAPER_SITE, 60.0, {"fall": 0.0004, "pumped": 0.01}, 42,
-         "behind the pump, or the roof's sensor is stuck"),
+         "downstream of the pump, or the roof's sensor is stuck"),
         # Both: 0.01 t > 0.15 + 25 2.7778e-7 t after 15.01 s.
         (PAPER_SITE, 60.0, {"pumped": 0.01}, 16,
          "an empty pipe or an empty cistern, or both sensors are stuck"),
@@ -170,7 +170,7 @@ def test_a_level_that_is_held_is_no_alarm() -> None:
     assert rig.delivered > 2 * 0.006 * 68.8
 
 
-BURST = "perhaps a burst pipe or a leak behind the pump"
+BURST = "perhaps a burst pipe or a leak downstream of the pump"
 CLOSED = "perhaps a closed valve, a blocked pump, an empty pipe or an empty cistern"
 RUNS = "perhaps the pump runs although it should be off (a stuck contactor)"
 LEAK = "perhaps a leak, or someone else takes water"

@@ -272,7 +272,7 @@ def test_quiet_hours_begin_and_end_by_the_wall_over_a_change_of_clocks() -> None
     assert rig.run(30, 0.3).state == "running"
     decision = rig.step(0.3)
     assert (codes(decision), decision.speed) == (["quiet_hours"], None)
-    assert decision.why.startswith("these are quiet hours, until 2026-03-08 04:00-04:00")
+    assert decision.why.startswith("quiet hours are in force until 2026-03-08 04:00-04:00")
     rig.run(30, 0.3)
     rig.now = ends - 5
     assert [rig.step(0.3).speed for _ in range(5)] == [None] * 5

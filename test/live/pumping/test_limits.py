@@ -88,14 +88,14 @@ def test_dry_run_with_hysteresis() -> None:
     rig.plant.x1 = 19.24
     decision = rig.step(1.0)
     assert (decision.speed, decision.state) == (None, "held")
-    assert decision.why.startswith("the cistern is at 0.770 m, which is not above 0.77 m")
+    assert decision.why.startswith("the cistern's level is 0.770 m, but must be above 0.77 m")
     rig.plant.x1 = 19.7
     rig.run(60, 1.0)
-    assert rig.decisions[-1].why == "the cistern is at 0.788 m, which is not above 0.79 m"
+    assert rig.decisions[-1].why == "the cistern's level is 0.788 m, but must be above 0.79 m"
     rig.plant.x1 = 19.8
     assert rig.run(60, 1.0).state == "running"
     rig.change = {"cistern_level": 0.77}
-    assert rig.step(1.0).why.startswith("the cistern is at 0.770 m, which is not above 0.77 m")
+    assert rig.step(1.0).why.startswith("the cistern's level is 0.770 m, but must be above 0.77 m")
 
 
 def test_volume_per_day() -> None:
@@ -118,7 +118,7 @@ def test_a_run_without_a_break() -> None:
     rig = Rig(x2=0.0, settings=settings_for(PAPER_SITE, max_run=99.5))
     rig.run(200, 0.3, until=lambda decision: decision.state == "held")
     assert rig.decisions[-1].why.startswith(
-        "it has run for 2 min without a break; it rests until the command is 0, or for 2 min"
+        "the pump has run for 2 min without a break, and rests until the command is 0 or for 2 min"
     )
     begun = rig.now
     rig.run(200, 0.3, until=lambda decision: decision.speed is not None)

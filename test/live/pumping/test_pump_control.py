@@ -120,9 +120,9 @@ def test_what_is_unknown_is_reported_so() -> None:
 @pytest.mark.parametrize(
     ("stuck", "command", "why"),
     [
-        (0.0, 0.5, "for 13 s, the pump has been turning at 0.00 of its speed although 0.6"),
-        (1.0, 0.5, "for 13 s, the pump has been turning at 1.00 of its speed although 0.6"),
-        (0.5, 0.0, "for 13 s, the pump has been turning at 0.50 of its speed although it"),
+        (0.0, 0.5, "for 13 s, the pump has been turning at 0.00 of its rated speed although 0.6"),
+        (1.0, 0.5, "for 13 s, the pump has been turning at 1.00 of its rated speed although 0.6"),
+        (0.5, 0.0, "for 13 s, the pump has been turning at 0.50 of its rated speed although it"),
     ],
 )
 def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) -> None:
@@ -137,7 +137,7 @@ def test_a_speed_that_does_not_follow(stuck: float, command: float, why: str) ->
     decision = rig.run(60, command, until=lambda decision: decision.state == "fault")
     assert decision.state == "fault"
     assert decision.speed is None
-    assert decision.why.startswith(f"the speed does not follow: {why}")
+    assert decision.why.startswith(f"the speed does not follow the command: {why}")
     assert 12 <= rig.now - begun <= 17
     rig.stuck_speed = None
     assert rig.run(100, command).state == "fault"
@@ -285,7 +285,7 @@ def test_no_flow_once_the_pump_stands() -> None:
     rig.change = {}
     assert rig.run(15, 1.0).state in ("starting", "running")
     rig.change = {"speed": -0.021}
-    assert rig.step(1.0).why == "the pump turns backwards, at 0.02 of its speed"
+    assert rig.step(1.0).why == "the pump turns backwards at 0.02 of its rated speed"
 
 
 @pytest.mark.parametrize("meter", ["flow", "drive_flow"])
