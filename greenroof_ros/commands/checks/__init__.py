@@ -1,1 +1,1 @@
-"""Checks of whether nodes in other packages keep to the interface."""
+"""Checks of whether nodes from other packages conform to the interface."""

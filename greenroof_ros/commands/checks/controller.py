@@ -1,4 +1,4 @@
-"""Checks over topics alone whether a controller's node keeps the rules of a lockstep graph."""
+"""Check, by topics only, of whether a controller node obeys the rules of a lockstep graph."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ ANSWER_S = 5.0
 
 
 class ControllerCheck(NodeCheck):
-    """Checks one controller's node."""
+    """Check of one controller node."""
 
     kind: ClassVar[str] = "controller"
     answer: ClassVar[str] = "command"
@@ -64,7 +64,8 @@ class ControllerCheck(NodeCheck):
             node: the node that plays the controller's peers.
             controller: name of the controller's node, without namespace.
             site: site that sets the levels.
-            horizon: how far the forecasts reach (h), in growing steps; 0 for the next M ticks.
+            horizon: length of the forecasts (h), with steps of growing length; 0 for the next M
+                ticks.
         """
         super().__init__(node, controller, site.tau, 0.0)
         self._site = site
@@ -101,29 +102,30 @@ class ControllerCheck(NodeCheck):
             for topic in _FORECASTS:
                 for value in _NOT_FINITE:
                     self._valid_command({topic: value})
-        with self.check("awaits each input of a tick, and commands the same in any order"):
+        with self.check("awaits each input, and sends the same command whatever their order"):
             require(not self.hindered, self.hindered)
             for topic in filter(self.endpoints, (*self.inputs, *self.optional)):
                 self._publish_last(topic)
-        with self.check("its commands are finite and not negative, at all levels and forecasts"):
+        with self.check("its commands are finite and not negative at all levels and forecasts"):
             for trial in self._trials():
                 self._valid_command(trial)
         if self.further:
             with self.check(
-                "its commands to the valve are from 0 to 1, and 0 while an input is not finite"
+                "its commands to the valve are between 0 and 1, and 0 while an input is not finite"
             ):
                 require(not self._wrong_share, self._wrong_share)
-        with self.check(f"answers every tick, within {ANSWER_S:g} s"):
+        with self.check(f"answers every tick within {ANSWER_S:g} s"):
             require(not self._unanswered, self._unanswered)
-            self.result = f"{self.ticks} ticks, the slowest answer after {self._slowest:.3f} s"
+            self.result = f"{self.ticks} ticks; the slowest answer took {self._slowest:.3f} s"
         self.check_count()
-        with self.check("ends when the plant has gone"):
+        with self.check("ends when the plant has stopped"):
             self._end()
 
     def _find_watering(self) -> None:
-        """Find values at which the controller waters, trying dry roofs and full cisterns first.
+        """Find levels and forecasts at which the controller waters the roof.
 
-        This precedes ticks with rain, since a controller may keep its plan for hours.
+        Forecasts without rain, dry roofs and full cisterns are tried first, because a controller
+        that has met rain may keep its plan for hours.
         """
 
         def dryness(trial: dict[str, float]) -> tuple[float, float, float]:
@@ -135,7 +137,7 @@ class ControllerCheck(NodeCheck):
                 self._usual.update(trial)
                 self.result = f"{command:.3g}{_with(trial)}"
                 return
-        self.hindered = "not tried: no command was above 0, so a stop would prove nothing"
+        self.hindered = "not tried: no command was above 0, so a command of 0 would prove nothing"
         raise BrokenRuleError("the command is 0 at all levels and forecasts")
 
     def _trials(self) -> list[dict[str, float]]:
@@ -145,9 +147,10 @@ class ControllerCheck(NodeCheck):
         ]
 
     def _publish_last(self, topic: str) -> None:
-        """Publish an input last in a tick, which must not change the command.
+        """Publish one input last in a tick, and require that this does not change the command.
 
-        The command of a controller with a memory may lie between its neighbours.
+        The command of a controller with a memory may lie between those of the ticks before and
+        after.
         """
         before = self._valid_command({})
         late = self._valid_command({}, last=topic)
@@ -155,11 +158,11 @@ class ControllerCheck(NodeCheck):
         require(
             min(before, after) - _EQUAL <= late <= max(before, after) + _EQUAL,
             f"the command is {late:g} if {topic} comes last, but {before:g} in the tick before and "
-            f"{after:g} in the tick after, with equal inputs",
+            f"{after:g} in the tick after, although the inputs are equal",
         )
 
     def _must_water(self) -> None:
-        """Require a command above 0, as a check of a stop proves nothing otherwise."""
+        """Require a command above 0; otherwise, a later command of 0 would prove nothing."""
         ticks = math.ceil(_WATERS_AGAIN_S / self._site.tau)
         require(
             any(self._valid_command({}) > 0 for _ in range(ticks)),
@@ -167,19 +170,19 @@ class ControllerCheck(NodeCheck):
         )
 
     def join(self) -> None:
-        """Listen to the commands to the valve, too, at a site with one."""
+        """Also listen to the commands to the outlet valve if the site has one."""
         for topic in self.further:
             self.listen(topic, self._shares.append)
         super().join()
 
     def _end(self) -> None:
-        require(bool(self.endpoints(self.output)), "it has ended before the plant")
+        require(bool(self.endpoints(self.output)), "the node stopped before the plant did")
         self.close_publishers()
         until = time.monotonic() + _END_S
         while self.endpoints(self.output):
             require(
                 time.monotonic() <= until,
-                f"it is still running {_END_S:g} s after {CLOCK} lost its publisher",
+                f"the node is still running {_END_S:g} s after {CLOCK} lost its publisher",
             )
             self.spin(0.1)
 
@@ -195,11 +198,11 @@ class ControllerCheck(NodeCheck):
         """Publish a tick, and return the command that answers it.
 
         Args:
-            overrides: values, by topic, that replace the values of a tick with watering.
+            overrides: values by topic that replace the values at which the controller waters.
             last: topic that is published last; empty for the usual order.
 
         Raises:
-            BrokenRuleError: if there is no answer, or one before the last input.
+            BrokenRuleError: if no command arrives, or a command arrives before the last input.
         """
         self.count_answers(0)
         self.start_tick()
@@ -214,7 +217,7 @@ class ControllerCheck(NodeCheck):
             self.publish(last, self._value(last, values))
         began = time.monotonic()
         if not self.wait_for_answer(began + ANSWER_S):
-            ended = "" if self.endpoints(self.output) else "; it has ended"
+            ended = "" if self.endpoints(self.output) else "; the node is no longer running"
             lacking = [self.output] if self.further and not self.answers else list(self.further)
             self._unanswered = (
                 f"no command{''.join(f' on {topic}' for topic in lacking)} within {ANSWER_S:g} s "
@@ -230,15 +233,15 @@ class ControllerCheck(NodeCheck):
             if not (share == 0 if unknown else share in SHARE) and not self._wrong_share:
                 self._wrong_share = f"the command to the valve is {share:g}{_with(overrides)}"
         self.count_answers(1)
-        require(not early, f"it answers before {last} of the tick has arrived")
+        require(not early, f"the node answers before {last} of the tick has arrived")
         return command
 
     def answered(self) -> bool:
-        """Whether there is a command, and one to the valve at a site with one."""
+        """Return whether all commands of the tick, to pump and outlet valve, have arrived."""
         return bool(self.answers) and len(self._shares) >= len(self.further)
 
     def count_answers(self, expected: int) -> None:
-        """Stop trying ticks if there are too many commands, including those to the valve."""
+        """Publish no more ticks once too many commands to the pump or the valve have arrived."""
         super().count_answers(expected)
         if len(self._shares) > expected and not self.surplus:
             self.surplus = (
@@ -247,10 +250,10 @@ class ControllerCheck(NodeCheck):
             )
         self._shares.clear()
         if self.surplus:
-            self.hindered = "not tried: more than one command for a tick"
+            self.hindered = "not tried: the node sent more than one command for a tick"
 
     def _value(self, topic: str, values: Mapping[str, float]) -> Any:
-        """Return a value as it is published, with the same rate in all steps of a forecast."""
+        """Return the content of a message; a forecast contains the same rate in all its steps."""
         value = values[topic]
         if topic not in _FORECASTS:
             return value

@@ -1,7 +1,6 @@
-"""Checks a running node over topics alone, by playing the other nodes of its lockstep graph.
+"""Check of a running node, by topics only, which plays the other nodes of its lockstep graph.
 
-A check therefore requires no more of a node than a graph does, and works with a node in any
-language.
+The check requires no more of a node than a graph does, and works with a node in any language.
 """
 
 from __future__ import annotations
@@ -49,32 +48,33 @@ ARRIVAL_S = 10.0
 
 
 class BrokenRuleError(Exception):
-    """The node breaks a rule; the message states how."""
+    """Error for a tested node that breaks a rule; the message describes the fault."""
 
 
 def require(right: bool, problem: str) -> None:
-    """Raise a BrokenRuleError unless the node is right."""
+    """Raise a BrokenRuleError with this problem unless the condition holds."""
     if not right:
         raise BrokenRuleError(problem)
 
 
 class NodeCheck(ABC):
-    """Checks one node; a subclass defines the topics, and what the node must do.
+    """Base class for the check of one node; a subclass defines the topics and the rules.
 
     Attributes:
-        kind: kind of node, for messages.
-        answer: name of its answer, for messages.
-        output: topic on which it answers a tick with a number.
-        further: other topics on which it publishes a number in every tick.
-        inputs: topics to which it must subscribe.
-        optional: topics to which it may subscribe, in which case the quality of service must fit.
+        kind: kind of node in messages, such as ``driver``.
+        answer: name of the node's answer in messages, such as ``flow``.
+        output: topic on which the node answers a tick with a number.
+        further: other topics on which the node publishes a number in every tick.
+        inputs: topics to which the node must subscribe.
+        optional: topics to which the node may subscribe, but only with the right quality of
+            service.
         played: topics that the check publishes, in the order of a tick.
-        peers: nodes that the check plays, for messages.
+        peers: nodes that the check plays, as messages name them.
         answers: values received on ``output`` and not counted yet.
-        surplus: first tick that had more answers than it should, in words; empty if none.
+        surplus: message about the first tick with too many answers; empty if there is none.
         results: results of the checks so far.
-        result: result of the present check, if it is worth showing.
-        hindered: why no more ticks are tried; empty if they are.
+        result: what the current check measured, as text for the table; empty for nothing.
+        hindered: reason why no more ticks are published; empty if there is none.
         ticks: number of ticks published.
         live: whether the node belongs to a live graph.
     """
@@ -96,7 +96,7 @@ class NodeCheck(ABC):
             node: node that plays the peers.
             tested: name of the node under test, without namespace.
             tau: simulated time of a tick (s).
-            speed: simulated time per wall time; 0 for as fast as possible.
+            speed: ratio of simulated time to wall time; 0 for as fast as possible.
         """
         self.node = node
         self.interface = read_topics()
@@ -114,11 +114,11 @@ class NodeCheck(ABC):
         self._publishers: dict[str, Callable[[Any], None]] = {}
 
     def run(self) -> list[CheckResult]:
-        """Run all checks and return a result for each, or only the first if the topics do not fit.
+        """Run all checks, or only the first one if the topics do not fit; return their results.
 
         Raises:
-            ConfigurationError: if there is no such node.
-            OccupiedError: if a graph already uses it.
+            ConfigurationError: if the node under test is not found.
+            OccupiedError: if other nodes already publish the topics that the check publishes.
         """
         self._wait_for_node()
         unfit = self._unfit()
@@ -130,7 +130,7 @@ class NodeCheck(ABC):
 
     @abstractmethod
     def run_checks(self) -> None:
-        """Run all checks in turn, except for the topics."""
+        """Run all checks except that of the topics."""
 
     @contextmanager
     def check(self, title: str) -> Iterator[None]:
@@ -146,7 +146,7 @@ class NodeCheck(ABC):
     # --- the graph ------------------------------------------------------------------------------
 
     def endpoints(self, name: str) -> list[Any]:
-        """Return the tested node's endpoints on a topic, which are publishers for its output."""
+        """Return the tested node's publishers of an output, or its subscriptions to an input."""
         tested = self._tested, self.node.get_namespace()
         return [
             info for info in self._all_endpoints(name)
@@ -164,7 +164,7 @@ class NodeCheck(ABC):
         return self.node.resolve_topic_name(self.interface[topic].graph_name)
 
     def _wait_for_node(self) -> None:
-        """Wait until the node has all its topics; raise an error if others publish its inputs."""
+        """Wait until the node has all its topics; raise an error if its inputs have publishers."""
         until, needed = time.monotonic() + ARRIVAL_S, (self.output, *self.further, *self.inputs)
         while not any(map(self.endpoints, needed)):
             if time.monotonic() > until:
@@ -179,7 +179,7 @@ class NodeCheck(ABC):
                 raise OccupiedError(
                     f"{self._name(topic)} already has a publisher "
                     f"({display_name(publishers[0].node_name)}): the check replaces {self.peers} "
-                    "itself; end the graph first"
+                    "itself, so end the graph first"
                 )
 
     def _absent(self) -> str:
@@ -188,21 +188,21 @@ class NodeCheck(ABC):
             for info in self._all_endpoints(topic)
         }
         return (
-            f"no node {self._tested} publishes {self._name(self.output)} and subscribes to "
-            f"{', '.join(map(self._name, self.inputs))} within {ARRIVAL_S:g} s; there is "
-            f"{', '.join(sorted(names)) or 'no node'}. Start the {self.kind} first, in the same "
-            "ROS_DOMAIN_ID and with the same ROS_AUTOMATIC_DISCOVERY_RANGE"
+            f"no node {self._tested} that publishes {self._name(self.output)} and subscribes to "
+            f"{', '.join(map(self._name, self.inputs))} was found within {ARRIVAL_S:g} s; there is "
+            f"{', '.join(sorted(names)) or 'no node'}. Start the {self.kind} first, with the same "
+            "ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE"
         )
 
     def _unfit(self) -> str:
-        """Return what the node's endpoints lack, as a text; empty if they fit."""
+        """Return a description of what is wrong with the node's endpoints; empty if they fit."""
         problems = []
         for topic in (self.output, *self.further, *self.inputs, *self.optional):
             is_output = topic in (self.output, *self.further)
             end = f"{'publisher of' if is_output else 'subscription to'} {topic}"
             infos = self.endpoints(topic)
             if not infos and topic not in self.optional:
-                problems.append(f"it has no {end}")
+                problems.append(f"the node has no {end}")
             if self.live and not is_output:
                 continue  # it needs no messages from before it joined
             qos = self.interface[topic].qos
@@ -215,7 +215,7 @@ class NodeCheck(ABC):
         return "; ".join(problems)
 
     def join(self) -> None:
-        """Open the topics, and listen until the node has found them."""
+        """Open the topics, and wait until the node has discovered them."""
         self.listen(self.output, self.answers.append)
         for name in (RUN, *self.played):
             self._publishers[name] = self.open_publisher(self.node, name)
@@ -224,7 +224,7 @@ class NodeCheck(ABC):
         self.spin(_DISCOVERY_S)
 
     def listen(self, name: str, callback: Callable[[Any], None]) -> None:
-        """Pass each value on a topic to a callback; a malformed message does not count."""
+        """Pass each value received on a topic to a callback; malformed messages are ignored."""
         topic = self.interface[name]
         decode = decoder(topic.type)
 
@@ -237,7 +237,7 @@ class NodeCheck(ABC):
         )
 
     def close_publishers(self) -> None:
-        """Close every topic of a tick, as nodes that end do."""
+        """Close the publishers of all topics of a tick, as nodes do when they stop."""
         names = set(map(self._name, self.played))
         for publisher in list(self.node.publishers):
             if publisher.topic_name in names:
@@ -258,7 +258,7 @@ class NodeCheck(ABC):
         """Publish the time of the next tick.
 
         Raises:
-            BrokenRuleError: if no more ticks are tried.
+            BrokenRuleError: if no more ticks are published, for the reason in ``hindered``.
         """
         require(not self.hindered, self.hindered)
         self._lines.update(self._current_check)
@@ -270,7 +270,7 @@ class NodeCheck(ABC):
         self._publishers[topic](value)
 
     def wait_for_answer(self, until: float) -> bool:
-        """Wait until the node has answered; return whether it has by then (steady clock, s)."""
+        """Wait for an answer until a time (s, `time.monotonic`); return whether it has arrived."""
         while not self.answered():
             remaining = until - time.monotonic()
             if remaining < 0:
@@ -280,11 +280,11 @@ class NodeCheck(ABC):
         return True
 
     def answered(self) -> bool:
-        """Whether the node has answered the tick."""
+        """Return whether the node has answered the tick."""
         return bool(self.answers)
 
     def count_answers(self, expected: int) -> None:
-        """Note answers beyond the expected number, and forget all: they hide later answers."""
+        """Record a surplus of answers, and discard all answers, which could hide later ones."""
         if len(self.answers) > expected and not self.surplus:
             self.surplus = (
                 f"{len(self.answers)} {self.answer}s instead of {expected} after tick "
@@ -293,14 +293,14 @@ class NodeCheck(ABC):
         self.answers.clear()
 
     def check_count(self) -> None:
-        """Check that no tick had more than one answer, the last one neither."""
+        """Check that no tick had more than one answer, including the last tick."""
         with self.check(f"publishes exactly one {self.answer} for each tick"):
             self.spin(SETTLE_S)
             self.count_answers(0)
             require(not self.surplus, self.surplus)
 
     def spin(self, seconds: float) -> None:
-        """Receive messages for this time, and show the progress."""
+        """Receive messages for a given time (s), and show the progress."""
         until = time.monotonic() + seconds
         while (remaining := until - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=remaining)
@@ -310,17 +310,17 @@ class NodeCheck(ABC):
 def check_node(
     name: str, tested: str, make: Callable[[Node, str], NodeCheck]
 ) -> list[CheckResult]:
-    """Join the graph of a running node, check it, and return a result for each check.
+    """Join the graph of a running node, check the node, and return the result of each check.
 
     Args:
         name: name of the node that plays the peers.
-        tested: name of the node under test, with its namespace if it has one: ``/site1/pump``.
-        make: function that returns the check, given the node that plays the peers, in that
-            namespace, and the tested node's name without it.
+        tested: name of the node under test, with its namespace if there is one: ``/site1/pump``.
+        make: function that returns the check; it receives the node that plays the peers, and the
+            name of the tested node without namespace.
 
     Raises:
-        ConfigurationError: if there is no such node.
-        OccupiedError: if a graph already uses it.
+        ConfigurationError: if the node under test is not found.
+        OccupiedError: if other nodes already publish the topics that the check publishes.
     """
     choose_transport()
     namespace, _, tested_name = tested.rpartition("/")

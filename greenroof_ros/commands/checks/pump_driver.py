@@ -1,4 +1,4 @@
-"""Checks over topics alone whether a pump driver conforms to the interface."""
+"""Check, by topics only, of whether a pump driver conforms to the interface."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _HOSTILE = (math.nan, math.inf, -math.inf, -1.0, -1e300)
 # "after".
 _STOPS = (
     ("/weather/frost", 1.0, "in frost", "the frost is over"),
-    ("/weather/frost", math.nan, "while frost is unknown, NaN", "frost is known"),
+    ("/weather/frost", math.nan, "while frost is unknown (NaN)", "frost is known"),
     (
-        "/cistern/level", math.nan, "while the cistern's level is unknown, NaN",
+        "/cistern/level", math.nan, "while the cistern's level is unknown (NaN)",
         "the cistern's level is known",
     ),
     (
-        "/roof/level", math.nan, "while the roof's level is unknown, NaN",
+        "/roof/level", math.nan, "while the roof's level is unknown (NaN)",
         "the roof's level is known",
     ),
 )
@@ -65,7 +65,7 @@ SILENCE_S = 5.0
 
 
 class PumpCheck(NodeCheck):
-    """Checks one driver."""
+    """Check of one pump driver."""
 
     kind: ClassVar[str] = "driver"
     answer: ClassVar[str] = "flow"
@@ -86,9 +86,9 @@ class PumpCheck(NodeCheck):
             node: the node that plays the driver's peers.
             driver: name of the driver's node, without namespace.
             site: site that sets the levels.
-            command: command for a running pump, a share of its maximum flow.
+            command: command with which the pump is made to run (share of its maximum flow).
             period: minimum time between two commands (s).
-            live: whether it publishes its flow on its own clock instead of once for each command.
+            live: whether the driver publishes its flow at its own pace, not once per command.
         """
         self._passed = period if live else site.tau  # in a tick (s)
         super().__init__(node, driver, site.tau, max(1.0, self._passed / period))
@@ -104,14 +104,14 @@ class PumpCheck(NodeCheck):
     def run_checks(self) -> None:
         """Run all checks in turn; after each stop except the last, the pump must run again."""
         site = self._site
-        with self.check("is off at start: no flow before a command, and 0 at command 0"):
+        with self.check("is off at start: no flow before the first command, and 0 at command 0"):
             early = next(iter(self.answers), 0.0)
             none = max(self.answers, default=0.0) <= 0 if self.live else not self.answers
             require(none, f"a flow of {early:g} m3/s arrived before any command")
             self.answers.clear()
             for _ in range(_STEADY_TICKS):
                 flow = self._answer({_COMMAND: 0.0})
-                require(flow <= 0, f"a flow of {flow:g} m3/s answers command 0")
+                require(flow <= 0, f"the flow is {flow:g} m3/s at command 0")
         self._runs(f"at command {self._usual:g}")
         if not self._steady:
             self.hindered = self.hindered or _NOT_RUNNING
@@ -134,7 +134,7 @@ class PumpCheck(NodeCheck):
             with self._intruder():
                 self._stop("a second publisher appeared", {})
         self._runs("again when only one publisher is left")
-        within = f"the flow is 0 within {STOP_S:g} s, and stays so"
+        within = f"the flow falls to 0 within {STOP_S:g} s and stays there"
         for topic, value, when, after in _STOPS:
             with self.check(f"stops {when}: {within}"):
                 self._must_run()
@@ -160,7 +160,7 @@ class PumpCheck(NodeCheck):
             self.check_count()
 
     def join(self) -> None:
-        """Listen to the pump's state, too."""
+        """Also listen to the pump's state."""
 
         def receive_state(message: String) -> None:
             self._state = PumpState.read(message.data)
@@ -174,7 +174,7 @@ class PumpCheck(NodeCheck):
         """Publish a tick, and return the flow that answers its command (m3/s).
 
         Args:
-            overrides: values, by topic, that replace the values of an undisturbed tick.
+            overrides: values by topic that replace the values of an undisturbed tick.
         """
         began = time.monotonic()
         self.start_tick()
@@ -190,21 +190,21 @@ class PumpCheck(NodeCheck):
             self.publish(topic, value)
         require(
             self.wait_for_answer(began + ANSWER_S),
-            f"no flow within {ANSWER_S:g} s of command {values[_COMMAND]:g}, "
-            f"number {self.ticks}{self._driver_state()}",
+            f"no flow arrived within {ANSWER_S:g} s of command number {self.ticks}, which was "
+            f"{values[_COMMAND]:g}{self._driver_state()}",
         )
         self.spin(began + self._period - time.monotonic())
         flow = self.answers[-1]
         self._count(1)
         allowed = self.interface["/pump/flow"].range
-        require(flow in allowed, f"its flow is {flow:g} m3/s, but {allowed.expected()}")
+        require(flow in allowed, f"the flow is {flow:g} m3/s, but {allowed.expected()}")
         minimum = (self._site.suction_level + self._above_suction) * self._site.a1
         pumped = flow * self._passed
         self._volumes = [max(cistern - pumped, minimum), roof + pumped]
         return flow
 
     def _count(self, expected: int) -> None:
-        """Count the flows since the last tick, and forget them; live ones arrive at any time."""
+        """Count and discard the flows since the last tick; a live driver may publish more."""
         if self.live:
             del self.answers[expected:]
         self.count_answers(expected)
@@ -216,7 +216,7 @@ class PumpCheck(NodeCheck):
         return flow > _NONE * self._steady
 
     def _stop(self, reason: str, overrides: Mapping[str, float]) -> None:
-        """Repeat a tick until the flow is 0, then ten more times, and note how long the stop took.
+        """Repeat a tick until the flow is 0, then ten more times, and record the time to stop.
 
         Raises:
             BrokenRuleError: if the flow is not 0 within the limit or does not stay 0.
@@ -233,17 +233,17 @@ class PumpCheck(NodeCheck):
         self.result = self.result or f"no flow after {time.monotonic() - began:.1f} s"
         for _ in range(_STEADY_TICKS):
             flow = self._answer(overrides)
-            require(not self._flowing(flow), f"a flow of {flow:g} m3/s answers {reason}")
+            require(not self._flowing(flow), f"the flow is {flow:g} m3/s again after {reason}")
 
     def _must_run(self) -> None:
-        """Require that the pump runs, as a check of a stop proves nothing otherwise."""
+        """Require that the pump runs; otherwise, a check of a stop would prove nothing."""
         require(self._answer({}) >= _AT_REST * self._steady, _NOT_RUNNING)
 
     def _steady_flow(self, command: float) -> float:
         """Repeat a command until the flow is steady and above 0, and return it (m3/s).
 
         Raises:
-            BrokenRuleError: if this does not happen within the limit.
+            BrokenRuleError: if the flow is not steady and above 0 within the limit.
         """
         until = time.monotonic() + START_S
         flows: list[float] = []
@@ -267,7 +267,7 @@ class PumpCheck(NodeCheck):
             self.result = f"{flow:.3g} m3/s, steady after {time.monotonic() - began:.1f} s"
 
     def _fall_silent(self) -> None:
-        """Send nothing for a while; the flow after that shows whether the pump had stopped."""
+        """Send nothing for a while, and judge by the next flow whether the pump had stopped."""
         before = self._steady_flow(self._usual)
         self.spin(SILENCE_S)
         if self.live:
@@ -282,11 +282,11 @@ class PumpCheck(NodeCheck):
             f"of silence, and was {before:.3g} before: the pump had not stopped",
         )
         require(state not in _ON, f"/pump/state reports {state!r} at the end of the silence")
-        self.result = f"{after:.3g} m3/s at the first command after it, {before:.3g} before"
+        self.result = f"{after:.3g} m3/s at the first command after silence, {before:.3g} before"
 
     @contextmanager
     def _intruder(self) -> Iterator[None]:
-        """Add another node with a publisher of the command, which publishes nothing."""
+        """Add a second node with a publisher of the command, which publishes nothing."""
         intruder = Node("check_pump_intruder", namespace=self.node.get_namespace())
         self.open_publisher(intruder, _COMMAND)
         try:
