@@ -1,1 +1,1 @@
-"""Simulated drives, relays, sensors and forecast service, with every fault they can develop."""
+"""Simulators of the devices at a live site: drives, relays and sensors."""

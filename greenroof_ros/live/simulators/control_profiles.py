@@ -1,8 +1,8 @@
-"""How makes of drives obey their control words: state machines for the simulated drive.
+"""State machines of the simulated drives, by make, which interpret the control word.
 
-Each is written from the maker's manual. The driver works from the control words and conditions of
-the drive file instead, so each checks the other. Where a manual is ambiguous, the interpretation
-that is stricter for the driver is implemented.
+Each state machine is written from the maker's manual. The driver, in contrast, uses the control
+words and conditions of the drive file, so the two verify each other. Where a manual is ambiguous,
+the interpretation that is stricter for the driver is implemented.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ class AbbDrives(SimulatedDrive):
     EXTRA: ClassVar = {"refresh": 5805}  # 58.06 Communication control
 
     def restarts_timeout(self, name: str) -> bool:
-        """Return whether the message counts: any if 58.15 is 1, else control word and reference."""
+        """Return True for any message if 58.15 is 1, otherwise for control word and reference."""
         mode = self.timeout.mode
         only = mode is None or self.read_raw(mode.register) != 1
         return not only or name in ("control", "reference")
 
     def on_write(self, name: str) -> None:
-        """Apply the settings of group 58 only when 58.06 is set to 1."""
+        """Obey a control word; apply the settings of group 58 only when 58.06 is set to 1."""
         if name == "control":
             self.control(self.read_raw(name))
         elif name == "refresh" and self.read_raw(name) == 1:
@@ -55,13 +55,16 @@ class AbbDrives(SimulatedDrive):
             self.write_raw(name, 0)
 
     def control(self, word: int) -> None:
-        """Obey only bits 0 to 2 if bit 10 is not set, unless word and reference are both 0."""
+        """Obey a control word; without bit 10, obey only bits 0 to 2.
+
+        A control word of 0 is obeyed in full if the reference is 0, too.
+        """
         if not word & 0x0400 and (word or self.read_raw("reference")):
             word = self.word & ~0x0007 | word & 0x0007
         super().control(word)
 
     def standstill(self) -> None:
-        """End OFF1, OFF2 or OFF3, as the drive is stopped."""
+        """Leave OFF1, OFF2 or OFF3 now that the motor is at rest."""
         if not self.fault and not self.local:
             after = {
                 _Abb.OFF1: _Abb.NOT_READY, _Abb.OFF2: _Abb.INHIBITED, _Abb.OFF3: _Abb.INHIBITED,
@@ -70,11 +73,11 @@ class AbbDrives(SimulatedDrive):
             self.state = self._switched_on(after.get(off, off))
 
     def next_state(self) -> _Abb:
-        """Follow the diagram as far as the control word leads."""
+        """Return the state of the diagram to which the control word leads."""
         return self._switched_on(self._off())
 
     def _off(self) -> _Abb:
-        """Return the state that OFF1 to OFF3 lead to; OFF2 takes precedence, then OFF3."""
+        """Return the state to which OFF1 to OFF3 lead; OFF2 takes precedence, then OFF3."""
         word, state = self.word, _Abb(self.state)
         if not word & 0x0002:
             return _Abb.OFF2
@@ -85,7 +88,7 @@ class AbbDrives(SimulatedDrive):
         return state
 
     def _switched_on(self, state: _Abb) -> _Abb:
-        """Return the state that switching on leads to."""
+        """Return the state to which the control word's bits for switching on lead."""
         word = self.word
         if state is _Abb.INHIBITED and not word & 0x0001:
             state = _Abb.NOT_READY
@@ -99,7 +102,7 @@ class AbbDrives(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """In operation, bits 4 to 6 decide; OFF1, OFF3 and local control ramp down; else coast."""
+        """The motion: set by bits 4 to 6 in operation, a ramp in OFF1, OFF3 and local control."""
         if self.fault:
             return Motion.COAST
         if self.local or self.state in (_Abb.OFF1, _Abb.OFF3):
@@ -111,7 +114,7 @@ class AbbDrives(SimulatedDrive):
         return Motion.FOLLOW if self.word & 0x0020 else Motion.HOLD
 
     def status(self) -> int:
-        """Return the bits of page 619; external run enable is wired."""
+        """Return the status word as on page 619 of the manual; external run enable is wired."""
         state, on = self.state, (_Abb.READY_RUN, _Abb.OPERATION)
         ramps = state in (_Abb.OFF1, _Abb.OFF3) and self.moving
         return _word({
@@ -162,7 +165,7 @@ class FcProfile(SimulatedDrive):
         return Motion.FOLLOW if word & 0x0040 else Motion.RAMP_DOWN
 
     def status(self) -> int:
-        """Return the bits of the table "Definition of the status bits"."""
+        """Return the status word as in the manual's table "Definition of the status bits"."""
         starts = self.motion in (Motion.FOLLOW, Motion.HOLD)
         return _word({
             0: True, 1: not self.fault, 2: self.word & 0x0008, 3: self.fault, 7: self.warning,
@@ -200,20 +203,20 @@ class CimProfile(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """Follow the set-point if on; otherwise ramp down."""
+        """The motion: to the set-point if the pump is on, otherwise a ramp to rest."""
         if self.fault:
             return Motion.COAST
         return Motion.FOLLOW if self._on else Motion.RAMP_DOWN
 
     @property
     def setpoint(self) -> float:
-        """The set-point, which is a speed only in constant-frequency mode under bus control."""
+        """The set-point, which applies only in constant-frequency mode under bus control."""
         modes = self.read_raw("control_mode"), self.read_raw("operation_mode")
         follows = self._remote and modes == (self._CONSTANT_FREQUENCY, 0)
         return super().setpoint if follows else self._OTHER_MODE
 
     def status(self) -> int:
-        """Return the bits of section 9.5."""
+        """Return the status word as in section 9.5 of the manual."""
         return _word({
             6: self.moving, 8: self._remote, 9: self._on, 10: self.fault, 12: self.local,
         })
@@ -236,8 +239,8 @@ class _Cia(enum.Enum):
 class Cia402(SimulatedDrive):
     """CiA 402 as in Schneider Electric's Altivar: BBV51701, state chart, pages 9 to 13.
 
-    The value of a state consists of bits 0 to 3, 5 and 6 of ETA. LFT is the last error, which a
-    reset does not clear. Bits of the control word: 0 switch on, 1 voltage, 2 no quick stop, 3
+    The value of a state consists of bits 0 to 3, 5 and 6 of ETA. LFT contains the last error, which
+    a reset does not clear. Bits of the control word: 0 switch on, 1 voltage, 2 no quick stop, 3
     enable, 7 reset, 8 halt. Values of SLL and ETHL: 1 freewheel, 6 ramp, 7 fast, 8 DC injection,
     all with a trip; 2 stops without an error.
     """
@@ -250,11 +253,11 @@ class Cia402(SimulatedDrive):
 
     @property
     def fault_register(self) -> int:
-        """The last error, even if it has been reset."""
+        """The code of the last error, even if that error has been reset."""
         return self.last_fault
 
     def next_state(self) -> _Cia:
-        """Follow the state chart; in 'ready', the first 'enable operation' only switches on."""
+        """Return the next state of the chart; 'ready' always leads to 'switched on' first."""
         word, state = self.word, self.state
         if not word & 0x0002:  # disable voltage
             return _Cia.DISABLED
@@ -270,12 +273,12 @@ class Cia402(SimulatedDrive):
         return _Cia.ENABLED
 
     def standstill(self) -> None:
-        """End a quick stop or the reaction to a fault, as the drive is stopped."""
+        """Leave a quick stop or the reaction to a fault now that the motor is at rest."""
         after = {_Cia.QUICK_STOP: _Cia.DISABLED, _Cia.REACTION: _Cia.FAULT}
         self.state = after.get(self.state, self.state)
 
     def trip(self, fault: int) -> None:
-        """Trip; only a ramped stop after the timeout passes through the reaction to a fault."""
+        """Trip; a ramped stop after a timeout passes through the state 'fault reaction'."""
         super().trip(fault)
         if fault:
             ramps = fault == self.loss and self.guard[1] in (6, 7)
@@ -283,7 +286,7 @@ class Cia402(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """Follow the reference if enabled, ramp down if switched on or stopping, else coast."""
+        """The motion: to the reference if enabled, a ramp if on or stopping, otherwise coasting."""
         if self.state is _Cia.ENABLED and not self.local:
             stopped = self.word & 0x0100 or (self.lost and self.guard[1] == 2)
             return Motion.RAMP_DOWN if stopped else Motion.FOLLOW
@@ -294,7 +297,7 @@ class Cia402(SimulatedDrive):
         return Motion.COAST
 
     def status(self) -> int:
-        """Return ETA: the state, voltage, remote, reference reached."""
+        """Return the status word ETA: state, voltage, warning, remote, reference reached."""
         return int(self.state.value) | _word({
             4: True, 7: self.warning, 9: not self.local, 10: self.at_speed,
         })

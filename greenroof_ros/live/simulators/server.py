@@ -26,11 +26,11 @@ class Device:
     """A device on the wire.
 
     Attributes:
-        read: function that returns all its registers, by address.
-        write: function that takes the first address and the values of a write, and returns an error
-            code or None.
-        on_request: function called for every request with its first register, which returns whether
-            to answer it.
+        read: function that returns the values of all registers of the device, by address.
+        write: function that receives the first address and the values of a write request, and
+            returns an exception code, or None for success.
+        on_request: callback for every request; it receives the address of the first register, and
+            returns whether to answer the request.
     """
 
     read: Callable[[], Mapping[int, int]]
@@ -40,7 +40,7 @@ class Device:
     on_request: Callable[[int], bool] = lambda register: True
 
     def on_wire(self, device_id: int) -> SimDevice:
-        """Return the device for pymodbus: every register exists, and is read when a client asks."""
+        """Return the device for pymodbus, with all registers, which are read on request."""
 
         async def action(
             function: int, start: int, address: int, count: int, current: list[int],
@@ -61,7 +61,7 @@ class Device:
 
 
 class Connection(ServerRequestHandler):
-    """One connection of a client."""
+    """The server's side of a connection to one client."""
 
     def __init__(self, server: Any, devices: Mapping[int, Device]) -> None:
         super().__init__(server, None, None, None)  # type: ignore[no-untyped-call]
@@ -90,13 +90,13 @@ class Connection(ServerRequestHandler):
 
 @dataclass
 class Server:
-    """Devices on a TCP port or a serial line, which can be closed and opened again.
+    """Server for the devices on a TCP port or a serial line; it can be closed and opened again.
 
     Attributes:
-        address: TCP port or serial line; port 0 takes a free one, known once it is open.
-        devices: devices on it, by unit identifier or slave address.
+        address: TCP port or serial line; port 0 is replaced by a free port when the server opens.
+        devices: devices that the server answers for, by unit identifier or slave address.
         line: settings of a serial line; not needed on TCP.
-        connection: function that makes the handler of a client's connection.
+        connection: function that creates the handler for a client's connection.
     """
 
     address: Address
@@ -109,7 +109,7 @@ class Server:
         """Open the port or line if it is not open.
 
         Raises:
-            ConfigurationError: if the port is in use, or there is no such device.
+            ConfigurationError: if the port is in use, or the serial device does not exist.
         """
         if self._server is not None:
             return
@@ -131,8 +131,8 @@ class Server:
         )
         if not await server.listen():
             raise ConfigurationError(
-                "cannot be opened: another program uses the port, the address is not one of this "
-                "machine, or you may not use it; or there is no such serial device",
+                "cannot be opened: another program uses the port, this machine does not have the "
+                "address, the serial device does not exist, or you lack permission",
                 key="address", value=str(self.address),
             )
         if not self.address.line:

@@ -1,8 +1,7 @@
-"""A simulated drive, with what all makes have in common: registers, ramp and timeout.
+"""The part of a simulated drive that all makes share: registers, ramp and timeout.
 
-A subclass in `control_profiles` adds what a make does with its control word. A `SimulatedDrive`
-neither waits nor speaks Modbus, and reads the time from a clock; `drive_server` puts it on the
-wire.
+A subclass in `control_profiles` adds the state machine of a make. A `SimulatedDrive` neither waits
+nor uses Modbus, and reads the time from a clock; `drive_server` connects the drive to Modbus.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _AT_SPEED = 0.01
 
 
 class Motion(enum.Enum):
-    """What the drive does with its motor."""
+    """The way in which a drive moves its motor."""
 
     FOLLOW = "ramps to its reference"
     HOLD = "keeps its speed"
@@ -44,8 +43,8 @@ class DriveSettings:
     Attributes:
         ramp_s: time from rest to the rated speed, and back (s).
         coast_s: time from the rated speed to rest without torque (s).
-        timeout_s: its communication timeout (s), which stops the drive, rounded to the steps of its
-            register.
+        timeout_s: communication timeout that stops the drive (s); it is rounded to the resolution
+            of its register.
     """
 
     ramp_s: float = 5.0
@@ -59,17 +58,17 @@ class SimulatedDrive(ABC):
     Attributes:
         speed: speed of the motor (share of the rated speed).
         flow: function that returns the pump's flow at a speed (m3/s), for drives that report it.
-        log: function that reports what happens, for people.
+        log: function that prints a line about an event.
         settings: the settings and properties.
         timeout: the communication timeout of the interface in use.
-        guard: raw time and action of that timeout that are now in force.
-        local: whether the drive is controlled at its panel.
-        lost: whether the bus was silent for longer than the timeout.
+        guard: raw time and raw action of the timeout that are in force.
+        local: whether the drive is controlled from its panel.
+        lost: whether the bus has been silent for longer than the timeout.
         fault: code, or bits, of the active fault; 0 for none.
-        last_fault: the last fault that tripped it.
-        loss: the fault after the timeout.
+        last_fault: code, or bits, of the last fault that tripped the drive.
+        loss: code, or bits, of the fault that the expiry of the timeout raises.
         word: the control word.
-        state: state of its state machine, if it has one.
+        state: state of the drive's state machine; None for a make without states.
     """
 
     DELIVERED: ClassVar[tuple[int, int]]
@@ -89,14 +88,14 @@ class SimulatedDrive(ABC):
         self, file: DriveFile, settings: DriveSettings, clock: Callable[[], float] = time.monotonic,
         interface: str = "serial",
     ) -> None:
-        """Start as a stopped drive that was powered up long ago.
+        """Initialize a stopped drive that was powered up long ago.
 
         Args:
-            file: the drive file of its make.
-            settings: settings of this drive.
+            file: drive file of the make.
+            settings: settings and properties of this drive.
             clock: function that returns the time (s).
-            interface: interface through which it is reached, ``serial`` or ``tcp``; the timeout of
-                the other one has factory settings and guards nothing.
+            interface: interface in use, ``serial`` or ``tcp``; the timeout of the other interface
+                has factory settings, and has no effect.
 
         Raises:
             ConfigurationError: if the drive file has no timeout for that interface.
@@ -148,7 +147,7 @@ class SimulatedDrive(ABC):
                 self.write_raw(register.full_scale, rated / scale.scale)
 
     def _write_timeouts(self) -> set[str]:
-        """Set the registers of all timeouts; return their names."""
+        """Set the registers of all timeouts, and return the names of these registers."""
         names = set()
         for timeout in (*self._file.timeout.by_interface.values(), self.timeout):
             when, action = self.DELIVERED
@@ -171,20 +170,20 @@ class SimulatedDrive(ABC):
     @property
     @abstractmethod
     def motion(self) -> Motion:
-        """What the drive does with its motor."""
+        """The way in which the drive moves its motor at present."""
 
     @abstractmethod
     def status(self) -> int:
         """Return the status word."""
 
     def next_state(self) -> Any:  # noqa: B027 - some makes have no states
-        """Return the state that the control word leads to without a fault or local control."""
+        """Return the state after the control word if there is no fault or local control."""
 
     def standstill(self) -> None:  # noqa: B027 - some makes wait for nothing
-        """React to the motor being stopped; called repeatedly."""
+        """Update the state for a motor at rest; called repeatedly."""
 
     def restarts_timeout(self, name: str) -> bool:
-        """Return whether writing a register restarts the timeout; '' stands for any request."""
+        """Return whether a write of a register, or any request (''), restarts the timeout."""
         return True
 
     def control(self, word: int) -> None:
@@ -208,14 +207,14 @@ class SimulatedDrive(ABC):
         return self.fault
 
     def on_write(self, name: str) -> None:
-        """React to the write of a register."""
+        """Handle a write of a register: obey a control word, or apply a setting."""
         if name == "control":
             self.control(self.read_raw(name))
         elif name not in self._commands:
             self.apply_settings()
 
     def apply_settings(self) -> None:
-        """Put the timeout's settings in force."""
+        """Put the settings of the timeout into force."""
         action = self.timeout.action
         self.guard = (
             self.read_raw(self.timeout.register),
@@ -223,25 +222,25 @@ class SimulatedDrive(ABC):
         )
 
     def communication_lost(self) -> None:
-        """Do what the drive is set to do after its timeout: trip, or nothing."""
+        """Trip after the timeout if the drive is set to do so."""
         if self.guard[1] in self.TRIPS:
             self.trip(self.loss)
 
     def power_up(self) -> None:
-        """Start with the present values of the registers."""
+        """Switch on with the control word 0 and the present values of the registers."""
         self.word, self.state = 0, self.INITIAL
         self.apply_settings()
 
     @property
     def setpoint(self) -> float:
-        """The speed to which it ramps (share of the rated speed); pumps do not turn backwards."""
+        """The speed to which the drive ramps (share of the rated speed), at least 0."""
         register = self._registers["reference"]
         return min(max(self.read_raw("reference") * self._unit(register), 0.0), 1.0)
 
     # --- time -------------------------------------------------------------------------------------
 
     def advance(self) -> None:
-        """Simulate up to now, with ramps and the communication timeout at the right moment."""
+        """Simulate the drive until now; the communication timeout expires at the exact moment."""
         now = self._clock()
         loss = self._loss_at()
         if loss <= now:
@@ -255,7 +254,7 @@ class SimulatedDrive(ABC):
         self._move(now)
 
     def _loss_at(self) -> float:
-        """Return when the timeout will expire if nothing more arrives; infinity if it will not."""
+        """Return the time at which the timeout will expire without another request, or infinity."""
         raw, _ = self.guard
         if self._last_request is None or self.lost or raw == 0 or raw in self.timeout.off_values:
             return math.inf
@@ -270,7 +269,7 @@ class SimulatedDrive(ABC):
             self.standstill()
 
     def turn(self, step: float, motion: Motion) -> None:
-        """Change the speed as it does in a time (s)."""
+        """Update the speed after a time step (s) with this motion."""
         if motion is not Motion.HOLD:
             setpoint = self.setpoint if motion is Motion.FOLLOW else 0.0
             full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
@@ -279,12 +278,12 @@ class SimulatedDrive(ABC):
 
     @property
     def moving(self) -> bool:
-        """Whether the motor turns, as the drive reports it."""
+        """Whether the motor turns, as the drive reports."""
         return self.speed > 0
 
     @property
     def at_speed(self) -> bool:
-        """Whether it follows its reference and has reached it."""
+        """Whether the drive follows its reference and has reached that speed."""
         return self.motion is Motion.FOLLOW and abs(self.speed - self.setpoint) < _AT_SPEED
 
     @property
@@ -311,7 +310,7 @@ class SimulatedDrive(ABC):
         return range(register.address, register.address + register.width)
 
     def registers(self) -> Mapping[int, int]:
-        """Return every register's value, by address."""
+        """Update all registers, and return their values by address."""
         self.advance()
         self.write_raw("status", self.status())
         self.write_raw(self._file.faults.register, self.fault_register)
@@ -328,13 +327,13 @@ class SimulatedDrive(ABC):
         return register.scale / (scale * self.read_raw(register.full_scale))
 
     def on_request(self) -> None:
-        """React to any request, even one without effect, which restarts some makes' timeout."""
+        """Handle any request, even without an effect; it restarts the timeout of some makes."""
         self.advance()
         if self.restarts_timeout(""):
             self._restart_timeout()
 
     def write(self, address: int, values: list[int]) -> ExcCodes | None:
-        """Write the values of a client, one register after another."""
+        """Write a client's values to consecutive registers; return an exception code, or None."""
         self.advance()
         addresses = range(address, address + len(values))
         if any(at not in self._writable for at in addresses):
@@ -352,18 +351,18 @@ class SimulatedDrive(ABC):
 
     def _restart_timeout(self) -> None:
         if self.lost:
-            self.log("it receives requests again")
+            self.log("the drive receives requests again")
         self.lost = False
         self._last_request = self._at
 
 
 def drive_server(drive: SimulatedDrive, file: DriveFile, address: Address) -> Server:
-    """Return the server of a drive on its TCP port or its serial line.
+    """Return the Modbus server of a drive on its TCP port or serial line.
 
     Args:
         drive: the drive.
-        file: its drive file.
-        address: its address, as for the pump node; port 0 takes a free one.
+        file: drive file of the drive.
+        address: address of the drive, as for the pump node; 0 selects a free port.
     """
 
     def on_request(register: int) -> bool:

@@ -1,7 +1,7 @@
-"""A simulated relay at a real MQTT broker, with contact, timer, settings and answers.
+"""Simulated relays at a real MQTT broker, with contact, timer, settings and answers.
 
-Its answers are written from the maker's documentation. The driver works from the questions of the
-relay file instead, so each checks the other.
+The answers are written from the maker's documentation. The driver, in contrast, uses the questions
+of the relay file, so the two verify each other.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Published = tuple[str, str]
 
 
 class SimulatedRelay(ABC):
-    """A relay with its contact, which reads the time from a clock.
+    """Base class for a relay with its contact; it reads the time from a clock.
 
     Attributes:
-        on: whether its output is on, as it reports.
-        timer_s: its timer as set (s); None for off.
-        on_after_power_up: whether it is set to be on after power-up.
-        auto_on: whether it is set to switch itself on again.
-        log: function that reports what happens, for people.
+        on: whether the output is on, as the relay reports.
+        timer_s: setting of the relay's timer (s); None for off.
+        on_after_power_up: whether the relay is set to be on after power-up.
+        auto_on: whether the relay is set to switch itself on again.
+        log: function that prints a line about an event.
     """
 
     TOPICS: ClassVar[tuple[str, ...]]
@@ -38,11 +38,11 @@ class SimulatedRelay(ABC):
     def __init__(
         self, device: str, timer_s: float | None, clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Start as a relay that is off.
+        """Initialize a relay that is off.
 
         Args:
-            device: its own topic.
-            timer_s: its timer (s); None for off.
+            device: topic of the relay itself.
+            timer_s: setting of its timer (s); None for off.
             clock: function that returns the time (s).
         """
         self.on = False
@@ -54,17 +54,17 @@ class SimulatedRelay(ABC):
 
     @property
     def speed(self) -> float:
-        """Speed of the pump behind its contact (share of the rated speed)."""
+        """The speed of the pump behind the relay's contact (share of the rated speed)."""
         return float(self.on)
 
     def advance(self) -> None:
-        """Simulate up to now."""
+        """Simulate the relay until now: switch off if its timer has expired."""
         if self._clock() >= self._off_at:
             self._set(False)
             self.log("its timer has expired: off")
 
     def switch(self, on: bool, seconds: float | None) -> None:
-        """Switch it off, or on for a time (s; None for no limit)."""
+        """Switch the relay off, or on for a time (s; None for no limit)."""
         self.advance()
         if on != self.on:
             self.log("on" if on else "off")
@@ -77,11 +77,11 @@ class SimulatedRelay(ABC):
 
     @abstractmethod
     def receive(self, topic: str, payload: str) -> Iterator[Published]:
-        """Receive a message, and yield what it publishes in return."""
+        """Receive a message, and yield the messages that the relay publishes in return."""
 
 
 class Shelly(SimulatedRelay):
-    """Shelly of generation 2: JSON-RPC over MQTT.
+    """Shelly relay of generation 2, with JSON-RPC over MQTT.
 
     Requests arrive on DEVICE/rpc; answers go to SRC/rpc (``src`` of the request) with the request's
     id.
@@ -90,7 +90,7 @@ class Shelly(SimulatedRelay):
     TOPICS = ("{}/rpc",)
 
     def receive(self, topic: str, payload: str) -> Iterator[Published]:
-        """Answer a request."""
+        """Execute a request, and yield its answer."""
         try:
             request = json.loads(payload)
             answer = {"id": request["id"], "src": self._device, "dst": request["src"]}
@@ -126,16 +126,17 @@ class Shelly(SimulatedRelay):
 
 
 class Tasmota(SimulatedRelay):
-    """Tasmota: commands on cmnd/DEVICE/COMMAND, answers on stat/DEVICE/...
+    """Tasmota relay, with commands on cmnd/DEVICE/COMMAND and answers on stat/DEVICE/...
 
-    A command without a payload is a question. PulseTime 1 to 111 is in 0.1 s, 112 to 64900 is
-    seconds plus 100, and 0 is off. PowerOnState is 0 (off) or 3 (as before), the factory setting.
+    A command without a payload is a question. A PulseTime of 1 to 111 is a time in 0.1 s, 112 to
+    64900 is seconds plus 100, and 0 means off. PowerOnState is 0 (off) or 3 (previous state, the
+    factory setting).
     """
 
     TOPICS = ("cmnd/{}/+",)
 
     def receive(self, topic: str, payload: str) -> Iterator[Published]:
-        """Carry out a command."""
+        """Carry out a command, and yield its answers."""
         command = topic.rpartition("/")[2].lower()
         match command, payload.lower():
             case ("power" | "power1", "on" | "off" as word):
@@ -179,11 +180,11 @@ RELAYS: Mapping[str, type[SimulatedRelay]] = {"Shelly": Shelly, "Tasmota": Tasmo
 
 
 class RelayOnBroker:
-    """A simulated relay at a broker; it reconnects.
+    """A simulated relay that is connected to a broker; it reconnects automatically.
 
     Attributes:
         relay: the relay.
-        client: client of the broker.
+        client: MQTT client that is connected to the broker.
     """
 
     def __init__(self, relay: SimulatedRelay, broker: Broker, device: str) -> None:
@@ -191,11 +192,12 @@ class RelayOnBroker:
 
         Args:
             relay: the relay.
-            broker: broker to which it connects.
-            device: its own topic at the broker.
+            broker: broker to which the relay connects.
+            device: topic of the relay itself at the broker.
 
         Raises:
-            ConfigurationError: if there is no MQTT library, or a file for the login is wrong.
+            ConfigurationError: if the MQTT library is not installed, or a file for the login is
+                wrong.
         """
         self.relay, self._broker, self._device = relay, broker, device
         self._topics = [topic.format(device) for topic in relay.TOPICS]
@@ -227,6 +229,6 @@ class RelayOnBroker:
         self._loop.call_soon_threadsafe(self.receive, topic, payload)
 
     def receive(self, topic: str, payload: bytes) -> None:
-        """Answer a message."""
+        """Publish the relay's answers to a message."""
         for answer in self.relay.receive(topic, payload.decode(errors="replace")):
             self.client.publish(*answer)

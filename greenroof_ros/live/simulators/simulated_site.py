@@ -1,4 +1,4 @@
-"""The two tanks behind sensors on Modbus and MQTT, in real time."""
+"""Real-time simulation of cistern and roof with sensors on Modbus and MQTT."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _MESSAGES = 5
 
 
 class SimulatedSite:
-    """Cistern and roof behind the ports, lines and topics of their sensors, simulated in ticks.
+    """Simulation of cistern and roof in ticks, with the sensors that measure them.
 
     Attributes:
         plant: cistern and roof.
-        servers: servers of the sensors on Modbus.
+        servers: Modbus servers of the sensors.
         pumped: volume pumped out of the cistern so far (m3).
     """
 
@@ -50,15 +50,16 @@ class SimulatedSite:
 
         Args:
             site: parameters of the site.
-            precipitation: rain rate in each tick (m/s); the last value continues.
-            evapotranspiration: loss of the whole bed in each tick (m3/s); the last value continues.
-            volumes: volumes in cistern and roof at the beginning (m3).
-            sensors: the sensors, with addresses and protocols; a thermometer reads 15 degC.
-            speed: function that returns the pump's true present speed (share of the rated speed).
+            precipitation: rain rate in each tick (m/s); the last value applies to all later ticks.
+            evapotranspiration: loss of the whole bed in each tick (m3/s); the last value applies to
+                all later ticks.
+            volumes: initial volumes of water in cistern and roof (m3).
+            sensors: the sensors, with addresses and protocols; a thermometer always reads 15 degC.
+            speed: function that returns the present speed of the pump (share of the rated speed).
 
         Raises:
-            ConfigurationError: if two sensors have the same register, the MQTT library is missing,
-                or a file for the login is wrong.
+            ConfigurationError: if two sensors use the same register, the MQTT library is not
+                installed, or a file for the login is wrong.
         """
         self._site, self._speed = site, speed
         self._weather = precipitation, evapotranspiration
@@ -86,7 +87,7 @@ class SimulatedSite:
 
     @property
     def tick(self) -> int:
-        """Number of ticks so far."""
+        """The number of ticks simulated so far."""
         return self._virtual_site.tick
 
     def device(self, sensors: Mapping[str, ModbusSensor]) -> Device:
@@ -104,8 +105,8 @@ class SimulatedSite:
 
         if len(read()) < sum(map(len, ranges.values())):
             raise ConfigurationError(
-                "two sensors use the same register: this cannot be simulated, since input "
-                "and holding registers are the same here",
+                "is used by two sensors, which cannot be simulated: the simulator does not "
+                "distinguish input registers from holding registers",
                 key="register", value=max(registers[0] for registers in ranges.values()),
             )
 
@@ -113,19 +114,19 @@ class SimulatedSite:
 
     @property
     def addresses(self) -> str:
-        """The addresses of the sensors."""
+        """The addresses of the sensors, as text."""
         return ", ".join(f"{name} sensor {sensor}" for name, sensor in self._sensors.items())
 
     def words(self, section: str, sensor: ModbusSensor) -> list[int]:
-        """Return the registers of a sensor."""
+        """Return the present values of a sensor's registers."""
         return encode(self.raw(section), sensor.type, sensor.word_order)
 
     def raw(self, section: str) -> float:
-        """Return the raw value of a sensor."""
+        """Return the present raw value of a sensor."""
         return self._sensors[section].raw_for(self.true(section))
 
     def true(self, section: str) -> float:
-        """Return the true value of the quantity that a sensor measures."""
+        """Return the present value of the quantity that a sensor measures, without errors."""
         sensor = self._sensors[section]
         cistern, roof = self.plant.levels()
         return {
@@ -139,7 +140,7 @@ class SimulatedSite:
         return self.raw(section)
 
     async def run(self, ended: asyncio.Event) -> None:
-        """Run the site until the simulator ends; after a pause of this process, catch up."""
+        """Run the site until the simulator stops; after a pause of this process, catch up."""
         publishing = [asyncio.create_task(publisher.run(ended)) for publisher in self._publishers]
         started_at = time.monotonic()
         speed = self._speed()
@@ -150,11 +151,11 @@ class SimulatedSite:
         await asyncio.gather(*publishing)
 
     async def _mean_flow(self, speed: float, due: float) -> tuple[float, float]:
-        """Watch the drive until the end of a tick; return its mean flow (m3/s) and last speed.
+        """Sample the drive's speed until the end of a tick; return mean flow (m3/s) and last speed.
 
         Args:
             speed: speed at the beginning of the tick (share of the rated speed).
-            due: end of the tick (s, `time.monotonic`).
+            due: time at which the tick ends (s, `time.monotonic`).
         """
         pause = max(self._site.tau / _POLLS, _MIN_PAUSE_S)
         pumped = passed = 0.0
@@ -198,7 +199,7 @@ class SimulatedSite:
 
 
 def payload(raw: float, sensor: MqttSensor) -> str:
-    """Return a message that contains a number at the sensor's path."""
+    """Return an MQTT message in which a raw value is at the sensor's path."""
     content: Any = raw
     for step in reversed(parse_path(sensor.value)):
         content = {step: content} if isinstance(step, str) else [None] * step + [content]
@@ -206,15 +207,15 @@ def payload(raw: float, sensor: MqttSensor) -> str:
 
 
 class SimulatedMqttSensor:
-    """Publishes readings regularly."""
+    """A simulated sensor that publishes its readings at regular intervals."""
 
     def __init__(self, name: str, sensor: MqttSensor, read: Callable[[], float | None]) -> None:
         """Prepare the sensor without connecting.
 
         Args:
             name: name of the sensor.
-            sensor: description of where and how it publishes.
-            read: function that returns its raw value, or None if it must not publish.
+            sensor: the sensor's section of the sensor file.
+            read: function that returns the raw value, or None if nothing must be published.
         """
         self._sensor, self._read = sensor, read
         broker, self._topic = sensor.broker_and_topic()
@@ -223,7 +224,7 @@ class SimulatedMqttSensor:
         )
 
     async def run(self, ended: asyncio.Event) -> None:
-        """Publish until the simulator ends."""
+        """Publish readings until the simulator stops."""
         self._client.loop_start()
         while not ended.is_set():
             raw = self._read()
