@@ -1,4 +1,4 @@
-"""One drive on Modbus, operated as its drive file describes."""
+"""Operation of one drive on Modbus according to its drive file."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from greenroof_ros.model.pump_speed import STANDSTILL
 
 # Time between two checks of whether a drive has reached a state (s).
 _POLL_S = 0.05
-_LOCAL = "; it is in local control: switch it to bus control at its panel"
+_LOCAL = "; the drive is in local control: switch it to bus control at its panel"
 
 
 @dataclass(frozen=True)
 class DriveStatus:
-    """What a drive reports about itself.
+    """The status that a drive reports.
 
     Attributes:
         ready: whether the drive would start: it has no fault and no interlock.
         running: whether the motor is energized.
-        fault: its fault, in words; empty for none. Turning backwards is a fault, too.
-        warning: its warning, in words; empty for none.
-        speed: speed, share of the rated speed; below 0 only if the pump turns backwards.
-        flow: flow (m3/s); None if the drive does not measure it.
-        remote: whether it obeys the bus.
-        timed_out: whether its only fault is that its own communication timeout has expired.
-        runs_on: whether the fault is that its speed does not fall after *stop*.
+        fault: description of the active fault, which may be turning backwards; empty for none.
+        warning: description of the active warning; empty for none.
+        speed: speed (share of the rated speed); negative only if the pump turns backwards.
+        flow: flow of the pump (m3/s); None if the drive does not measure the flow.
+        remote: whether the drive obeys the bus.
+        timed_out: whether the only fault is the expiry of the drive's own communication timeout.
+        runs_on: whether the fault is a speed that does not fall after *stop*.
     """
 
     ready: bool
@@ -52,7 +52,7 @@ class DriveStatus:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the pump is stopped."""
+        """Whether the pump is at rest."""
         return abs(self.speed) <= STANDSTILL
 
     def __str__(self) -> str:
@@ -69,7 +69,7 @@ class Drive:
     Attributes:
         file: the drive file.
         line: the connection.
-        stopped: whether the last `stop` on this connection was confirmed; None if there was none.
+        stopped: whether the last `stop` on this connection was confirmed; None before any `stop`.
     """
 
     def __init__(self, file: DriveFile, address: Address, timeout_s: float = 0.5) -> None:
@@ -78,7 +78,7 @@ class Drive:
         Args:
             file: the drive file.
             address: address of the drive.
-            timeout_s: longest wait for a connection, and for each answer (s).
+            timeout_s: maximum wait for a connection, and for each answer (s).
         """
         self.file, self.line = file, file.line(address, timeout_s)
         self.stopped: bool | None = None
@@ -101,7 +101,7 @@ class Drive:
         """Return make, model and nameplate as text.
 
         Raises:
-            DriveError: if it cannot be read.
+            DriveError: if the nameplate cannot be read.
         """
         parts = []
         for plate in self.file.nameplate:
@@ -111,13 +111,14 @@ class Drive:
         return f"{self.file.make} {self.file.model} ({'; '.join(parts)})"
 
     def timeout(self) -> tuple[float | None, str]:
-        """Return its own communication timeout on this connection (s), or None and why it is off.
+        """Return the drive's own communication timeout (s), or None and the reason if it is off.
 
-        A timeout that would not stop the drive is treated as off. The full-scale registers are read
-        again when they are next needed.
+        A timeout that would not stop the drive is treated as off. The call also discards the values
+        of the full-scale registers, which are then read again when needed.
 
         Raises:
-            DriveError: if it cannot be read, or the drive file has no timeout for this interface.
+            DriveError: if the timeout cannot be read, or the drive file has none for this
+                interface.
         """
         self._full_scale.clear()
         timeout = self._timeout
@@ -144,10 +145,10 @@ class Drive:
         return seconds, ""
 
     def read(self) -> DriveStatus:
-        """Return what the drive reports about itself.
+        """Return the status that the drive reports.
 
         Raises:
-            DriveError: if it cannot be read or reports an impossible value.
+            DriveError: if the status cannot be read or contains an impossible value.
         """
         status, values = self.file.status, dict[str, int]()
         fault, warning, timed_out = "", "", False
@@ -172,13 +173,13 @@ class Drive:
         )
 
     def local(self, values: dict[str, int] | None = None) -> bool:
-        """Return whether it is in local control; False if the drive file has no condition for this.
+        """Return whether the drive is in local control; False if its file has no such condition.
 
         Args:
-            values: raw values just read.
+            values: raw values that have just been read, by register.
 
         Raises:
-            DriveError: if it cannot be read.
+            DriveError: if the status cannot be read.
         """
         remote = self.file.status.remote
         return remote is not None and not self._fulfils(remote, {} if values is None else values)
@@ -186,17 +187,17 @@ class Drive:
     def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
         """Make the drive ready if needed, then write the speed and the control word.
 
-        The caller repeats this while the pump must run: many drives stop by themselves if nothing
-        is written to them.
+        The caller repeats the call while the pump must run, because many drives stop if nothing is
+        written to them.
 
         Args:
-            speed: speed, share of the rated speed, 0 to 1.
+            speed: requested speed (share of the rated speed), 0 to 1.
             may_continue: function called before each step and while waiting; the sequence ends if
                 it returns False.
 
         Raises:
-            DriveError: if there is no answer or a wrong one, a fault is active, or a state was not
-                reached in time.
+            DriveError: if no valid answer arrives, a fault is active, or a state is not reached in
+                time.
         """
         values: dict[str, int] = {}
         if self._fulfils(self.file.status.fault, values):
@@ -209,15 +210,15 @@ class Drive:
         self._perform(self.file.sequences.run, may_continue, speed, values)
 
     def stop(self) -> None:
-        """Ramp down and switch off. The caller repeats this while the pump must be off.
+        """Ramp the pump down, and switch it off. The caller repeats this while it must be off.
 
-        If the drive refuses a step, the later steps are still written, since a speed of 0 may get
-        through even if the control word does not. The drive's status is then read, and it must
-        answer. The answer to a write does not suffice: it equals the request, so it may be the
-        request itself, echoed by the line.
+        If the drive rejects a step, the later steps are still written, since it may accept a speed
+        of 0 even if it rejects the control word. Then the drive must also answer a read of its
+        status. The answer to a write is no proof: it equals the request, so it may be an echo from
+        the line.
 
         Raises:
-            DriveError: if there is no answer or a wrong one.
+            DriveError: if no valid answer arrives.
         """
         self.stopped = False
         refused: DriveError | None = None
@@ -234,21 +235,21 @@ class Drive:
         self.stopped = True
 
     def reset(self) -> None:
-        """Stop, and acknowledge a fault.
+        """Stop the drive, and acknowledge its fault.
 
         Raises:
-            DriveError: if there is no answer or a wrong one; the fault remains.
+            DriveError: if no valid answer arrives; the fault then remains.
         """
         self.stop()
         self._prepared = False
         self._perform(self.file.sequences.reset)
 
     def second_master(self) -> Diagnosis | None:
-        """Return a diagnosis if the control word is known not to be the one last written.
+        """Return a diagnosis if another writer is known to have changed the control word.
 
-        Only the bits that the drive file uses are compared, and only on a connection on which the
-        drive has returned a word that was written, because the control word of some drives cannot
-        be read, or reads as something else.
+        Only the bits that the drive file uses are compared. Some drives do not return their control
+        word when it is read, so nothing is compared until the drive has returned a written word on
+        this connection.
 
         Raises:
             DriveError: if the connection is lost.
@@ -278,14 +279,15 @@ class Drive:
         speed: float = 0.0,
         values: dict[str, int] | None = None,
     ) -> bool:
-        """Carry out the steps; return whether all were done.
+        """Carry out the steps of a sequence; return whether all of them were completed.
 
         Args:
             steps: the steps, in order.
             may_continue: function called before each step and while waiting; if it returns False,
-                the rest is omitted.
-            speed: speed, share of the rated speed, for the step that writes it.
-            values: raw values just read; there is no wait for a condition that they already fulfil.
+                the remaining steps are omitted.
+            speed: value for the step that writes the speed (share of the rated speed).
+            values: raw values that have just been read, by register; a condition that they fulfil
+                is not waited for.
         """
         for step in steps:
             if not may_continue():
@@ -307,7 +309,7 @@ class Drive:
     def _wait_for(
         self, step: Step, until: RegisterCondition, word: int, may_continue: Callable[[], bool]
     ) -> bool:
-        """Wait for a state; return False if `may_continue` ended the wait."""
+        """Wait until the drive reports a state; return False if `may_continue` ended the wait."""
         deadline = time.monotonic() + step.within_s
         while not self._fulfils(until, now := dict[str, int]()):
             if not may_continue():
@@ -373,11 +375,11 @@ class Drive:
         """Return a register's value in its unit; if it is not available, raise a DriveError."""
         value = self._scaled(name, self._read_raw(name))
         if value is None:
-            raise self.line.error("answer", f"its {name} is not available")
+            raise self.line.error("answer", f"the drive reports its {name} as not available")
         return value
 
     def _factor(self, register: Register) -> float:
-        """Return the factor from the raw value to the register's unit."""
+        """Return the factor that converts a raw value to the register's unit."""
         full = register.full_scale
         if not full:
             return register.scale
@@ -422,26 +424,25 @@ class DriveEndpoint:
 
     @property
     def guard(self) -> Timeout | None:
-        """Its communication timeout at this address; None if the drive file has none."""
+        """The drive's communication timeout at this address; None if its file has none."""
         return self.file.timeout.guarding(self.address)
 
     def lock_name(self) -> str:
-        """Return the name of its lock, which is the same however the address is written.
-
-        It names the drive, or its whole serial line. The call may block while the host name is
-        resolved.
+        """Return the name of the drive's lock, which is the same for all spellings of the address.
+        The name stands for the drive, or for its whole serial line. The call may block while the
+        host name is resolved.
 
         Raises:
-            OSError: if there is no such host or no name server answers.
+            OSError: if the host is unknown or no name server answers.
         """
         place = self.address.canonical_name(self.file.tcp.port).strip("/")
         return place if self.address.line else f"{place}-{self.file.device_id_at(self.address)}"
 
     def connection(self, timeout_s: float = 0.5) -> Drive:
-        """Return the drive on a new connection, not yet opened; it must be connected only once.
+        """Return the drive on a new connection that is not yet open; open it only once.
 
         Args:
-            timeout_s: longest wait for a connection, and for each answer (s).
+            timeout_s: maximum wait for a connection, and for each answer (s).
 
         Raises:
             ConfigurationError: if the Modbus library is not installed.

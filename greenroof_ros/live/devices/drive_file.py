@@ -32,52 +32,62 @@ MAX_RAMP_S = 30.0
 class Source:
     """A document from which the file was made."""
 
-    title: str = entry("title")
-    document: str = entry("number and revision, as printed on its title page")
-    where: str = entry("address, pages or section at which it was read")
+    title: str = entry("title of the document")
+    document: str = entry("number and revision of the document, as printed on its title page")
+    where: str = entry("web address, and the pages or section that were read")
 
 
 @dataclass(frozen=True)
 class Numbering:
-    """How the register numbers in the manual follow from the addresses on the wire."""
+    """The relation between the register numbers in the manual and the addresses on the wire."""
 
-    offset: int = entry("number in the manual minus the address on the wire", 0, 465536)
-    meaning: str = entry("the rule that the manual states, in a sentence")
+    offset: int = entry("register number in the manual minus address on the wire", 0, 465536)
+    meaning: str = entry("numbering rule that the manual states, as a sentence")
 
 
 @dataclass(frozen=True)
 class Tcp:
-    """Modbus TCP."""
+    """Settings of Modbus TCP."""
 
-    port: int = entry("TCP port, which also applies to a gateway", 1, 65535)
-    device_id: int = entry("unit identifier; for a drive behind a gateway see `serial`", 0, 255)
+    port: int = entry("TCP port of the drive or of a gateway", 1, 65535)
+    device_id: int = entry(
+        "unit identifier on TCP; a drive behind a gateway uses the one in `serial`", 0, 255
+    )
 
 
 @dataclass(frozen=True)
 class Register:
-    """A holding register, or two that form one value.
+    """A holding register, or consecutive registers that form one value.
 
-    The value in the stated unit is scale x raw. If `full_scale` names a register, the value is
-    also divided by that register's value.
+    The value in the stated unit is scale x raw. If `full_scale` names a register, the value is also
+    divided by the value of that register.
     """
 
-    address: int = entry("address on the wire, where the first register is 0", 0, 65535)
-    manual: int = entry("number of the register in the manual: address + numbering.offset", 0)
-    type: str = entry("how the value is encoded", choices=(*WIDTHS, "text"))
-    meaning: str = entry("what its value means")
-    source: str = entry("page or table of one of the sources, or 'none'")
-    word_order: str = entry("which word comes first, if there are "
-        "several", choices=WORD_ORDERS, default="")
-    length: int = entry("for a text only: number of registers, each of which holds two "
-        "characters", 0, 64, default=0)
-    unit: str = entry("unit of the scaled value; empty for a plain word", choices=UNITS, default="")
-    scale: float = entry("value = scale x raw", default=1.0)
-    full_scale: str = entry(
-        "register whose value divides this one; it is read on connecting", default=""
+    address: int = entry(
+        "address of the register on the wire, where the first register is 0", 0, 65535
     )
-    low: float = entry("lowest plausible value, in this unit", default=-math.inf)
-    high: float = entry("highest plausible value, in this unit", default=math.inf)
-    missing: Word | None = entry("the raw value that means 'not available'", default=None)
+    manual: int = entry(
+        "number of the register in the manual, which must be address + numbering.offset", 0
+    )
+    type: str = entry("encoding of the value", choices=(*WIDTHS, "text"))
+    meaning: str = entry("meaning of the value, for messages")
+    source: str = entry("page or table in one of the sources, or 'none'")
+    word_order: str = entry(
+        "order of the words of a value that takes more than one register",
+        choices=WORD_ORDERS, default="",
+    )
+    length: int = entry(
+        "for the type text only: number of registers, with two characters in each", 0, 64, default=0
+    )
+    unit: str = entry("unit of the scaled value; empty for a plain word", choices=UNITS, default="")
+    scale: float = entry("factor: value = scale x raw", default=1.0)
+    full_scale: str = entry(
+        "name of a register by whose value this value is divided; it is read on "
+        "connecting", default=""
+    )
+    low: float = entry("minimum plausible value, in the unit of the register", default=-math.inf)
+    high: float = entry("maximum plausible value, in the unit of the register", default=math.inf)
+    missing: Word | None = entry("raw value that means 'not available'", default=None)
 
     @property
     def width(self) -> int:
@@ -89,8 +99,8 @@ class Register:
 class RegisterCondition:
     """A condition that is true if register & mask == value."""
 
-    mask: Word = entry("bits that are compared", 1, 0xFFFFFFFF)
-    value: Word = entry("value that these bits must have", 0, 0xFFFFFFFF)
+    mask: Word = entry("mask of the bits that are compared", 1, 0xFFFFFFFF)
+    value: Word = entry("value that the bits in the mask must have", 0, 0xFFFFFFFF)
     register: str = entry("name of the register", default="status")
 
     def fulfilled_by(self, raw: int) -> bool:
@@ -100,23 +110,25 @@ class RegisterCondition:
 
 @dataclass(frozen=True)
 class Step:
-    """One write, and what the drive must report before the next step is taken."""
+    """A write to one register, and the condition for the next step."""
 
     write: str = entry("name of the register to write")
     value: Word | str = entry(
-        "the word to write, or 'speed' for the requested speed", 0, 0xFFFF, choices=(SPEED,)
+        "word to write, or 'speed' for the requested speed", 0, 0xFFFF, choices=(SPEED,)
     )
-    until: RegisterCondition | None = entry("what must be true before the next step", default=None)
-    within_s: float = entry("longest time that this may take (s)", 0.05, 60, default=1.0)
+    until: RegisterCondition | None = entry(
+        "condition that must be true before the next step", default=None
+    )
+    within_s: float = entry("maximum wait for the condition in `until` (s)", 0.05, 60, default=1.0)
 
 
 @dataclass(frozen=True)
 class Sequences:
-    """The writes, in order, that bring the drive from one state to another."""
+    """The sequences of writes that bring the drive from one state to another."""
 
     ready: tuple[Step, ...] = entry(
-        "steps from any state except a fault (power-up, reset, local control) to a state in which "
-        "`run` works"
+        "steps that lead from any state except a fault (power-up, reset, local control) to a "
+        "state in which `run` works"
     )
     run: tuple[Step, ...] = entry("steps that set the speed and then start the pump; they are "
         "written again in every cycle while it runs")
@@ -129,12 +141,20 @@ class Sequences:
 class StatusWord:
     """The meaning of the status word."""
 
-    enabled: RegisterCondition = entry("`run` works without a preceding `ready`")
-    ready: RegisterCondition = entry("the drive would start: it has no fault and no interlock")
-    running: RegisterCondition = entry("the motor is energized")
-    fault: RegisterCondition = entry("a fault keeps the drive off")
-    warning: RegisterCondition | None = entry("a warning is active", default=None)
-    remote: RegisterCondition | None = entry("the drive obeys the bus", default=None)
+    enabled: RegisterCondition = entry(
+        "condition that is true if `run` works without a preceding `ready`"
+    )
+    ready: RegisterCondition = entry(
+        "condition that is true if neither a fault nor an interlock prevents a start"
+    )
+    running: RegisterCondition = entry("condition that is true while the motor is energized")
+    fault: RegisterCondition = entry("condition that is true while a fault keeps the drive off")
+    warning: RegisterCondition | None = entry(
+        "condition that is true while a warning is active", default=None
+    )
+    remote: RegisterCondition | None = entry(
+        "condition that is true while the drive obeys the bus", default=None
+    )
     bits: dict[int, str] = entry(
         "texts for the status word's bits; bit 0 is the least significant", 0, 31, factory=dict
     )
@@ -145,14 +165,14 @@ class Codes:
     """A register of faults or warnings, and the texts of its values."""
 
     register: str = entry("name of the register")
-    kind: str = entry("one code, or a bit for each fault", choices=("code", "bits"))
+    kind: str = entry("encoding: one code, or one bit for each fault", choices=("code", "bits"))
     texts: dict[Word, str] = entry(
-        "text for each code, or for each bit (bit 0 is the least "
+        "texts of the codes, or of the bits (bit 0 is the least "
         "significant)", 0, 0xFFFFFFFF, factory=dict
     )
 
     def only(self, raw: int, among: tuple[Word, ...]) -> bool:
-        """Return whether a raw value reports something, but nothing except these codes or bits."""
+        """Return whether a raw value reports at least one of these codes or bits, and no others."""
         if self.kind == "code":
             return raw in among
         return raw != 0 and raw & ~sum(1 << bit for bit in among) == 0
@@ -162,7 +182,7 @@ class Codes:
         if raw == 0:
             return ""
         if self.kind == "code":
-            return f"{self.texts.get(Word(raw), 'no text for it')} (code {raw}, 0x{raw:04X})"
+            return f"{self.texts.get(Word(raw), 'not in the drive file')} (code {raw}, 0x{raw:04X})"
         bits = [bit for bit in range(32) if raw >> bit & 1]
         return ", ".join(self.texts.get(Word(bit), f"bit {bit}") for bit in bits)
 
@@ -172,10 +192,10 @@ class Action:
     """A setting that decides whether the communication timeout stops the pump."""
 
     register: str = entry("name of the register")
-    stops: dict[int, str] = entry("values with which the drive stops the pump, and their names", 0)
+    stops: dict[int, str] = entry("values with which the drive stops the pump, with their names", 0)
     runs_on: dict[int, str] = entry(
-        "values with which the drive does not or may not stop the pump, or does so only until "
-        "someone resets it; the timeout is then treated as off", 0,
+        "values with which the drive may fail to stop the pump, or starts it again with the next "
+        "control word; the timeout is then treated as off", 0,
     )
 
 
@@ -185,8 +205,8 @@ class Timeout:
 
     register: str = entry("name of the register that holds the time")
     kept_alive_by: str = entry("messages that restart the timeout")
-    how_to_set: str = entry("instruction for people: where to set the timeout, and to which value")
-    off_values: tuple[Word, ...] = entry("raw times that mean off", default=())
+    how_to_set: str = entry("instruction for setting the timeout by hand: parameter and value")
+    off_values: tuple[Word, ...] = entry("raw times with which the timeout is off", default=())
     action: Action | None = entry("setting that selects what happens when the timeout "
         "expires", default=None)
     mode: Action | None = entry(
@@ -197,25 +217,27 @@ class Timeout:
         "codes (or bits) of `faults` that report the expiry of the timeout", 0, default=()
     )
     unguarded_after_power_up_s: float = entry(
-        "time for which the timeout is not effective after power-up (s); after every connection "
-        "the pump is kept off for as long, since the drive may have just been switched "
+        "time after power-up for which the timeout is not effective (s); the pump is kept off "
+        "for this time after every connection, since the drive may have just been switched "
         "on", 0, 600, default=0.0,
     )
     local_settings_decide: bool = entry(
-        "whether the reaction to the timeout is set in the drive and cannot be read; a person "
-        "must then confirm that the pump stops (`local_settings_stop_the_pump`)", default=False,
+        "whether settings in the drive that cannot be read decide the reaction to the timeout; a "
+        "person must then confirm that the pump stops "
+        "(`local_settings_stop_the_pump`)", default=False,
     )
     traps: str = entry("cases in which the timeout is not effective", default="")
 
 
 @dataclass(frozen=True)
 class Timeouts:
-    """The drive's own communication timeouts, each of which guards one interface only."""
+    """The drive's own communication timeouts, one for each interface."""
 
     serial: Timeout | None = entry("timeout of the serial port, which is reached over a line or a "
         "gateway", default=None)
-    tcp: Timeout | None = entry("timeout of the drive's own Ethernet port, or of its "
-        "adapter's", default=None)
+    tcp: Timeout | None = entry(
+        "timeout of the Ethernet port of the drive or of its adapter", default=None
+    )
 
     @property
     def by_interface(self) -> dict[str, Timeout]:
@@ -229,54 +251,58 @@ class Timeouts:
 
 @dataclass(frozen=True)
 class Nameplate:
-    """A register that tells people which drive this is."""
+    """A register whose value identifies the drive."""
 
     register: str = entry("name of the register")
-    texts: dict[int, str] = entry("names of its values", factory=dict)
+    texts: dict[int, str] = entry("texts for the values of the register", factory=dict)
 
 
 @dataclass(frozen=True)
 class DriveFile:
-    """A make of drive."""
+    """The description of a make of drive."""
 
-    make: str = entry("maker")
-    model: str = entry("the drive, and the option or adapter that speaks Modbus")
+    make: str = entry("name of the maker")
+    model: str = entry("model of the drive, and the option or adapter that provides Modbus")
     sources: tuple[Source, ...] = entry("documents from which the file was made")
     unverified: tuple[str, ...] = entry(
         "keys of this file (such as registers.control) that could not be verified against a manual"
     )
-    numbering: Numbering = entry("how the manual numbers the registers")
-    tcp: Tcp = entry("Modbus TCP")
+    numbering: Numbering = entry("numbering of the registers in the manual")
+    tcp: Tcp = entry("settings of Modbus TCP")
     serial: Serial = entry("factory settings of Modbus RTU")
     registers: dict[str, Register] = entry(
         "registers by name; `control`, `reference`, `status` and `speed` are required"
     )
-    sequences: Sequences = entry("sequences of control words")
-    status: StatusWord = entry("the status word")
-    faults: Codes = entry("fault codes")
+    sequences: Sequences = entry("sequences of writes that start, stop and reset the drive")
+    status: StatusWord = entry("meaning of the status word")
+    faults: Codes = entry("register and texts of the faults")
     timeout: Timeouts = entry("the drive's own communication timeouts")
-    nameplate: tuple[Nameplate, ...] = entry("read on connecting")
-    min_speed: float = entry("share of the rated speed below which the pump is not run", 0, 1)
-    set_up: tuple[str, ...] = entry("instructions for people: what to set in the drive")
-    warnings: Codes | None = entry("warning codes", default=None)
+    nameplate: tuple[Nameplate, ...] = entry(
+        "registers that identify the drive, read on connecting"
+    )
+    min_speed: float = entry(
+        "minimum speed at which the pump is run (share of the rated speed)", 0, 1
+    )
+    set_up: tuple[str, ...] = entry("other settings that have to be made by hand in the drive")
+    warnings: Codes | None = entry("register and texts of the warnings", default=None)
     path: Path = Path()
 
     def device_id_at(self, address: Address) -> int:
         """Return the drive's unit identifier or slave address at an address.
 
-        An identifier in the address comes first. Otherwise it is the one in the file for the
-        interface that is reached, which is the slave address behind a gateway.
+        An identifier in the address takes precedence. Otherwise, the identifier of the interface in
+        use is taken from the file; for a gateway, it is the slave address.
         """
         if address.device_id is not None:
             return address.device_id
         return (self.tcp if address.interface == "tcp" else self.serial).device_id
 
     def line(self, address: Address, timeout_s: float) -> ModbusLine:
-        """Return a connection to the drive, not yet opened.
+        """Return a connection to the drive that is not yet open.
 
         Args:
             address: address of the drive.
-            timeout_s: longest wait for a connection, and for each answer (s).
+            timeout_s: maximum wait for a connection, and for each answer (s).
         """
         return ModbusLine(
             address, port=self.tcp.port, device_id=self.device_id_at(address), serial=self.serial,
@@ -295,13 +321,13 @@ class DriveFile:
 
 
 def find_drive_file(name: str) -> Path:
-    """Return the path of the drive file that an option names.
+    """Return the path of a drive file that was selected by name or path.
 
     Args:
-        name: a path, or the name of a file in ``config/drives/`` without its ending.
+        name: a path, or the name of a file in ``config/drives/`` without its extension.
 
     Raises:
-        ConfigurationError: if there is no such file.
+        ConfigurationError: if the file does not exist.
     """
     shipped = shared_directory() / "config" / "drives"
     names = sorted(path.stem for path in shipped.glob("*.yaml"))
@@ -319,7 +345,7 @@ def read_drive_file(path: Path) -> DriveFile:
     """Read and check a drive file.
 
     Raises:
-        ConfigurationError: if something in it is missing, unknown, impossible or contradictory.
+        ConfigurationError: if a key or value is missing, unknown, impossible or contradictory.
     """
     return replace(read_record(DriveFile, path, _mistakes), path=path)
 
@@ -329,7 +355,7 @@ _BITS, _WORD, _ANY = "bits", "word", "any"
 
 
 def _parts(part: Any, key: str) -> Iterator[tuple[str, Any]]:
-    """Yield every record in a part of a drive file, with its key."""
+    """Yield every record in a part of a drive file, preceded by its key."""
     below: dict[Any, Any] = {}
     if is_dataclass(part):
         yield key, part
@@ -343,7 +369,7 @@ def _parts(part: Any, key: str) -> Iterator[tuple[str, Any]]:
 
 
 def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
-    """Yield every key that names a register, the name, and what that register must be."""
+    """Yield every key that names a register, with that name and the required kind of register."""
     for name, unit in {"control": "", "reference": "share", "status": "", "speed": "share"}.items():
         yield "registers", name, unit
     if "flow" in drive.registers:
@@ -363,7 +389,7 @@ def _references(drive: DriveFile) -> Iterator[tuple[str, str, str]]:
 
 
 def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str]]:
-    """Yield every key with a mistake, and the reason; later checks rely on the earlier ones."""
+    """Yield the key and a description of every mistake; later checks rely on earlier ones."""
     registers = drive.registers
     for name, register in registers.items():
         for key, why in _register_mistakes(register, drive.numbering.offset):
@@ -371,9 +397,9 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
     for key, name, like in _references(drive):
         target = registers.get(name)
         if target is None and key == "registers":
-            yield key, f"{name} is missing: every drive needs it"
+            yield key, f"must contain {name}, which every drive needs"
         elif target is None:
-            yield key, f"must be one of registers: {', '.join(registers)}"
+            yield key, f"must be the name of a register in this file: {', '.join(registers)}"
         elif like == _BITS and not target.type.startswith("uint"):
             yield key, "must be a register of the type uint16 or uint32"
         elif like == _WORD and target.width != 1:
@@ -388,12 +414,13 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
             full = registers[register.full_scale]
             if full.low <= 0 or math.isinf(full.high) or full.full_scale:
                 yield f"registers.{register.full_scale}", (
-                    f"must have low above 0, high, and no full_scale, since {name} is divided by it"
+                    f"must have a low above 0, a high and no full_scale, since {name} is divided "
+                    "by its value"
                 )
     for key, part in _parts(drive, ""):
         if isinstance(part, RegisterCondition) and part.value & ~part.mask:
             yield f"{key}.value", (
-                f"has bits outside the mask 0x{part.mask:04X}, so it could never be true"
+                f"has bits outside the mask 0x{part.mask:04X}, so the condition could never be true"
             )
         elif isinstance(part, Action):
             for value in part.stops.keys() & part.runs_on.keys():
@@ -407,24 +434,24 @@ def _mistakes(drive: DriveFile, content: YamlMapping) -> Iterator[tuple[str, str
 def _register_mistakes(register: Register, offset: int) -> Iterator[tuple[str, str]]:
     if register.manual - register.address != offset:
         yield "manual", (
-            f"must be {register.address + offset}: address {register.address} + numbering.offset "
-            f"{offset}; one of the two is wrong"
+            f"must be {register.address + offset}, which is address {register.address} + "
+            f"numbering.offset {offset}"
         )
     yield from coding_mistakes(register.type, register.word_order)
     text = register.type == "text"
     if text != bool(register.length):
         yield "length", (
-            "must be the number of registers" if text
-            else f"belongs to a text, not to {register.type}"
+            "must be the number of registers that the text takes" if text
+            else f"is only for the type text, not for {register.type}"
         )
     if register.address + register.width > 65536:
-        yield "address", "leaves no room for a second register"
+        yield "address", "leaves no room for all registers of the value"
     if register.scale == 0 or not math.isfinite(register.scale):
         yield "scale", "must be finite and not 0"
     if register.low > register.high:
         yield "low", f"must be at most high, {register.high:g}"
     if register.unit and text:
-        yield "unit", "does not belong to a text"
+        yield "unit", "is not for the type text"
 
 
 def _sequence_mistakes(drive: DriveFile) -> Iterator[tuple[str, str]]:
@@ -433,7 +460,8 @@ def _sequence_mistakes(drive: DriveFile) -> Iterator[tuple[str, str]]:
             share = drive.registers[step.write].unit == "share"
             if step.value == SPEED and not (name == "run" and share):
                 yield f"sequences.{name}.{number}.value", (
-                    "can only be written in sequences.run, to a register whose unit is share"
+                    "can only be written in sequences.run, and only to a register whose unit is "
+                    "share"
                 )
         written = [step.write for step in steps]
         if name != "ready" and "control" not in written:
@@ -442,4 +470,4 @@ def _sequence_mistakes(drive: DriveFile) -> Iterator[tuple[str, str]]:
     if SPEED not in [step.value for step in run]:
         yield "sequences.run", "must write the speed"
     if run[-1].write != "control":
-        yield "sequences.run", "must end with the register control"
+        yield "sequences.run", "must end with a write to the register control"

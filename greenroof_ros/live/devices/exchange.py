@@ -171,7 +171,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             endpoint: the drive.
             period_s: time between two rounds of requests (s); a relay's file may set a longer one.
             dead_man_s: time without a call of `request_speed` after which the drive is stopped (s).
-            timeout_s: longest wait for each answer (s).
+            timeout_s: maximum wait for each answer (s).
             timeout_limit_s: longest usable communication timeout of the drive (s). A silence lasts
                 for this long if the timeout is longer, unknown or off.
             stops_locally: whether someone has confirmed that the drive's own settings stop the

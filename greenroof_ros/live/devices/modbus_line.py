@@ -257,7 +257,7 @@ class ModbusLine:
             port: the TCP port, unless the address has one.
             device_id: unit identifier or slave address.
             serial: settings of a serial line; not needed over TCP.
-            timeout_s: longest wait for a connection, and for each answer (s).
+            timeout_s: maximum wait for a connection, and for each answer (s).
 
         Raises:
             ConfigurationError: if the Modbus library is not installed.

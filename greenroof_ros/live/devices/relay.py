@@ -77,7 +77,7 @@ class RelayEndpoint:
         """Return the relay on a new connection, not yet opened; it must be connected only once.
 
         Args:
-            timeout_s: longest wait for an answer (s), unless its file sets a longer one.
+            timeout_s: maximum wait for an answer (s), unless its file sets a longer one.
 
         Raises:
             ConfigurationError: if the MQTT library is not installed or a file for the login is
@@ -99,7 +99,7 @@ class RelayLine:
 
         Args:
             relay: the relay.
-            timeout_s: longest wait for an answer (s).
+            timeout_s: maximum wait for an answer (s).
 
         Raises:
             ConfigurationError: if there is no MQTT library, or a file for the login is wrong.
@@ -252,7 +252,7 @@ class Relay:
 
         Args:
             endpoint: the relay and its address.
-            timeout_s: longest wait for an answer (s).
+            timeout_s: maximum wait for an answer (s).
 
         Raises:
             ConfigurationError: if there is no MQTT library, or a file for the login is wrong.

@@ -120,7 +120,7 @@ class RelayFile:
         default="",
     )
     period: float = entry("minimum time between two rounds of questions (s)", 0.05, 5, default=0.5)
-    answer_within: float = entry("longest wait for an answer (s)", 0.1, 10, default=1.0)
+    answer_within: float = entry("maximum wait for an answer (s)", 0.1, 10, default=1.0)
     path: Path = Path()
 
     # A relay is on or off, with no speed in between.

@@ -159,7 +159,7 @@ class ModbusSensor(Sensor):
         """Return a connection to it, not yet opened.
 
         Args:
-            timeout_s: longest wait for a connection, and for each answer (s).
+            timeout_s: maximum wait for a connection, and for each answer (s).
         """
         return ModbusLine(
             parse_address(self.address), port=_MODBUS_PORT, device_id=self.device_id,

@@ -55,8 +55,8 @@ SECONDS = "    type: uint16\n    unit: s"
     ("old", "new", "message"),
     [
         ("{address: 0, manual: 400001,", "{address: 1, manual: 400001,",
-         "registers.control.manual = 400001: must be 400002: address 1 + numbering.offset 400001; "
-         "one of the two is wrong"),
+         "registers.control.manual = 400001: must be 400002, which is address 1 + "
+         "numbering.offset 400001"),
         ("make: ABB", "makes: ABB", "makes = 'ABB': is not a key here; did you mean make?"),
         ("    - {write: control, value: 0x047E}\n    - {write: reference, value: 0}",
          "    - {write: reference, value: 0}", "sequences.stop: must write the register control"),
@@ -64,7 +64,7 @@ SECONDS = "    type: uint16\n    unit: s"
         ("- {write: reference, value: 0}", "- {write: reference, value: speed}",
          "sequences.stop.2.value = 'speed': can only be written in sequences.run"),
         (BIT_2, BIT_2.replace("value: 0x0004", "value: 0x0005"),
-         "status.running.value = '0x0005': has bits outside the mask 0x0004, so it could never"),
+         "status.running.value = '0x0005': has bits outside the mask 0x0004, so the condition"),
         ("stop_bits: 1", "stop_bits: 3", "serial.stop_bits = 3: must be a whole number from 1"),
         (BIT_2, BIT_2.replace("}", ", register: speed}"),
          "status.running.register = 'speed': must be a register of the type uint16 or uint32"),
@@ -77,10 +77,10 @@ SECONDS = "    type: uint16\n    unit: s"
         ("    register: timeout_time\n", "    register: rating\n",
          "registers.rating: must have the unit s"),
         ("    scale: 5.0e-5\n    low: -1.6\n", "    full_scale: rating\n    low: -1.6\n",
-         "registers.rating: must have low above 0, high, and no full_scale, since speed is"),
+         "registers.rating: must have a low above 0, a high and no full_scale, since speed"),
         ("  - registers.fault\n", "  - registers.faulty\n",
          "unverified.5 = 'registers.faulty': is not a key of this file"),
-        ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: speed is missing: e"),
+        ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: must contain speed, which"),
     ],
 )
 def test_wrong_files_are_refused_by_line_key_and_value(
