@@ -1,9 +1,10 @@
 """A connection to one device on Modbus TCP or RTU: its address, requests and answers.
 
-Every answer is checked, and every failure is named. The function codes are 03 and 04 (read holding
-registers, input registers) and 06 (write single register) of the Modbus Application Protocol
-V1.1b3. No request is sent twice: the caller decides what a lost one means. The module also encodes
-and decodes the values of registers, and contains a thread that serves one device.
+Every answer is checked, and every failure raises an error that names the device. The function codes
+are 03 and 04 (read holding registers, input registers) and 06 (write single register) of the Modbus
+Application Protocol V1.1b3. No request is repeated automatically, because the caller decides how to
+handle a lost request. The module also encodes and decodes the values of registers, and contains a
+thread that serves one device.
 """
 
 from __future__ import annotations
@@ -50,11 +51,11 @@ _EXCEPTIONS = {
     2: "illegal data address: there is no such register",
     3: "illegal data value",
     4: "server device failure",
-    5: "acknowledged, not yet done",
+    5: "acknowledged, but not yet completed",
     6: "server device busy",
     8: "memory parity error",
     10: "gateway: path unavailable",
-    11: "gateway: the device behind it does not answer",
+    11: "gateway: the target device does not answer",
 }
 
 
@@ -65,13 +66,13 @@ _EXCEPTIONS = {
 class Serial:
     """Settings of Modbus RTU with 8 data bits."""
 
-    baud_rate: int = entry("bits per second", 1200, 1_000_000)
-    parity: str = entry("parity bit", choices=("even", "odd", "none"))
-    stop_bits: int = entry("stop bits", 1, 2)
-    device_id: int = entry("slave address", 1, 247)
+    baud_rate: int = entry("baud rate (bits per second)", 1200, 1_000_000)
+    parity: str = entry("parity of the line", choices=("even", "odd", "none"))
+    stop_bits: int = entry("number of stop bits", 1, 2)
+    device_id: int = entry("slave address of the device", 1, 247)
 
     def parity_letter(self, line: str) -> str:
-        """Return E, O or N for a line; a pseudo-terminal has no parity and rejects one."""
+        """Return the letter of the parity (E, O or N); a pseudo-terminal supports only N."""
         pseudo = Path(line).resolve().is_relative_to("/dev/pts")
         return "N" if pseudo else self.parity[0].upper()
 
@@ -104,32 +105,32 @@ class Address:
 
     @property
     def interface(self) -> str:
-        """Return which interface of the device is reached.
+        """The interface of the device to which the address leads.
 
         ``tcp`` is its own Ethernet port; ``serial`` is its serial port, reached directly or through
-        a gateway. A drive has a communication timeout for each, and only that of the interface in
-        use guards the pump.
+        a gateway. A drive has a communication timeout for each interface, and only that of the
+        interface in use guards the pump.
         """
         return "serial" if self.line or self.gateway else "tcp"
 
     def shares_line(self, other: Address) -> bool:
-        """Whether both are on one serial line, under any name, which only one program can open."""
+        """Return whether both addresses are on one serial line, even if its names differ."""
         return bool(self.line and other.line) and (
             self.canonical_name(0) == other.canonical_name(0)
         )
 
     def canonical_name(self, port: int) -> str:
-        """Return a name for the host or line that is the same however the address is written.
+        """Return a name for the host or line that is the same for all spellings of the address.
 
-        It does not include the device id. A serial line is named after its device number, and all
-        addresses of this machine count as one host. The call may block while the host name is
+        The name does not include the device id. A serial line is named after its device number, and
+        all addresses of this machine count as one host. The call may block while the host name is
         resolved.
 
         Args:
             port: the TCP port, unless the address has one.
 
         Raises:
-            OSError: if there is no such host or no name server answers.
+            OSError: if the host is unknown or no name server answers.
         """
         if self.line:
             path = Path(self.line).resolve()
@@ -157,10 +158,10 @@ def parse_address(text: str, key: str = "address") -> Address:
     Args:
         text: ``tcp://HOST``, ``tcp://HOST:PORT``, ``gateway://HOST:PORT`` or the path of a serial
             line's device.
-        key: the option or parameter, for messages.
+        key: name of the option or parameter, for messages.
 
     Raises:
-        ConfigurationError: if it is none of these.
+        ConfigurationError: if the text is none of these.
     """
     scheme, host, port = parse_host(text) or ("", "", None)
     if scheme in ("tcp", "gateway"):
@@ -180,10 +181,10 @@ def parse_drive_address(text: str, key: str) -> Address:
     Args:
         text: see `parse_address`; a comma and the unit identifier or slave address may follow, if
             it differs from the one in the drive file.
-        key: the option or parameter, for messages.
+        key: name of the option or parameter, for messages.
 
     Raises:
-        ConfigurationError: if it is none of these.
+        ConfigurationError: if the address or the device id is invalid.
     """
     canonical_name, comma, device_id = text.rpartition(",")
     if not comma:
@@ -201,11 +202,11 @@ def parse_drive_address(text: str, key: str) -> Address:
 
 
 class DriveError(Exception):
-    """A failure of a drive or another device; the message states what and where.
+    """A failure of a drive or another device; the message names the device and the problem.
 
     Attributes:
-        kind: ``connection`` (there is none, or no answer arrived), ``answer`` (the answer is
-            invalid or a refusal) or ``drive`` (communication works, but the drive does not run).
+        kind: ``connection`` (no connection, or no answer), ``answer`` (an invalid answer or a
+            rejection) or ``drive`` (communication works, but the drive does not run).
     """
 
     def __init__(self, kind: str, message: str) -> None:
@@ -217,7 +218,7 @@ def check_installed() -> None:
     """Check that the Modbus library is installed.
 
     Raises:
-        ConfigurationError: if it is not.
+        ConfigurationError: if the library is not installed.
     """
     with require_extra("pump"):
         import pymodbus.client  # noqa: F401 - only to see if it is there
@@ -228,9 +229,9 @@ class _Request:
     """A request and the bytes received since it was sent.
 
     Attributes:
-        copies: how often its bytes may be received.
+        copies: maximum number of times that the bytes of the request may be received.
         sent: bytes of the request.
-        received: all bytes received since then.
+        received: all bytes received since the request was sent.
     """
 
     copies: int
@@ -239,12 +240,12 @@ class _Request:
 
     @property
     def echoed(self) -> bool:
-        """Whether its bytes were received more often than a device sends them."""
+        """Whether the bytes of the request were received more often than a device sends them."""
         return bool(self.sent) and self.received.count(self.sent) > self.copies
 
 
 class ModbusLine:
-    """A connection to one device; :meth:`for_device` reaches the others on the same line."""
+    """A connection to one device; :meth:`for_device` gives access to others on the same line."""
 
     def __init__(
         self, address: Address, *, port: int, device_id: int, serial: Serial | None = None,
@@ -292,14 +293,14 @@ class ModbusLine:
 
     @property
     def connected(self) -> bool:
-        """Whether the connection is open, as this end sees it."""
+        """Whether the connection is open, as seen from this end."""
         return self._client.connected
 
     def connect(self) -> None:
         """Open the connection.
 
         Raises:
-            DriveError: if it cannot be opened.
+            DriveError: if the connection cannot be opened.
         """
         self._recent.clear()
         if not self._client.connect():
@@ -315,10 +316,10 @@ class ModbusLine:
         self._client.close()  # type: ignore[no-untyped-call]
 
     def read(self, address: int, count: int, *, inputs: bool = False) -> list[int]:
-        """Read holding registers, or input registers.
+        """Read holding registers, or input registers if ``inputs`` is true.
 
         Raises:
-            DriveError: if there is no answer or a wrong one.
+            DriveError: if no valid answer arrives.
         """
         action = f"reading register {address}"
         client = self._client
@@ -326,14 +327,16 @@ class ModbusLine:
         answer = self._request(action, 4 if inputs else 3, read, address, count=count)
         if len(answer.registers) != count:
             received = len(answer.registers)
-            raise self.error("answer", f"{action}: {received} registers, not {count}")
+            raise self.error(
+                "answer", f"{action}: the answer contains {received} registers, not {count}"
+            )
         return list(answer.registers)
 
     def write(self, address: int, word: int) -> None:
         """Write one holding register.
 
         Raises:
-            DriveError: if there is no answer, or one that does not confirm the write.
+            DriveError: if no answer arrives, or the answer does not confirm the write.
         """
         action = f"writing 0x{word:04X} to register {address}"
         answer = self._request(action, _WRITE, self._client.write_register, address, word)
@@ -347,7 +350,7 @@ class ModbusLine:
         self, action: str, function: int, request: Callable[..., ModbusPDU], *values: int,
         **options: int,
     ) -> ModbusPDU:
-        """Return the answer to a request if its function is right and it is not an exception."""
+        """Send a request, and return the answer; reject an exception and a wrong function code."""
         from pymodbus.exceptions import ModbusException
 
         if not self.connected:
@@ -366,7 +369,7 @@ class ModbusLine:
         if answer.function_code != function:
             raise self.error(
                 "answer",
-                f"{action}: the answer has function {answer.function_code}, not {function}",
+                f"{action}: the answer has function code {answer.function_code}, not {function}",
             )
         return answer
 
@@ -383,10 +386,10 @@ class ModbusLine:
         return data
 
     def _refuse_echo(self, action: str) -> None:
-        """Raise if a request was echoed; only the answer to a write may equal its request.
+        """Raise an error if a request was echoed; only the answer to a write may equal its request.
 
         Raises:
-            DriveError: if the line returns what is sent.
+            DriveError: if the line returns the bytes that are sent.
         """
         if any(request.echoed for request in self._recent):
             raise self.error(
@@ -405,23 +408,23 @@ class ModbusLine:
         return self.error("connection", f"{action}: no valid answer within {self._timeout_s:.3g} s")
 
     def error(self, kind: str, problem: str) -> DriveError:
-        """Return the error for a problem, with the place of the device."""
+        """Return an error that names the device and the problem."""
         return DriveError(kind, f"{self.where}: {problem}")
 
 
 def _serial_client(
     line: str, settings: Serial, timeout_s: float, trace: Callable[[bool, bytes], bytes]
 ) -> ModbusSerialClient:
-    """Return a client for a serial line, not yet opened."""
+    """Return a client for a serial line that is not yet open."""
     from pymodbus.client import ModbusSerialClient
     from pymodbus.exceptions import ConnectionException
 
     class Client(ModbusSerialClient):
         def recv(self, size: int | None) -> bytes:
-            """Return what arrives; pyserial does the waiting.
+            """Return the bytes that arrive; pyserial limits the wait.
 
-            Pymodbus measures the wait with the wall clock: if that is set back by an hour, it waits
-            an hour longer.
+            Pymodbus measures the wait with the wall clock, so it would wait an hour longer if the
+            clock were set back by an hour.
             """
             assert self.socket is not None
             try:
@@ -441,7 +444,7 @@ def _serial_client(
 
 
 def coding_mistakes(kind: str, word_order: str) -> Iterator[tuple[str, str]]:
-    """Yield a mistake in ``word_order``: missing for several words, or set for another type."""
+    """Yield a mistake in ``word_order``, which is required for values of several words only."""
     if WIDTHS.get(kind, 1) > 1 and not word_order:
         yield "word_order", "must be 'high first' or 'low first'"
     elif word_order and WIDTHS.get(kind, 1) == 1:
@@ -487,11 +490,11 @@ def encode(value: float, kind: str, word_order: str = "") -> list[int]:
 
 @dataclass(frozen=True)
 class DeviceSnapshot:
-    """What is known about a device at one moment.
+    """The state of knowledge about a device at one moment.
 
     Attributes:
-        read_at: time of its last answer (s, `time.monotonic`).
-        problem: the last problem if it persists; empty if there is none.
+        read_at: time of the device's last answer (s, `time.monotonic`).
+        problem: description of the last problem if it persists; otherwise empty.
     """
 
     read_at: float = -math.inf
@@ -502,18 +505,18 @@ S = TypeVar("S", bound=DeviceSnapshot)
 
 
 class DeviceThread(ABC, Generic[S]):
-    """Carries out steps with a device, one after another, until it is closed.
+    """A thread that carries out steps with a device, one after another, until it is closed.
 
-    A failed step does not end the thread. Nothing here raises an error in the caller: `snapshot`
-    contains the problem.
+    A failed step does not end the thread. No problem raises an error in the caller; `snapshot`
+    contains its description.
     """
 
     def __init__(self, name: str, snapshot: S) -> None:
         """Prepare the thread.
 
         Args:
-            name: name of its task, for messages.
-            snapshot: what is known initially.
+            name: name of the thread's task, for messages.
+            snapshot: the initial snapshot.
         """
         self._name, self._snapshot, self._lock = name, snapshot, threading.Lock()
         self._closing = self._done = False
@@ -522,7 +525,7 @@ class DeviceThread(ABC, Generic[S]):
 
     @property
     def snapshot(self) -> S:
-        """What is known now."""
+        """The present knowledge about the device."""
         return self._snapshot
 
     @property
@@ -536,7 +539,7 @@ class DeviceThread(ABC, Generic[S]):
             self._thread.start()
 
     def _stop_thread(self, within_s: float) -> bool:
-        """Stop the thread; return whether it has ended within this time (s)."""
+        """Stop the thread; return whether it ended within a given time (s)."""
         self._closing = True
         self._wake.set()
         if self.started:
@@ -547,7 +550,7 @@ class DeviceThread(ABC, Generic[S]):
 
     @abstractmethod
     def _step(self) -> None:
-        """Do what is due now, and wait until the next step is due.
+        """Carry out the step that is due, and wait until the next step is due.
 
         Raises:
             DriveError: if the step failed.
@@ -575,7 +578,7 @@ class DeviceThread(ABC, Generic[S]):
             self._snapshot = replace(self._snapshot, **changes)
 
     def _pause(self, seconds: float) -> None:
-        """Wait for this long (s), or until the thread is woken."""
+        """Wait for a given time (s), or until the thread is woken."""
         self._wake.wait(max(0.0, seconds))
         self._wake.clear()
 

@@ -108,7 +108,7 @@ class ModbusReader(SensorReader):
             unit: unit of the quantity, for messages.
             line: the line that reads it.
             max_age: age beyond which its quantity is not used (s).
-            spread_s: longest time over which a rise of a total is spread (s).
+            spread_s: maximum time over which a rise of a total is spread (s).
         """
         self.sensor, self.max_age, self.due = sensor, max_age, time.monotonic()
         super().__init__(sensor, unit, spread_s, Reading(problem="not yet read"))

@@ -69,7 +69,7 @@ class MqttReader(SensorReader):
             name: name of the quantity, for the client id.
             sensor: the sensor to receive from.
             unit: unit of the quantity, for messages.
-            spread_s: longest time over which a rise of a total is spread (s).
+            spread_s: maximum time over which a rise of a total is spread (s).
 
         Raises:
             ConfigurationError: if the MQTT library is not installed or a file for the login is

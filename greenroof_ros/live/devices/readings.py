@@ -99,7 +99,7 @@ class Readings:
         Args:
             sensor: description of how its readings are scaled, checked and filtered.
             unit: unit of the quantity, for messages.
-            spread_s: longest time over which a rise of a total is spread (s).
+            spread_s: maximum time over which a rise of a total is spread (s).
         """
         self._sensor, self._unit = sensor, unit
         self._values: deque[float] = deque(maxlen=sensor.median)

@@ -1,9 +1,10 @@
-"""One relay on MQTT, operated as its file describes; its own timer is its communication timeout.
+"""Operation of one relay on MQTT according to its relay file.
 
-Every *on* ends with that timer. It is published again after at most a third of the timer, but only
-once the relay has answered the previous one. At most one *on* can therefore wait in a stalled
-connection, followed by the *off* that is published when the connection is closed. Every message has
-quality of service 0 and is not retained, so the broker does not keep it.
+The relay's own timer ends every *on*, and is its communication timeout. *On* is published again
+after at most a third of the timer, but only once the relay has answered the previous *on*. At most
+one *on* can therefore wait in a stalled connection, followed by the *off* that is published when
+the connection is closed. Every message has quality of service 0 and is not retained, so the broker
+does not keep it.
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ class RelayEndpoint:
 
     Attributes:
         file: the relay file.
-        broker: the broker to which it is connected.
-        device: its own topic at the broker.
+        broker: the broker to which the relay is connected.
+        device: topic of the relay itself at the broker.
     """
 
     file: RelayFile
@@ -60,24 +61,24 @@ class RelayEndpoint:
 
     @property
     def guard(self) -> Timer:
-        """The timer that switches it off if no *on* arrives."""
+        """The timer that switches the relay off if no *on* arrives."""
         return self.file.timer
 
     def lock_name(self) -> str:
-        """Return the name of its lock, which is the same however the address is written.
+        """Return the name of the relay's lock, which is the same for all spellings of the address.
 
         The call may block while the host name is resolved.
 
         Raises:
-            OSError: if there is no such host or no name server answers.
+            OSError: if the host is unknown or no name server answers.
         """
         return f"{Address(self.broker.host).canonical_name(self.broker.port)}-{self.device}"
 
     def connection(self, timeout_s: float = 0.5) -> Relay:
-        """Return the relay on a new connection, not yet opened; it must be connected only once.
+        """Return the relay on a new connection that is not yet open; open it only once.
 
         Args:
-            timeout_s: maximum wait for an answer (s), unless its file sets a longer one.
+            timeout_s: maximum wait for an answer (s), unless the relay file sets a longer wait.
 
         Raises:
             ConfigurationError: if the MQTT library is not installed or a file for the login is
@@ -90,7 +91,7 @@ class RelayLine:
     """One connection to the broker, over which the relay is queried.
 
     Attributes:
-        where: the place of the relay, for messages.
+        where: address of the relay, for messages.
         last_message: message to publish before the connection is closed; None for none.
     """
 
@@ -102,7 +103,7 @@ class RelayLine:
             timeout_s: maximum wait for an answer (s).
 
         Raises:
-            ConfigurationError: if there is no MQTT library, or a file for the login is wrong.
+            ConfigurationError: if the MQTT library is missing, or a file for the login is wrong.
         """
         self.where = str(relay)
         self.last_message: RelayMessage | None = None
@@ -121,14 +122,14 @@ class RelayLine:
 
     @property
     def connected(self) -> bool:
-        """Whether the broker has accepted the connection, and it has not ended since."""
+        """Whether the connection to the broker is established."""
         return self._connected and not self._closed_by
 
     def connect(self) -> None:
         """Connect to the broker.
 
         Raises:
-            DriveError: if there is no answer or the broker refuses the connection.
+            DriveError: if the broker does not answer or rejects the connection.
         """
         self._client.loop_start()
         with self._changed:
@@ -151,18 +152,19 @@ class RelayLine:
 
         Args:
             message: message to the relay.
-            values: values for the ``$`` names in it, in addition to those of the connection.
+            values: values for the ``$`` names in the message, in addition to those of the
+                connection.
 
         Raises:
-            DriveError: if there is no longer a connection.
+            DriveError: if the connection has been lost.
         """
         self._publish(message.topic, message.payload, str(next(self._numbers)), values)
 
     def request(self, name: str) -> Any:
-        """Put a question to the relay, and return its answer, parsed from JSON.
+        """Ask the relay a question, and return its answer, parsed from JSON.
 
         Raises:
-            DriveError: if no answer, or none that can be understood, arrives in time.
+            DriveError: if no valid answer arrives in time.
         """
         question, number = self._file.questions[name], str(next(self._numbers))
         if not self._awaited.total():
@@ -197,7 +199,7 @@ class RelayLine:
         ))
 
     def error(self, kind: str, problem: str) -> DriveError:
-        """Return the error for a problem, with the place of the relay."""
+        """Return an error that names the relay and the problem."""
         return DriveError(kind, f"{self.where}: {problem}")
 
     def _receive(self, until: float) -> tuple[str, bytes] | None:
@@ -244,7 +246,7 @@ class Relay:
     Attributes:
         file: the relay file.
         line: the connection.
-        stopped: whether the last `stop` on this connection was written; None if there was none.
+        stopped: whether the last `stop` on this connection was published; None before any `stop`.
     """
 
     def __init__(self, endpoint: RelayEndpoint, timeout_s: float) -> None:
@@ -255,7 +257,7 @@ class Relay:
             timeout_s: maximum wait for an answer (s).
 
         Raises:
-            ConfigurationError: if there is no MQTT library, or a file for the login is wrong.
+            ConfigurationError: if the MQTT library is missing, or a file for the login is wrong.
         """
         self.file, self.line = endpoint.file, RelayLine(endpoint, timeout_s)
         self.stopped: bool | None = None
@@ -271,18 +273,18 @@ class Relay:
         """Return make, model and the relay's own name as text.
 
         Raises:
-            DriveError: if it cannot be read.
+            DriveError: if the name cannot be read.
         """
         return f"{self.file.make} {self.file.model} ({_text(self._value(self.file.name))})"
 
     def timeout(self) -> tuple[float | None, str]:
-        """Return its timer (s), or None and the reason if that is not effective.
+        """Return the relay's timer (s), or None and the reason if the timer is not effective.
 
         The timer is not effective if it is off or too short to be renewed in time, or if another
         setting could switch the relay on unintentionally.
 
         Raises:
-            DriveError: if it cannot be read.
+            DriveError: if the timer or another required setting cannot be read.
         """
         answers = {
             setting.question: self.line.request(setting.question)
@@ -297,13 +299,13 @@ class Relay:
         timer = self.file.timer
         raw = self._value(timer, answers)
         if isinstance(raw, bool) or not isinstance(raw, int | float):
-            raise self.line.error("answer", f"its timer, {timer.path}, is {raw!r}: not a number")
+            raise self.line.error("answer", f"the timer {timer.path} is {raw!r}, not a number")
         try:
             seconds = timer.seconds(raw)
         except OverflowError:
-            raise self.line.error("answer", f"its timer, {timer.path}, is too large") from None
+            raise self.line.error("answer", f"the timer {timer.path} is too large") from None
         if seconds is None:
-            return None, f"{timer.path} is {raw:g}: off"
+            return None, f"{timer.path} is {raw:g}, which means off"
         if seconds < self.file.min_timer:
             return None, (
                 f"{timer.path} is {raw:g}, which is {seconds:g} s; a timer shorter than "
@@ -313,10 +315,10 @@ class Relay:
         return seconds, ""
 
     def read(self) -> DriveStatus:
-        """Return the relay's report.
+        """Return the status that the relay reports.
 
         Raises:
-            DriveError: if it cannot be read or reports an impossible value.
+            DriveError: if the state cannot be read or is an impossible value.
         """
         on = self._read()
         return DriveStatus(
@@ -328,26 +330,28 @@ class Relay:
         return False
 
     def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
-        """Switch it on, or keep it on. The caller repeats this while the relay must be on.
+        """Switch the relay on, or keep it on. The caller repeats this while it must be on.
 
-        *On* is published again only after the relay has answered the last *on*, and not if it is
-        off although it was switched on: see `second_master`.
+        *On* is published again only after the relay has answered the last *on*. It is not published
+        if the relay is off although it was switched on: see `second_master`.
 
         Args:
-            speed: speed, share of the rated speed, above 0; a relay always runs at 1.
+            speed: speed above 0 (share of the rated speed); a pump on a relay always runs at 1.
             may_continue: function called before switching on and while waiting; if it returns
                 False, the call ends.
 
         Raises:
-            DriveError: if there is no answer or a wrong one, its timer is not effective, or it does
-                not switch on.
+            DriveError: if no valid answer arrives, the relay's timer is not effective, or the relay
+                does not switch on.
             ValueError: if the speed is out of range.
         """
         if not 0 < speed <= 1:
-            raise ValueError(f"{speed} is not a speed at which a relay is on (above 0, at most 1)")
+            raise ValueError(f"{speed} is not a speed for a relay that is on (above 0, at most 1)")
         timer_s = self._timer_s
         if timer_s is None:
-            raise self.line.error("drive", "it is not switched on: its own timer is not effective")
+            raise self.line.error(
+                "drive", "the relay is not switched on: its own timer is not effective"
+            )
         is_on = self._read() if self._is_on is None else self._is_on
         if self._ordered:
             # Renew it one period early, since the next round might be too late.
@@ -359,10 +363,10 @@ class Relay:
             self._wait_until_on(may_continue)
 
     def stop(self) -> None:
-        """Switch it off. The caller repeats this while the relay must be off.
+        """Switch the relay off. The caller repeats this while it must be off.
 
         Raises:
-            DriveError: if there is no longer a connection.
+            DriveError: if the connection has been lost.
         """
         self.stopped = False
         self.line.publish(self.file.switch_off)
@@ -370,20 +374,20 @@ class Relay:
         self.stopped = True
 
     def reset(self) -> None:
-        """Stop the relay, which is all there is to do, as it has no faults of its own.
+        """Switch the relay off; a relay has no faults that could be acknowledged.
 
         Raises:
-            DriveError: if there is no longer a connection.
+            DriveError: if the connection has been lost.
         """
         self.stop()
 
     def second_master(self) -> Diagnosis | None:
-        """Return a diagnosis if its state is known not to be the one last ordered.
+        """Return a diagnosis if the relay is known not to be in the state last commanded.
 
-        Its own timer, a power failure, a person or another program may have switched it.
+        Its own timer, a power failure, a person or another program may have switched the relay.
 
         Raises:
-            DriveError: if there is no answer or a wrong one.
+            DriveError: if no valid answer arrives.
         """
         is_on = self._read()
         if self._ordered is None or is_on == self._ordered:
@@ -397,7 +401,7 @@ class Relay:
         if answer not in (state.is_on, state.is_off):
             raise self.line.error(
                 "answer",
-                f"its state, {state.path}, is {answer}, neither {state.is_on} nor {state.is_off}",
+                f"the state {state.path} is {answer}, neither {state.is_on} nor {state.is_off}",
             )
         self._is_on = answer == state.is_on
         return self._is_on
@@ -414,18 +418,20 @@ class Relay:
                 return
             if time.monotonic() > self._on_at + _ON_S:
                 raise self.line.error(
-                    "drive", f"it was switched on, but is still off after {_ON_S:g} s"
+                    "drive", f"the relay was switched on, but is still off after {_ON_S:g} s"
                 )
             time.sleep(_POLL_S)
         self._ordered = True
 
     def _value(self, value: Value, answers: Mapping[str, Any] | None = None) -> Any:
-        """Return a value from the answers; without answers, put its question first."""
+        """Return a value from the answers; without answers, ask its question first."""
         answer = self.line.request(value.question) if answers is None else answers[value.question]
         try:
             return value_at(answer, value.path)
         except LookupError:
-            raise self.line.error("answer", f"its answer lacks {value.path}: {answer}") from None
+            raise self.line.error(
+                "answer", f"the answer does not contain {value.path}: {answer}"
+            ) from None
 
 
 def _text(value: Any) -> str:

@@ -31,11 +31,11 @@ class RelayMessage:
 
 @dataclass(frozen=True)
 class Question:
-    """A question to the relay, and how its answer is recognized among all that it publishes."""
+    """A question to the relay, and the features by which its answer is recognized."""
 
     topic: str = entry("topic on which the question is published")
     answer: str = entry("topic of the answer, which is a JSON object")
-    known_by: str = entry("a path that this answer contains, such as result.output")
+    known_by: str = entry("path whose presence identifies the answer, such as result.output")
     payload: str = entry("payload of the question", default="")
 
 
@@ -51,34 +51,36 @@ class Value:
 class RelayState(Value):
     """The state of the relay, on or off."""
 
-    is_on: str = entry("value if the relay is on, written as in JSON", default="true")
-    is_off: str = entry("value if the relay is off", default="false")
+    is_on: str = entry("value that means on, written as in JSON", default="true")
+    is_off: str = entry("value that means off, written as in JSON", default="false")
 
 
 @dataclass(frozen=True)
 class Setting(Value):
-    """A setting whose value is required, lest the relay switch or stay on without a command."""
+    """A setting that must have one value, so that the relay is never on without a command."""
 
     value: str = entry("required value, written as in JSON")
-    meaning: str = entry("description of the setting for people")
+    meaning: str = entry("description of the setting, for messages")
 
 
 @dataclass(frozen=True)
 class Scale:
-    """How a range of raw values converts to seconds."""
+    """The conversion of a range of raw values to seconds."""
 
     low: float = entry("minimum raw value of the range", 0)
     high: float = entry("maximum raw value of the range", 0)
-    scale: float = entry("seconds = scale x raw + offset", 1e-6, 1e6, default=1.0)
-    offset: float = entry("offset in seconds", -1e6, 1e6, default=0.0)
+    scale: float = entry("factor: seconds = scale x raw + offset", 1e-6, 1e6, default=1.0)
+    offset: float = entry("offset of the conversion (s)", -1e6, 1e6, default=0.0)
 
 
 @dataclass(frozen=True)
 class Timer(Value):
-    """The relay's own timer, which switches it off again: its communication timeout."""
+    """The relay's own timer, which switches the relay off: its communication timeout."""
 
-    scales: tuple[Scale, ...] = entry("conversion to seconds; a value outside all ranges means off")
-    how_to_set: str = entry("instruction for people: where to set the timer, and to which value")
+    scales: tuple[Scale, ...] = entry(
+        "conversions to seconds, by range of the raw value; a value outside all ranges means off"
+    )
+    how_to_set: str = entry("instruction for setting the timer by hand: place and value")
     traps: str = entry("cases in which the timer is not effective", default="")
 
     # Drives on Modbus may have these, but no relay does.
@@ -95,28 +97,34 @@ class Timer(Value):
 
 @dataclass(frozen=True)
 class RelayFile:
-    """A make of relay."""
+    """The description of a make of relay."""
 
-    protocol: str = entry("always mqtt, which marks the file as a relay's", choices=(MQTT,))
-    make: str = entry("maker")
-    model: str = entry("the relay and its firmware")
+    protocol: str = entry(
+        "protocol of the relay, always mqtt; only relay files have this key", choices=(MQTT,)
+    )
+    make: str = entry("name of the maker")
+    model: str = entry("model of the relay, and its firmware")
     sources: tuple[Source, ...] = entry("documents from which the file was made")
     unverified: tuple[str, ...] = entry(
         "keys of this file (such as timer) that could not be verified in the maker's documents"
     )
-    questions: dict[str, Question] = entry("questions by name")
-    state: RelayState = entry("where to read whether the relay is on")
-    timer: Timer = entry("where to read the time after which the relay switches itself off")
-    must: tuple[Setting, ...] = entry("settings with required values, read with the timer")
-    name: Value = entry("where to read how the relay identifies itself to people")
+    questions: dict[str, Question] = entry("questions to the relay, by name")
+    state: RelayState = entry("value in an answer that shows whether the relay is on")
+    timer: Timer = entry(
+        "value in an answer that shows the time after which the relay switches itself off"
+    )
+    must: tuple[Setting, ...] = entry(
+        "settings that must have certain values; they are read together with the timer"
+    )
+    name: Value = entry("value in an answer with which the relay identifies itself, for messages")
     switch_on: RelayMessage = entry("message that switches the relay on; it is published again to "
         "keep it on")
     switch_off: RelayMessage = entry("message that switches the relay off; it is published "
         "repeatedly while the relay must be off")
-    set_up: tuple[str, ...] = entry("instructions for people: what to set in the relay")
+    set_up: tuple[str, ...] = entry("other settings that have to be made by hand in the relay")
     number: str = entry(
-        "path of the question's $id in every answer; if empty, the answers have no id, but keep "
-        "the order of the questions",
+        "path of the question's $id in every answer; empty if the answers have no id, but arrive "
+        "in the order of the questions",
         default="",
     )
     period: float = entry("minimum time between two rounds of questions (s)", 0.05, 5, default=0.5)
@@ -141,7 +149,7 @@ def read_relay_file(path: Path) -> RelayFile:
     """Read and check a relay file.
 
     Raises:
-        ConfigurationError: if something in it is missing, unknown, impossible or contradictory.
+        ConfigurationError: if a key or value is missing, unknown, impossible or contradictory.
     """
     return replace(read_record(RelayFile, path, _mistakes), path=path)
 
@@ -153,7 +161,9 @@ def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str
     }
     for key, value in values.items():
         if value.question not in relay.questions:
-            yield f"{key}.question", f"must be one of questions: {', '.join(relay.questions)}"
+            yield f"{key}.question", (
+                f"must be the name of a question in this file: {', '.join(relay.questions)}"
+            )
     texts = {
         f"{key}.{name}": text
         for key, part in {
@@ -172,7 +182,7 @@ def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str
         except (KeyError, ValueError):
             yield key, f"may contain only these $ names: {', '.join(f'${name}' for name in names)}"
     if relay.number and any("$id" not in question.payload for question in relay.questions.values()):
-        yield "number", "needs $id in the payload of every question"
+        yield "number", "requires $id in the payload of every question"
     if relay.state.is_on == relay.state.is_off:
         yield "state.is_off", "must differ from is_on"
     for number, scale in enumerate(relay.timer.scales, start=1):

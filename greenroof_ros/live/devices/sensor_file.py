@@ -1,4 +1,4 @@
-"""The sensors of a site: ``config/sensors.yaml``, as frozen dataclasses."""
+"""The description of a site's sensors: ``config/sensors.yaml``, as frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ class MeasuredQuantity(NamedTuple):
     """A quantity that a sensor measures.
 
     Attributes:
-        node: name of the node that publishes it.
-        topic_name: name of its topic in the interface, which states its unit and range.
-        spread_s: longest time over which a rise of its total is spread (s).
+        node: name of the node that publishes the quantity.
+        topic_name: name of the quantity's topic in the interface, which defines unit and range.
+        spread_s: maximum time over which a rise of a running total is spread (s).
     """
 
     node: str
@@ -55,7 +55,7 @@ class MeasuredQuantity(NamedTuple):
 
     @property
     def limit(self) -> str:
-        """The parameter that sets its maximum age."""
+        """The name of the parameter that sets the maximum age of the quantity."""
         age = self.topic.max_age
         assert age is not None
         return age.parameter
@@ -73,31 +73,32 @@ QUANTITIES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """The keys that all sensors share. The value is the median of converted readings."""
+    """Keys that all sensors have in common. The value is the median of converted readings."""
 
-    scale: float = entry("value = scale x raw + offset, in the quantity's unit", -1e3, 1e3)
-    low: float = entry(
-        "lowest accepted value, in the quantity's unit; below 0 for the noise of a sensor at 0, "
-        "which is treated as 0 (not for a temperature)", -100, 100,
+    scale: float = entry(
+        "factor: value = scale x raw + offset, in the unit of the quantity", -1e3, 1e3
     )
-    high: float = entry("highest accepted value, in the same unit", -100, 100)
-    offset: float = entry("value at raw 0, in the same unit", -1e3, 1e3, default=0.0)
+    low: float = entry(
+        "minimum accepted value, in the unit of the quantity; a minimum below 0 allows for noise "
+        "at 0, and negative values are then treated as 0 (not for a temperature)", -100, 100,
+    )
+    high: float = entry("maximum accepted value, in the unit of the quantity", -100, 100)
+    offset: float = entry("value at raw 0, in the unit of the quantity", -1e3, 1e3, default=0.0)
     median: int = entry(
         "number of readings in the median, which must be odd; 1 for no filter", 1, 99, default=5
     )
     counts: bool = entry(
-        "if true, scale x raw is a running total (m or m3), whose increase per second is the "
-        "value; needs "
-        "median: 1", default=False,
+        "if true, scale x raw is a running total (m or m3), and the value is its increase per "
+        "second; requires median: 1", default=False,
     )
     substrate_depth: float | None = entry(
-        "for the roof only: if set, scale x raw + offset is a volumetric moisture content "
-        "(m3/m3), and the level is this content times this depth (m), which must be z_soil of the "
-        "site", 0.01, 2, default=None,
+        "for the roof only: depth of the substrate (m), equal to z_soil of the site; if set, "
+        "scale x raw + offset is a volumetric moisture content (m3/m3), and the level is this "
+        "content times the depth", 0.01, 2, default=None,
     )
 
     def convert(self, raw: float) -> float:
-        """Return the quantity for a raw value; does not apply to totals."""
+        """Return the quantity for a raw value; this does not apply to totals."""
         return (self.scale * raw + self.offset) * (self.substrate_depth or 1.0)
 
     def raw_for(self, value: float) -> float:
@@ -109,32 +110,40 @@ class Sensor:
 class ModbusSensor(Sensor):
     """A sensor that is read over Modbus."""
 
-    address: str = entry("tcp://HOST:PORT, or a serial device such as /dev/ttyUSB0")
-    device_id: int = entry("unit identifier or slave address", 0, 255)
-    register: int = entry("its address on the wire, where the first register is 0", 0, 65535)
-    kind: str = entry(
-        "input registers (function 4) or holding registers (3)", choices=("input", "holding")
+    address: str = entry(
+        "address of the sensor: tcp://HOST:PORT, or a serial device such as /dev/ttyUSB0"
     )
-    type: str = entry("how the value is encoded", choices=tuple(WIDTHS))
-    word_order: str = entry("which word comes first, if there are "
-        "several", choices=WORD_ORDERS, default="")
-    missing: Word | None = entry("the raw value that means 'no reading'", default=None)
+    device_id: int = entry("unit identifier or slave address of the sensor", 0, 255)
+    register: int = entry(
+        "address of the register on the wire, where the first register is 0", 0, 65535
+    )
+    kind: str = entry(
+        "kind of register: input (function 4) or holding (function 3)", choices=("input", "holding")
+    )
+    type: str = entry("encoding of the value", choices=tuple(WIDTHS))
+    word_order: str = entry(
+        "order of the words of a value that takes more than one register",
+        choices=WORD_ORDERS, default="",
+    )
+    missing: Word | None = entry("raw value that means 'no reading'", default=None)
     period: float = entry(
         "time between two readings (s); at most half of the maximum age of the quantity", 0.05,
         3600, default=1.0,
     )
-    baud_rate: int = entry("serial line only: bits per second", 1200, 1_000_000, default=19200)
-    parity: str = entry(
-        "serial line only: parity bit", choices=("even", "odd", "none"), default="even"
+    baud_rate: int = entry(
+        "baud rate of the serial line (bits per second)", 1200, 1_000_000, default=19200
     )
-    stop_bits: int = entry("serial line only: stop bits", 1, 2, default=1)
+    parity: str = entry(
+        "parity of the serial line", choices=("even", "odd", "none"), default="even"
+    )
+    stop_bits: int = entry("number of stop bits on the serial line", 1, 2, default=1)
 
     def __str__(self) -> str:
         return f"{self.address}, device {self.device_id}"
 
     @property
     def connection(self) -> str:
-        """Its serial line or TCP port, equal for all sensors that one connection reaches."""
+        """The sensor's serial line or TCP port, equal for all sensors on one connection."""
         address = parse_address(self.address)
         if address.line:
             return str(Path(address.line).resolve())
@@ -142,7 +151,7 @@ class ModbusSensor(Sensor):
 
     @property
     def unique_key(self) -> tuple[object, ...]:
-        """Its register, which no two sensors may share."""
+        """The place of the sensor's register, which no other sensor may use."""
         return self.connection, self.device_id, self.kind, self.register
 
     @property
@@ -156,7 +165,7 @@ class ModbusSensor(Sensor):
         return WIDTHS[self.type]
 
     def line(self, timeout_s: float) -> ModbusLine:
-        """Return a connection to it, not yet opened.
+        """Return a connection to the sensor that is not yet open.
 
         Args:
             timeout_s: maximum wait for a connection, and for each answer (s).
@@ -171,13 +180,13 @@ class ModbusSensor(Sensor):
 class MqttSensor(Sensor):
     """A sensor that publishes to an MQTT broker."""
 
-    address: str = entry("mqtt://HOST[:PORT]/TOPIC; mqtts:// over TLS")
+    address: str = entry("broker and topic: mqtt://HOST[:PORT]/TOPIC, or mqtts:// for TLS")
     value: str = entry(
-        "where in a JSON message the number is, such as ANALOG.Range1 or "
-        "sensors[0].distance; omit it if the message itself is the number", default="",
+        "path of the number in a JSON message, such as ANALOG.Range1 or sensors[0].distance; "
+        "omit it if the message itself is the number", default="",
     )
     max_age: float = entry(
-        "how long the sensor may be silent (s); at most the maximum age of the quantity",
+        "maximum silence of the sensor (s); at most the maximum age of the quantity",
         0.1, 3600,
     )
     login: str = entry(
@@ -186,8 +195,8 @@ class MqttSensor(Sensor):
         default="",
     )
     authority: str = entry(
-        "absolute path of a file of trusted certificates (PEM); if omitted, the system's "
-        "certificates are used",
+        "absolute path of a file of trusted certificates (PEM); by default, the certificates of "
+        "the system",
         default="",
     )
 
@@ -196,12 +205,12 @@ class MqttSensor(Sensor):
 
     @staticmethod
     def fits(section: Mapping[str, Any]) -> bool:
-        """Whether a section of the file describes such a sensor, judging by its address."""
+        """Return whether a section of the file has the address of a sensor on MQTT."""
         return str(section.get("address")).startswith(("mqtt://", "mqtts://"))
 
     @property
     def unique_key(self) -> tuple[object, ...]:
-        """Its topic and the path of the value, which no two sensors may share."""
+        """The sensor's topic and the path of its value, which no other sensor may use."""
         try:
             broker, topic = self.broker_and_topic()
         except ConfigurationError:  # another check reports this
@@ -209,10 +218,10 @@ class MqttSensor(Sensor):
         return broker.host, broker.port, topic, self.value
 
     def broker_and_topic(self) -> tuple[Broker, str]:
-        """Return where the broker is, and the topic.
+        """Return the broker and the topic.
 
         Raises:
-            ConfigurationError: if the address is wrong.
+            ConfigurationError: if the address is invalid.
         """
         return parse_topic(self.address, "address", self.login, self.authority)
 
@@ -221,12 +230,16 @@ class MqttSensor(Sensor):
 class Sensors:
     """The sensors of a site."""
 
-    cistern: ModbusSensor | MqttSensor = entry("level of the cistern (m)")
-    roof: ModbusSensor | MqttSensor = entry("level of the roof (m)")
-    flow_meter: ModbusSensor | MqttSensor | None = entry("flow of the pump (m3/s)", default=None)
-    rain_gauge: ModbusSensor | MqttSensor | None = entry("rain (m/s)", default=None)
+    cistern: ModbusSensor | MqttSensor = entry("sensor for the level of the cistern (m)")
+    roof: ModbusSensor | MqttSensor = entry("sensor for the level of the roof (m)")
+    flow_meter: ModbusSensor | MqttSensor | None = entry(
+        "sensor for the flow of the pump (m3/s)", default=None
+    )
+    rain_gauge: ModbusSensor | MqttSensor | None = entry(
+        "sensor for the rain rate (m/s)", default=None
+    )
     thermometer: ModbusSensor | MqttSensor | None = entry(
-        "temperature of the air (degC)", default=None
+        "sensor for the temperature of the air (degC)", default=None
     )
 
     @property
@@ -245,11 +258,11 @@ def read_sensors(path: Path, max_ages: Mapping[str, float] | None = None) -> Sen
 
     Args:
         path: the file.
-        max_ages: ages beyond which quantities are not used (s), where known, by name of their
-            parameters. Two periods, or one ``max_age``, must fit into them.
+        max_ages: maximum ages of the quantities (s), as far as they are known, by name of their
+            parameters. Two periods of a sensor, or its ``max_age``, must not exceed them.
 
     Raises:
-        ConfigurationError: if something in it is missing, unknown, impossible or contradictory.
+        ConfigurationError: if a key or value is missing, unknown, impossible or contradictory.
     """
     return read_record(Sensors, path, lambda sensors, _: _mistakes(sensors, max_ages or {}))
 
@@ -257,7 +270,7 @@ def read_sensors(path: Path, max_ages: Mapping[str, float] | None = None) -> Sen
 def _mistakes(
     sensors: Sensors, max_ages: Mapping[str, float]
 ) -> Iterator[tuple[str, str]]:
-    """Yield every key with a mistake, and the reason; later checks rely on the earlier ones."""
+    """Yield the key and a description of every mistake; later checks rely on earlier ones."""
     for section, sensor in sensors.by_section.items():
         quantity = QUANTITIES[section]
         max_age = max_ages.get(quantity.limit, math.inf)
@@ -272,15 +285,16 @@ def _mistakes(
         if earlier.unique_key == later.unique_key:
             key = "register" if isinstance(later, ModbusSensor) else "address"
             yield f"{second}.{key}", (
-                f"is also the {key} of the {of}: both sensors would be the same"
+                f"is also the {key} of the {of}: two sections would describe the same sensor"
             )
         if isinstance(earlier, ModbusSensor) and isinstance(later, ModbusSensor) and parse_address(
             later.address
         ).shares_line(parse_address(earlier.address)):
             if later.device_id == earlier.device_id:
                 yield f"{second}.device_id", (
-                    f"is also the device id of the {of} on the same serial line: a late answer "
-                    "would be taken for the other's; give each sensor a slave address of its own"
+                    f"is also the device id of the {of} on the same serial line, so a late answer "
+                    "could be taken for that of the other sensor: give each sensor a slave address "
+                    "of its own"
                 )
             for key in ("baud_rate", "parity", "stop_bits"):
                 if getattr(later, key) != (value := getattr(earlier, key)):
@@ -295,8 +309,8 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
         yield "high", f"must be above low, {sensor.low:g} {topic.unit}"
     if section in TANKS and sensor.low < topic.low - _LEVEL_NOISE:
         yield "low", (
-            f"must be at least {topic.low - _LEVEL_NOISE:g} {topic.unit}: a level further below "
-            f"{topic.low:g} is not the noise of a sensor"
+            f"must be at least {topic.low - _LEVEL_NOISE:g} {topic.unit}: a lower level cannot be "
+            "the noise of a sensor"
         )
     if sensor.high > topic.high:
         yield "high", f"must be at most {topic.high:g} {topic.unit}: higher values are not accepted"
@@ -312,7 +326,7 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
     if sensor.counts and section not in ("flow_meter", "rain_gauge"):
         yield "counts", "is only for a flow meter or a rain gauge"
     if sensor.counts and sensor.median > 1:
-        yield "counts", "needs median: 1, because a median removes occasional pulses"
+        yield "counts", "requires median: 1, because a median removes occasional pulses"
 
 
 def _period_mistakes(
@@ -322,14 +336,13 @@ def _period_mistakes(
     shown = late + interval
     if quantity is QUANTITIES["flow_meter"] and shown > _MAX_AFTERFLOW_S:
         yield "median", (
-            f"shows a flow for up to {shown:g} s after it has stopped, with {interval:g} s from "
-            f"one reading to the next; more than {_MAX_AFTERFLOW_S:g} s would look like a "
-            "welded contact"
+            f"shows a flow for up to {shown:g} s after its end, at one reading every "
+            f"{interval:g} s; more than {_MAX_AFTERFLOW_S:g} s would look like a welded contact"
         )
     if late > _MAX_FILTER_S:
         yield "median", (
-            f"delays the value by {late:g} s, with {interval:g} s from one reading to the next; "
-            f"at most {_MAX_FILTER_S:g} s is sensible"
+            f"delays the value by {late:g} s, at one reading every {interval:g} s; the delay must "
+            f"be at most {_MAX_FILTER_S:g} s"
         )
 
 
@@ -342,7 +355,7 @@ def _modbus_mistakes(
         yield "address", f"{error.expected}; or mqtt://HOST[:PORT]/TOPIC"
     yield from coding_mistakes(sensor.type, sensor.word_order)
     if sensor.register + sensor.registers > 65536:
-        yield "register", "leaves too little room for all its registers"
+        yield "register", "leaves no room for all registers of the value"
     ends = sorted(map(sensor.convert, limits(sensor.type)))
     step, unit = abs(sensor.scale) * (sensor.substrate_depth or 1.0), quantity.topic.unit
     if not sensor.counts and (ends[0] > sensor.low + step or ends[1] < sensor.high - step):
@@ -367,11 +380,13 @@ def _mqtt_mistakes(
         yield "address", error.expected
         return
     if sensor.value and not _PATH.fullmatch(sensor.value):
-        yield "value", "must be names and numbers, such as ANALOG.Range1 or sensors[0].distance"
+        yield "value", (
+            "must be a path of names and indices, such as ANALOG.Range1 or sensors[0].distance"
+        )
     for key in ("login", "authority"):
         file = getattr(sensor, key)
         if file and not Path(file).is_absolute():
-            yield key, "must be an absolute path: a copy of this file is read"
+            yield key, "must be an absolute path, because a copy of this file is read"
     yield from _period_mistakes(sensor, quantity, sensor.max_age)
     if sensor.max_age > max_age:
         yield "max_age", (

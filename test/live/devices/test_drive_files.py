@@ -80,7 +80,7 @@ SECONDS = "    type: uint16\n    unit: s"
          "registers.rating: must have a low above 0, a high and no full_scale, since speed"),
         ("  - registers.fault\n", "  - registers.faulty\n",
          "unverified.5 = 'registers.faulty': is not a key of this file"),
-        ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: must contain speed, which"),
+        ("  speed:\n    address: 4", "  pace:\n    address: 4", "registers: must contain speed"),
     ],
 )
 def test_wrong_files_are_refused_by_line_key_and_value(

@@ -287,7 +287,9 @@ def test_a_fault_is_acknowledged_by_a_reset_while_it_is_seen(bench: Bench) -> No
     bench.speed = 0.5
     bench.exchange.start()
     for _ in range(2):
-        bench.until_reported(lambda status: status.fault == "not in the drive file (code 4660, 0x1234)")
+        bench.until_reported(
+            lambda status: status.fault == "not in the drive file (code 4660, 0x1234)"
+        )
         wait(lambda: "fault: not in the drive file (code 4660" in bench.now.problem)
         assert ACKNOWLEDGE not in bench.written_in(rounds=5)
         assert bench.now.status is not None and bench.now.status.fault

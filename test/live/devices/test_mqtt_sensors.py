@@ -254,7 +254,7 @@ SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
         ("/cistern/sensor/level/state  #", " #", 10, "cistern.address = "
          "'mqtt://127.0.0.1:1883': must be mqtt://HOST[:PORT]/TOPIC"),
         ("sensors[0].distance  ", "sensors[x].distance  ", 21, "roof.value = "
-         "'sensors[x].distance': must be names and numbers"),
+         "'sensors[x].distance': must be a path of names and indices"),
         ("  max_age: 5.0  ", "  max_age: 6.0  ", 16, "cistern.max_age = 6.0: must be at most 5 s, "
          "level_limit"),
         ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 17, "cistern.login = "
@@ -265,9 +265,9 @@ SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
          "only for a flow meter or a rain gauge"),
         ("0.0001               ", "0.1 ", 34, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
         ("  high: 0.0001    ", "  # high: 0.0001 ", 29, "rain_gauge.high: is missing"),
-        ("median: 1", "median: 3", 31, "rain_gauge.counts = True: needs median: 1"),
+        ("median: 1", "median: 3", 31, "rain_gauge.counts = True: requires median: 1"),
         ("roof/temperature", "roof/rain", 39, "thermometer.address = 'mqtt://127.0.0.1:1883/roof/"
-         "rain': is also the address of the rain gauge: both"),
+         "rain': is also the address of the rain gauge: two"),
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(

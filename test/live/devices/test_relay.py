@@ -128,7 +128,7 @@ def test_it_is_switched_renewed_and_left_off(make: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("make", "faults"), [
     ("tasmota", {
-        "timer_off": "^PulseTime1.Set is 0: off$",
+        "timer_off": "^PulseTime1.Set is 0, which means off$",
         "timer_long": "PulseTime1.Set is 20, which is 2 s; a timer shorter than 3 s cannot",
         "power_up_on": "^the state after power-up: PowerOnState is 3, but must be 0$",
     }),
@@ -288,14 +288,14 @@ SHELLY = (CONFIG / "drives" / "shelly_gen2.yaml").read_text(encoding="utf-8")
     ("text", "old", "new", "message"),
     [
         (TASMOTA, "state: {question: state,", "state: {question: status,",
-         "state.question = 'status': must be one of questions: state, timer, power_up, restart"),
+         "state.question = 'status': must be the name of a question in this file: state, timer"),
         (TASMOTA, "payload: \"ON\"}", "payload: $on}",
          "switch_on.payload = '$on': may contain only these $ names: $device, $me, $id, $seconds"),
         (TASMOTA, 'is_off: "OFF"', 'is_off: "ON"', "state.is_off = 'ON': must differ from is_on"),
         (TASMOTA, "{low: 1, high: 111,", "{low: 112, high: 111,", "must be at most high, 111"),
         (TASMOTA, "unverified: []", "unverified: [clock]", "is not a key of this file"),
         (SHELLY, '{"id": $id, "src": "$me", "method": "Shelly.GetDeviceInfo"}', "{}",
-         "number = 'id': needs $id in the payload of every question"),
+         "number = 'id': requires $id in the payload of every question"),
         (SHELLY, "protocol: mqtt", "protocol: coap", "protocol = 'coap': must be one of mqtt"),
     ],
 )

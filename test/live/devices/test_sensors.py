@@ -334,7 +334,7 @@ def test_sensors_behind_one_gateway_share_a_connection() -> None:
         (["tcp://127.0.0.1:5030", "127.0.0.1"], 11, "cistern.address = '127.0.0.1': must be tcp"),
         (["  median: 5", "  median: 4"], 21, "cistern.median = 4: must be odd"),
         (["  median: 5", "  median: 99"], 21, "cistern.median = 99: delays the value by 49 s"),
-        (["low: 0.0 ", "low: -0.2 "], 18, "cistern.low = -0.2: must be at least -0.1 m: a level"),
+        (["low: 0.0 ", "low: -0.2 "], 18, "cistern.low = -0.2: must be at least -0.1 m: a lower"),
         (["high: 6.0 ", "high: -6.0 "], 19, "cistern.high = -6.0: must be above low, 0 m"),
         (["scale: 0.0001 ", "scale: 0.00001 "], 16, "cistern.scale = 1e-05: cannot yield 0 to 6 m"),
         (["median: 5  ", "substrate_depth: 0.5\n  median: 5  "], 21,
@@ -344,7 +344,7 @@ def test_sensors_behind_one_gateway_share_a_connection() -> None:
         (["high: 0.6 ", "substrate_depth: 0.1\n  high: 0.1 ",
           "scale: 0.0001                  # m per count [", "scale: 0.00001  # ["], 30,
          "roof.scale = 1e-05: cannot yield 0 to 0.1 m: uint16 with offset 0 yields 0 to 0.065535"),
-        (["5031", "5030"], 27, "roof.register = 0: is also the register of the cistern: both"),
+        (["5031", "5030"], 27, "roof.register = 0: is also the register of the cistern: two"),
     ],
 )
 def test_a_wrong_file_is_refused_with_line_key_and_value(
@@ -365,8 +365,8 @@ def test_a_wrong_file_is_refused_with_line_key_and_value(
         (2, "", 0, ""),
         (2, "parity: even\n  stop_bits: 1\n  baud_rate: 19200", 0, ""),  # the defaults
         (1, "register: 4", 26, "roof.device_id = 1: is also the device id of the cistern on the "
-         "same serial line: a late answer would be taken for the other's; give each sensor a "
-         "slave address of its own"),
+         "same serial line, so a late answer could be taken for that of the other sensor: give "
+         "each sensor a slave address of its own"),
         (2, "baud_rate: 9600", 37, "roof.baud_rate = 9600: must be 19200, as for the cistern on "
          "the same line"),
         (2, "parity: none", 37, "roof.parity = 'none': must be even, as for the cistern"),
