@@ -429,6 +429,7 @@ class DriveEndpoint:
 
     def lock_name(self) -> str:
         """Return the name of the drive's lock, which is the same for all spellings of the address.
+
         The name stands for the drive, or for its whole serial line. The call may block while the
         host name is resolved.
 
