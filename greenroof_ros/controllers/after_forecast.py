@@ -1,4 +1,4 @@
-"""What a look-ahead controller assumes for the days after its forecast."""
+"""Assumptions of the look-ahead controllers about the days after a forecast ends."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _NET_DRYING = 0.3
 _PAYS, _PAYS_ON_FIELD_CAPACITY = 120.0, 48.0
 HORIZON = Parameter(
     "horizon", _PAYS, "h", 0.1, MAX_HORIZON,
-    f"how far it looks ahead; the default is {_PAYS_ON_FIELD_CAPACITY:g} on a roof with "
-    "field-capacity soil; the weather node needs the same value",
+    f"length of the forecast that is used; the default is {_PAYS_ON_FIELD_CAPACITY:g} on a roof "
+    "with field-capacity soil, and the weather node needs the same value",
     on_field_capacity=_PAYS_ON_FIELD_CAPACITY,
 )
 # By default, as many days as the longest forecast covers.
 DAYS_AFTER = Parameter(
     "days_after", 10, "days", 0, 10,
-    "days in the plan after the forecast, with a slowly drying roof; 0 if the run ends with the "
-    "forecast",
+    "number of days that the plan adds after the forecast, in which the roof dries slowly; set 0 "
+    "if the run ends with the forecast",
 )
 
 Array = NDArray[np.float64]
@@ -42,25 +42,28 @@ class AfterForecast:
     """Extends a forecast by days in which the roof dries slowly.
 
     Water on the roof at the end of the forecast does not vanish: without rain it stays for days,
-    since only evapotranspiration removes it. A controller that plans only for the forecast's time
-    fills the roof before rain at its end, at no cost in the plan, and has too much water on it
-    afterwards. The shorter the forecast, the larger this error. So the deviation also counts for
-    ``days_after`` more days, without rain and with 0.3 of the mean evapotranspiration of the past
-    day: in summer, that is what usually remains after rain is subtracted. The mean covers a whole
-    day, so that it is also right at night; it starts with the mean over the forecast's first day.
+    since only evapotranspiration removes it. A controller that plans only up to the end of the
+    forecast fills the roof before rain in the last hours, which costs nothing in the plan, and then
+    has too much water on the roof. The shorter the forecast, the larger this error. The plan
+    therefore counts the deviation for ``days_after`` more days, without rain and with 0.3 times the
+    mean evapotranspiration of the past day. In summer, about this share of the evapotranspiration
+    remains after rain is subtracted. The mean covers a whole day, so that it does not depend on the
+    time of day, and it starts from the mean over the first day of the forecast.
 
-    Without these days, nothing counts after the end of the forecast. That is right for a study
-    whose runs end there, such as the paper's runs of 12 h, but not for a real roof.
+    With ``days_after`` = 0, the deviation after the end of the forecast does not count. This
+    setting suits a study whose runs end with the forecast, such as the paper's runs of 12 h, but
+    not a real roof.
 
     Attributes:
-        edges: ends of all steps, those of the forecast and the days after it (s from now), the
-            first 0, shape (steps + days_after + 1,).
+        edges: boundaries of the steps of the forecast and of the days after it (s from now),
+            beginning with 0, shape (steps + days_after + 1,).
         steps: number of steps in the forecast.
-        mean: exponential mean of evapotranspiration over a day (m3/s); 0 before the first forecast.
+        mean: exponential moving average of evapotranspiration with a time constant of one day
+            (m3/s); 0 before the first forecast.
     """
 
     def __init__(self, site: Site, horizon: float, days_after: float) -> None:
-        """Set the site, how far the forecast reaches (h), and how many whole days follow."""
+        """Set the site, the length of the forecast (h), and the number of days after it."""
         edges = growing_steps(horizon)
         self.steps = len(edges) - 1
         self._days = int(days_after)
@@ -77,27 +80,29 @@ class AfterForecast:
         """Return the forecasts as arrays of shape (members, steps) and (steps,), without copying.
 
         Args:
-            rain: rain (m/s), of all members or of one.
-            evapotranspiration: evapotranspiration (m3/s).
+            rain: forecast of rain (m/s), for all members or for a single one.
+            evapotranspiration: forecast of evapotranspiration (m3/s).
             max_members: maximum number of members.
 
         Raises:
-            ConfigurationError: if they have another shape, or too many members.
+            ConfigurationError: if the shape of a forecast is wrong, or if there are too many
+                members.
         """
         rains = np.atleast_2d(np.asarray(rain, dtype=float, order="C"))
         evaporated = np.asarray(evapotranspiration, dtype=float)
         fits = (rains.shape[1], *evaporated.shape) == (self.steps, self.steps)
         if not fits or len(rains) > max_members:
             raise ConfigurationError(
-                f"the rain forecasts have {len(rains)} members of {rains.shape[1]} entries, and "
-                f"the evapotranspiration forecast has {len(evaporated)};  the horizon has "
-                f"{self.steps} steps, and no more than {max_members} members are allowed; set the "
-                "same horizon for weather and controller; only lookahead takes all members"
+                f"the rain forecast has {len(rains)} members of {rains.shape[1]} entries, and the "
+                f"evapotranspiration forecast has {len(evaporated)} entries, but the horizon has "
+                f"{self.steps} steps, and at most {max_members} members are allowed; set the same "
+                "horizon for the weather node and the controller, and use all members only with "
+                "lookahead"
             )
         return rains, evaporated
 
     def pass_tick(self, evapotranspiration: Array) -> None:
-        """Update the mean with a tick's forecast (m3/s, shape (steps,)); its first entry is now."""
+        """Update the mean with a forecast (m3/s, shape (steps,)) that starts in this tick."""
         if not self._begun:
             # No dot product: its order of summation can depend on the memory address.
             self.mean = float((self._first_day * evapotranspiration).sum())
@@ -105,11 +110,11 @@ class AfterForecast:
         self.mean += self._gain * (float(evapotranspiration[0]) - self.mean)
 
     def lengthen(self, rain: Array, evapotranspiration: Array) -> tuple[Array, Array]:
-        """Return rain (m/s) and evapotranspiration (m3/s) for all steps.
+        """Return rain (m/s) and evapotranspiration (m3/s) for the forecast and the days after it.
 
         Args:
-            rain: forecast of rain, shape (members, steps).
-            evapotranspiration: forecast of evapotranspiration, shape (steps,).
+            rain: forecast of rain (m/s), shape (members, steps).
+            evapotranspiration: forecast of evapotranspiration (m3/s), shape (steps,).
 
         Returns:
             Arrays of shape (members, steps + days_after) and (steps + days_after,).

@@ -1,4 +1,4 @@
-"""An on/off controller that anticipates the weather: no model, no solver, one sum."""
+"""An on/off controller that anticipates the weather with a single sum, without a solver."""
 
 from __future__ import annotations
 
@@ -25,45 +25,45 @@ _CHECK_S = 60.0
 
 
 class AnticipatingOnOff:
-    """Pumps like the on/off controller, but not if rain will do the work.
+    """Pumps like the on/off controller, except when coming rain makes it unnecessary.
 
     The paper's Conclusion asks for a 'less expensive, hybrid' design: an on/off controller that
     anticipates the weather. The paper's on/off controller, Eq. (12), fills the roof to its target
-    x2*. If rain then comes, the roof stays too wet for days. This controller predicts the roof's
-    volume without pumping, from rain and evapotranspiration, and on field-capacity soil also from
-    percolation. It pumps while the roof would be
+    x2*. If rain follows, the roof stays too wet for days. This controller predicts the volume on an
+    unwatered roof from rain and evapotranspiration, and on field-capacity soil also from
+    percolation. The controller pumps as long as the following holds for every t:
 
-        too dry for more than half of the time from now to t, for every t,
+        an unwatered roof would be too dry for more than half of the time from now to t,
 
-    where t is the end of any step up to the horizon, or of any of the days after it
+    where t is the end of a step up to the horizon, or of one of the days after the horizon
     (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
 
-    The reason: water pumped now makes the roof that much wetter at every later time. This is a gain
-    whenever the roof would otherwise be below its target, and a loss whenever it would be above.
-    Water that is not pumped now can still be pumped at t; then only the time until t counts. So it
-    is best to pump if the gain exceeds the loss for every t, and otherwise to wait. For pumps of
-    any flow, this is the plan with the minimum sum of |x2 - x2*|: if y_i is the volume missing in
-    step i, the volumes pumped by then are the isotonic regression of y in L1, whose first value is
-    the minimum over t of the medians of y until t. It is above zero exactly if the rule is to
-    pump (Stout 2008, Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal.
-    53:289-297).
+    Water pumped now makes the roof wetter by the same amount at every later time. The extra water
+    is a gain whenever the roof would otherwise be below its target, and a loss whenever the roof
+    would be above it. Water that is not pumped now can still be pumped at t, so only the time until
+    t counts in the decision. It is therefore best to pump if the gain exceeds the loss for every t,
+    and otherwise to wait. If the pumps can deliver any flow, this rule yields the plan with the
+    minimum sum of |x2 - x2*|. If y_i is the volume missing in step i, the total volumes pumped up
+    to each step are the isotonic regression of y in L1, whose first value is the minimum over t of
+    the median of y until t. This value is above zero exactly when the rule says to pump (Stout
+    2008, Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal. 53:289-297).
 
-    It checks the rule once a minute, and in every tick while it pumps.
+    The controller checks the rule once a minute, and in every tick while it pumps.
 
     The rule ignores that pumping takes time (a minute and a half at full flow for the paper's
-    site). With a dry forecast, it is the paper's controller.
+    site). With a dry forecast, the controller acts like the paper's on/off controller.
 
-    On a microcontroller: once a minute, go through the hours of the forecast, and add the rain on
-    the bed's area minus evapotranspiration to the water on the roof. Add up the hours with too
-    little water minus those with too much. Do not pump if this sum is zero or less at even one
-    hour. A real site needs two more parts, updated in every tick:
-    :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` averages the level's readings,
-    and :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits the cost of forecast
-    rain that never comes.
+    A microcontroller can apply the rule as follows. Once a minute, go through the hours of the
+    forecast, and add the rain on the bed minus evapotranspiration to the water on the roof. Keep a
+    running sum of the hours with too little water minus the hours with too much. Do not pump if
+    this sum is zero or negative after any hour. A real site needs two more parts, which are updated
+    in every tick: :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` averages the level
+    readings, and :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits the cost of
+    forecast rain that never comes.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
-        horizon: how far it looks ahead (h).
+        horizon: length of the forecast that is used (h).
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -84,12 +84,13 @@ class AnticipatingOnOff:
 
         Args:
             site: parameters of the site (Table I).
-            horizon: how far to look ahead (h).
-            days_after: days after the horizon that count.
+            horizon: length of the forecast that is used (h).
+            days_after: number of days after the horizon for which the deviation counts.
             fraction: v, the command when pumping (share of the maximum flow).
             observer_time_constant: averaging time of the roof's level readings (s).
-            waiting_budget: what waiting for rain may cost (hours of an empty roof).
-            waiting_share: what it may cost in addition, as a share of the cost of plain on/off.
+            waiting_budget: maximum cost of waiting for rain (hours of an empty roof).
+            waiting_share: additional cost of waiting that is allowed, as a share of the cost of
+                plain on/off.
         """
         self._site, self._soil = site, soil_of(site)
         self.fraction, self.horizon = fraction, horizon
@@ -115,7 +116,7 @@ class AnticipatingOnOff:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide from levels and forecast.
+        """Decide from the levels and the forecast.
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
 
@@ -148,10 +149,10 @@ class AnticipatingOnOff:
         self._regret_budget.skip()
 
     def _stays_dry(self, x2: float, rain: Array, evaporated: Array) -> bool:
-        """Whether the roof without pumping is too dry for most of the time until every step's end.
+        """Return whether an unwatered roof is too dry for most of the time until each step's end.
 
-        On field-capacity soil, each time is weighted by the share of water pumped now that is left
-        then.
+        On field-capacity soil, each step is weighted by the share of the water pumped now that
+        would still be on the roof.
         """
         (rain,), evaporated = self._after.lengthen(rain, evaporated)
         weather = rain, evaporated, self._lengths
@@ -166,4 +167,4 @@ class AnticipatingOnOff:
         return False
 
     def statistics(self) -> None:
-        """Return None: it has no solver."""
+        """Return None, because the controller has no solver."""

@@ -1,4 +1,4 @@
-"""Checks that a class is a controller, by trying everything that the other parts rely on."""
+"""Checks whether a class meets all requirements for a controller, by running it."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class _BrokenRuleError(Exception):
 
 
 def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:
-    """Yield levels (m) and rates of rain (m/s) and evapotranspiration (m3/s): dry to flooded."""
+    """Yield levels (m), rain (m/s) and evapotranspiration (m3/s), from a dry to a flooded site."""
     for cistern, roof, rain, evaporated in product(_CISTERN, _ROOF, _RAIN, _EVAPOTRANSPIRATION):
         yield cistern * site.z_o, roof * site.z_veg, rain, evaporated
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """A controller, and the site on which it is tried."""
+    """A controller, and the site for which it is tested."""
 
     choice: ControllerChoice
     site: Site
@@ -55,13 +55,13 @@ class _Trial:
         return len(look_ahead_ends(self.site, horizon)) - 1
 
     def forecast(self, rate: float, members: int = 1) -> Any:
-        """Return a forecast with rain from the second step on, in the shape that it takes."""
+        """Return a forecast with rain from the second step on, in the controller's shape."""
         rates = np.full((members, self.steps), rate)
         rates[:, 0] = 0.0
         return rates if self.choice.ensemble else rates[0].tolist()
 
     def inputs(self, stride: int = 1) -> Iterator[tuple[float, float, Any, Any]]:
-        """Yield levels and forecasts: every ``stride``-th combination."""
+        """Yield every ``stride``-th combination of levels and forecasts."""
         for cistern, roof, rain, evaporated in islice(trial_values(self.site), 0, None, stride):
             yield cistern, roof, self.forecast(rain), [evaporated] * self.steps
 
@@ -76,18 +76,20 @@ class _Trial:
 def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
     """Check a controller against :class:`~greenroof_ros.controllers.protocol.Controller`.
 
-    Every check requests commands from new controllers, with levels and forecasts from a dry to a
-    flooded site. The checks cover what the node graph, ``simulate``, studies and reports rely on.
+    Each check requests commands from new controllers, for levels and forecasts that range from a
+    dry to a flooded site. The checks cover the properties on which the node graph, ``simulate``,
+    studies and reports rely.
 
     Args:
         choice: the controller.
-        site: the site on which it is tried.
+        site: site for which the controller is tested.
 
     Returns:
-        One result for each check, in the order in which a user should repair them.
+        One result for each check, in the order in which a user should repair failures.
 
     Raises:
-        ConfigurationError: if the class cannot be imported, or lacks what every controller needs.
+        ConfigurationError: if the class cannot be imported, or lacks an attribute that every
+            controller needs.
     """
     _ = choice.kind
     results, reported = [], set[str]()
@@ -112,8 +114,8 @@ def _check_command(controller: Controller, *inputs: Any) -> float:
     if not (is_finite_number(command) and command >= 0):
         cistern, roof = inputs[:2]
         raise _BrokenRuleError(
-            f"command() returns {command!r} at levels {cistern:g} m and {roof:g} m; it must be "
-            "a finite number and not negative"
+            f"command() returns {command!r} at levels of {cistern:g} m in the cistern and {roof:g} "
+            "m on the roof; the command must be finite and not negative"
         )
     return float(command)
 
@@ -148,7 +150,7 @@ def _whole_range(trial: _Trial) -> None:
                 if not trial.choice.of_valve:
                     OfController(controller).command()
             except (_BrokenRuleError, ControllerError) as error:
-                raise _BrokenRuleError(f"with {parameter.name} = {value:g} {error}") from None
+                raise _BrokenRuleError(f"with {parameter.name} = {value:g}, {error}") from None
 
 
 def _deterministic(trial: _Trial) -> None:
@@ -192,7 +194,9 @@ def _wrong_forecasts(trial: _Trial) -> None:
         except ConfigurationError:
             if choice.needs_forecast or rain is not empty:
                 continue
-            raise _BrokenRuleError("it needs a forecast, but needs_forecast is False") from None
+            raise _BrokenRuleError(
+                "command() raises an error without a forecast, although needs_forecast is False"
+            ) from None
     if choice.ensemble:
         controller = trial.make()
         for members in (1, 3):
@@ -205,7 +209,9 @@ def _may_change(trial: _Trial) -> None:
             continue
         name, controller = parameter.name, trial.make()
         if getattr(controller, name, None) != trial.choice.defaults(trial.site)[name]:
-            raise _BrokenRuleError(f"it has no attribute {name} that holds the parameter's value")
+            raise _BrokenRuleError(
+                f"the object has no attribute {name} with the value of the parameter"
+            )
         for value in (parameter.low, parameter.high):
             setattr(controller, name, value)
             trial.request_commands(controller, stride=11)
@@ -219,23 +225,23 @@ def _outputs(trial: _Trial) -> None:
         right = isinstance(value, (int, float))
         if isinstance(topic.undecided, array):
             shape = (len(topic.undecided),)
-            expected = f"numpy array of floats, of shape (n, {shape[0]}),"
+            expected = f"numpy array of floats of shape (n, {shape[0]})"
             right = isinstance(value, np.ndarray) and (
                 (value.dtype, value.shape[1:]) == (float, shape)
             )
         if not right:
-            problem = f"{topic.name}: the attribute {attribute} holds no {expected}"
+            problem = f"{topic.name}: the attribute {attribute} must be a {expected}"
             raise _BrokenRuleError(problem)
 
 
 def _outlet(trial: _Trial) -> None:
-    """Check it even for skipped ticks, including the first, since the valve also works in frost."""
+    """Check the outlet after skipped ticks, too, because the valve also works in frost."""
     if trial.choice.of_valve:
         controller = trial.make()
         _check_command(controller, *next(trial.inputs()))
         if hasattr(controller, "outlet"):
             raise _BrokenRuleError(
-                "only its objects have an attribute outlet; the class must have it, too, as in "
+                "only the object has an attribute outlet; define it in the class, too, for example "
                 "outlet = 0.0"
             )
         return
@@ -254,7 +260,7 @@ def _outlet(trial: _Trial) -> None:
     for first, second in zip(request_shares(), request_shares(), strict=True):
         if first != second:
             raise _BrokenRuleError(
-                f"two instances command the valve to {first!r} and {second!r} for equal inputs"
+                f"two instances open the valve to {first!r} and {second!r} for equal inputs"
             )
 
 
@@ -264,7 +270,9 @@ def _statistics(trial: _Trial) -> None:
     statistics = controller.statistics()
     figures = TickTimes().statistics(0, 0)
     if statistics is not None and statistics.keys() != figures.keys():
-        raise _BrokenRuleError(f"statistics() must be None or have {', '.join(sorted(figures))}")
+        raise _BrokenRuleError(
+            f"statistics() must return None, or a value for each of {', '.join(sorted(figures))}"
+        )
 
 
 # Every check, by what it shows, in the order in which a user should repair failures. A check that
@@ -275,15 +283,15 @@ _CHECKS: dict[str, Callable[[_Trial], object]] = {
     "it can be constructed with the site and a value for each parameter": _Trial.make,
     "its commands are finite and not negative, at all levels and for all forecasts":
         lambda trial: trial.request_commands(trial.make()),
-    "its commands are valid with each parameter at either end of its range, too": _whole_range,
+    "its commands are also valid with each parameter at either end of its range": _whole_range,
     "two instances give the same commands for the same inputs": _deterministic,
     "it does not change the forecasts passed to it": _inputs_unchanged,
     "if ticks are skipped, at the start or later, its commands stay valid": _skip,
-    "a missing or wrong forecast leads to a valid command or a ConfigurationError only":
+    "a missing or invalid forecast leads only to a valid command or a ConfigurationError":
         _wrong_forecasts,
     "each parameter that can change during a run is an attribute that can be set": _may_change,
     "each of its outputs is a topic of the interface and has a value after a command": _outputs,
-    "if it commands the outlet valve itself, its attribute outlet is from 0 to 1 in each tick":
+    "if it commands the outlet valve itself, its attribute outlet is 0 to 1 in every tick":
         _outlet,
-    "its statistics are None, or the figures of its solver": _statistics,
+    "statistics() returns None, or the statistics of its solver": _statistics,
 }

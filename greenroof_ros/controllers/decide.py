@@ -1,6 +1,6 @@
-"""Decides in every tick whether to ask the controller, with which forecast, or keep the pumps off.
+"""Decisions in each tick: whether the controller is called, and the command to the valve.
 
-It also decides the command to the valve of the low outlet.
+The module also cuts the forecast to the part that the controller receives.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from greenroof_ros.controllers.registry import ControllerChoice
 
 
 def may_decide(controller: Controller, allowed: bool, quiet: bool) -> bool:
-    """Return whether a controller decides in a tick: in quiet hours only if it uses the time."""
+    """Return whether a controller decides in a tick: in quiet hours, only if it uses the time."""
     return allowed and (not quiet or hasattr(controller, "time_ns"))
 
 
@@ -34,12 +34,12 @@ def decide(
     evapotranspiration: Sequence[float],
     quiet: bool = False,
 ) -> float:
-    """Return the command for a tick: the controller's if pumping is allowed, otherwise 0.
+    """Return the command for a tick: the controller's command if pumping is allowed, otherwise 0.
 
-    Pumping is not allowed in frost, which bursts a running pump's pipe, or if an input was
-    rejected: a command that follows from an unmeasured level must not reach the pump. In quiet
-    hours the command is also 0, but a controller that uses the time still decides, to go on
-    learning and planning.
+    Pumping is not allowed in frost, which can burst the pipe of a running pump. Pumping is not
+    allowed after an input was rejected either, because a command that is based on an unmeasured
+    level must not reach the pump. In quiet hours the command is also 0, but a controller that uses
+    the time is still called, so that it continues to learn and plan.
 
     Args:
         controller: controller that decides, or skips the tick.
@@ -67,8 +67,8 @@ def decide(
         return 0.0 if quiet else float(command)
     file, line = find_place(type(controller), "command")
     raise ControllerError(
-        "must be a finite number and not negative (greenroof check-controller finds this before a "
-        "run)", file=file, line=line,
+        "must be a finite number and not negative (greenroof check-controller detects this before "
+        "a run)", file=file, line=line,
         key=f"the command of {type(controller).__name__} = {describe_value(command)}",
     )
 
@@ -81,12 +81,13 @@ def decide_outlet(
     precipitation: Any,
     evapotranspiration: Sequence[float],
 ) -> float:
-    """Return the command for the outlet valve in a tick; call it after :func:`decide`.
+    """Return the command to the outlet valve in a tick; call this after :func:`decide`.
 
-    The policy is called even if frost closes the valve: it counts the time without rain.
+    The policy is called even if frost closes the valve, because the policy counts the time without
+    rain.
 
     Args:
-        policy: policy that decides.
+        policy: policy that commands the valve.
         closed: whether frost closes the valve.
         cistern_level: level in the cistern (m).
         roof_level: level on the roof (m).
@@ -94,14 +95,14 @@ def decide_outlet(
         evapotranspiration: forecast of evapotranspiration (m3/s).
 
     Raises:
-        ControllerError: if a controller that commands the valve itself has no valid command.
+        ControllerError: if a controller that commands the valve itself sets an invalid command.
     """
     share = policy.command(cistern_level, roof_level, precipitation, evapotranspiration)
     return 0.0 if closed else share
 
 
 def is_finite_number(value: Any) -> bool:
-    """Return whether a value is a real number, Python's or numpy's, and finite as a float."""
+    """Return whether a value is a real number of Python or numpy that is finite as a float."""
     try:
         # Float first: checking for Real alone takes a tenth of a simulated tick.
         is_number = isinstance(value, (float, Real)) and not isinstance(value, bool)
@@ -111,10 +112,10 @@ def is_finite_number(value: Any) -> bool:
 
 
 def read_statistics(controller: Controller) -> dict[str, float] | None:
-    """Return the figures of a controller's solver; None if it has no solver.
+    """Return the statistics of a controller's solver; None if the controller has no solver.
 
     Raises:
-        ControllerError: if its code raised an error.
+        ControllerError: if the controller's code raised an error.
     """
     try:
         return controller.statistics()
@@ -125,11 +126,11 @@ def read_statistics(controller: Controller) -> dict[str, float] | None:
 def cut_forecast(
     choice: ControllerChoice, steps: int, rain: Any, evapotranspiration: Any
 ) -> tuple[Any, Any]:
-    """Return a controller's part of forecasts that reach further, for a plan of the outlet.
+    """Cut forecasts that are longer for a plan of the outlet to the controller's own steps.
 
     Args:
-        choice: the controller; unless it takes all members, it receives the first one.
-        steps: number of steps that it takes.
+        choice: choice of the controller, which receives only the first member unless it takes all.
+        steps: number of steps that the controller takes.
         rain: forecast of rain, shape (steps,) or (members, steps).
         evapotranspiration: forecast of evapotranspiration, shape (steps,).
     """
@@ -143,11 +144,12 @@ def shape_rain(choice: ControllerChoice, rain: Any, topic: str) -> Any:
 
     Args:
         choice: the controller.
-        rain: the value of the topic: a row, or an array of members.
-        topic: the topic's name, for an error.
+        rain: value of the topic, either a row or an array of members.
+        topic: name of the topic, for an error message.
 
     Raises:
-        ConfigurationError: if it has several members, but the controller takes only one.
+        ConfigurationError: if the forecast has more than one member, but the controller takes only
+            one.
     """
     if choice.ensemble:
         return np.atleast_2d(rain)

@@ -1,4 +1,4 @@
-"""A controller that is someone else's node: ``greenroof run --controller external``."""
+"""A controller that runs as a node of the user: ``greenroof run --controller external``."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from greenroof_ros.model.site import Site
 
 
 class External(Controller):
-    """Stands for a node that the user runs; only the look-ahead of its controller is known.
+    """Placeholder for a node that the user runs; only the look-ahead of its controller is known.
 
-    The node receives the forecasts of its graph: over ``horizon``, with one member.
+    The node receives the forecasts of its graph, which cover ``horizon`` and have one member.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter(
-            "horizon", 0.0, "h", 0.0, MAX_HORIZON, "how far the forecasts for the node reach, in "
-            "growing steps; if 0, they cover the next M ticks",
+            "horizon", 0.0, "h", 0.0, MAX_HORIZON, "length of the forecasts for the node, in "
+            "growing steps; with 0, the forecasts cover the next M ticks",
         ),
     )
 
@@ -28,7 +28,7 @@ class External(Controller):
     """the node commands the outlet valve itself"""
 
     def __init__(self, site: Site, horizon: float) -> None:
-        """Refuse to be made: it does not run in a process of this package.
+        """Raise an error, because an external controller does not run in this package's processes.
 
         Raises:
             ConfigurationError: always.

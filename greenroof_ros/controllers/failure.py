@@ -1,4 +1,4 @@
-"""What a controller's code does wrong, as one error that names its file and line."""
+"""Errors in a controller's code, reported with file and line."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class ControllerError(ConfigurationError):
 
 
 def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangError:
-    """Return an error that a controller's code raised, with file and line.
+    """Return an error that a controller's code raised, with file and line added.
 
-    An error of this package that names what is wrong is returned as it is, unless a user's code
-    raised it. File and line are the last place in the file where a user's code was entered. If none
-    was entered, as with a wrong number of arguments, they are those of the method that the message
-    names.
+    An error of this package that already names the cause is returned unchanged, unless a user's
+    code raised it. File and line are those of the last frame in the file in which the user's code
+    was entered. If no user's code was entered, as with a wrong number of arguments, file and line
+    are those of the method that the message names.
     """
     name = getattr(kind, "__name__", str(kind))
     file, line = None, None
@@ -36,7 +36,7 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
     try:
         text = str(error)
     except Exception:  # its class may be a user's, too
-        text = "its text cannot be read"
+        text = "the message of the error cannot be read"
     if last is None and kind.__module__.startswith("greenroof_ros."):
         last = traceback.extract_tb(error.__traceback__)[-1]
     if last is not None:
@@ -52,7 +52,7 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
 
 
 def not_imported(reference: str, error: BaseException) -> ConfigurationError:
-    """Return an error that a controller cannot be imported, with file and line in a user's code."""
+    """Return the error for a controller that cannot be imported, with file and line if known."""
     last = _last_frame(error)
     file, line = (None, None) if last is None else (last.filename, last.lineno)
     if isinstance(error, SyntaxError):
@@ -64,7 +64,7 @@ def not_imported(reference: str, error: BaseException) -> ConfigurationError:
 
 
 def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
-    """Return the last place in the first user's file that an error came through, if any."""
+    """Return the last frame of an error in the first user's file that it passed through, if any."""
     frames = [
         frame for frame in traceback.extract_tb(error.__traceback__)
         if not frame.filename.startswith(_NO_USERS)
@@ -73,9 +73,9 @@ def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
 
 
 def find_place(kind: Any, method: str) -> tuple[str | None, int | None]:
-    """Return file and line of a method or property; None if it is not a function in a file.
+    """Return the file and line of a method or property; None for both if it is not in a file.
 
-    A class that wraps a function has it as ``__wrapped__``; then this function's place is returned.
+    If a class wraps a function as ``__wrapped__``, the place of this function is returned.
     """
     member = getattr(kind, "__wrapped__", getattr(kind, method, None))
     code = getattr(getattr(member, "fget", member), "__code__", None)

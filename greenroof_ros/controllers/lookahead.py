@@ -1,4 +1,4 @@
-"""The look-ahead controller: it fills the roof as far as the coming rain allows."""
+"""The look-ahead controller, which fills the roof as far as the coming rain allows."""
 
 from __future__ import annotations
 
@@ -54,44 +54,48 @@ class Lookahead:
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` finds the level, for all members of an
     ensemble of forecasts or for a single forecast, over growing steps and the days after the
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
-    :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` assumes when it becomes known which
-    members are wrong. Without a forecast, it fills the roof to its target and holds it there, which
-    is best if no rain comes. A short loss of the forecast does not end a wait for rain: the last
-    plan is followed until it is old. Meanwhile, the rain gauge provides the present rain, and
-    evapotranspiration is the mean of the past day. A forecast with a missing value is treated as
-    lost.
+    :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` contains the assumption about when
+    it becomes known which members are wrong. Without a forecast, the controller fills the roof to
+    its target and holds it there, which is best if no rain comes. If the forecast is lost for a
+    short time, the controller goes on waiting for rain, and follows the last plan until this plan
+    is too old. During the loss, the rain gauge provides the present rain, and evapotranspiration is
+    assumed to be the mean of the past day. A forecast with a missing value is treated as lost.
 
-    It makes a new plan when the plan is older than an hour or a 48th of the horizon, when a
-    member's total rain has changed, and when forecasts of rain begin or cease to count. Between
-    plans it follows the levels of the last plan, which cover every volume on the roof. The steps of
-    a plan for an ensemble are longer than the steps of its forecasts.
+    The controller makes a new plan when the last plan is older than an hour or a 48th of the
+    horizon, when a member's total rain has changed, and when the budget starts or stops ignoring
+    forecasts of rain. Between plans, the controller follows the levels of the last plan, which are
+    known for every volume on the roof. The steps of a plan for an ensemble are longer than the
+    steps of its forecasts.
 
-    During quiet hours it plans to pump nothing: a step's maximum flow is reduced by the share of
-    the step that is quiet. It makes a new plan when quiet hours begin and end.
+    No pumping is planned in quiet hours: the maximum flow of a step is reduced by the share of the
+    step that is quiet. The controller also makes a new plan when quiet hours begin and when they
+    end.
 
-    Between two starts of the pumps it waits for at least 3600 s / ``starts_per_hour`` of the site,
-    and it fills the roof slowly enough that the pumps stay on for ``min_on``. At the level, it
-    balances evapotranspiration with a small flow, which needs no starts.
+    Between two starts of the pumps, the controller waits for at least 3600 s / ``starts_per_hour``
+    of the site, and it fills the roof slowly enough that the pumps stay on for ``min_on``. Once the
+    roof is at the level, a small flow balances evapotranspiration, so that the pumps do not have to
+    start again.
 
-    An observer filters the roof's level, and a budget limits what waiting for rain may cost:
+    An observer filters the roof's level, and a budget limits the cost of waiting for rain:
     :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` and
     :class:`~greenroof_ros.controllers.regret_budget.RegretBudget`.
 
     Attributes:
-        horizon: how far the forecast is used (h).
-        fill_to: level on the roof (m) to which it is filled, or at which it is held, in this tick;
-            NaN if it is left alone, or if the controller did not decide.
-        plan: the plan made in this tick, shape (steps, 4). Each row is a step: its end (s from this
-            tick); the mean pump flow in it (m3/s) and the expected level on the roof at its end
-            (m), both means over the members; and the level to which the roof is filled if no rain
-            has come by then (m), 0 if it is left alone. Shape (0, 4) while the last plan is still
-            followed; one row of NaN if the controller did not decide.
-        planned_deviation: mean deviation expected in the last plan, over the horizon, the days
+        horizon: length of the forecast that is used (h).
+        fill_to: level (m) to which the roof is filled, or at which it is held, in this tick; NaN if
+            the roof is left alone, or if the controller did not decide.
+        plan: the plan made in this tick, shape (steps, 4). Each row describes a step with four
+            numbers: its end (s from this tick), its mean pump flow (m3/s), the expected level on
+            the roof at its end (m), and the level to which the roof is filled if no rain has come
+            by then (m; 0 if the roof is left alone). Pump flow and expected level are means over
+            the members. The array is empty, with shape (0, 4), while the last plan is still
+            followed. If the controller did not decide, it has a single row of NaN.
+        planned_deviation: deviation expected in the last plan, as a mean over the horizon, the days
             after it and all members (m3); NaN before the first plan.
         solves: number of plans made.
-        solve_seconds: wall time of every :meth:`command` (s); most make no plan.
-        time_ns: the time (ns since 1970), at a site with quiet hours.
-        gauge_rain: what the rain gauge of a live site measures (m/s); 0 without a gauge.
+        solve_seconds: wall time of every call of :meth:`command` (s), most of which make no plan.
+        time_ns: present time (ns since 1970), set at a site with quiet hours.
+        gauge_rain: rain measured by the gauge of a live site (m/s); 0 without a gauge.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (
@@ -99,17 +103,17 @@ class Lookahead:
         DAYS_AFTER,
         Parameter(
             "max_command", 1.0, "1", _MIN_COMMAND, math.inf,
-            "maximum command; 1 is the most that a real pump can do",
+            "maximum command; a real pump cannot exceed 1",
         ),
         Parameter(
-            "recourse", 48.0, "h", 1.0, MAX_HORIZON, "time for which one level is chosen for all "
-            "members; after each such period, newer forecasts are assumed to reveal which half of "
-            "the members was wrong",
+            "recourse", 48.0, "h", 1.0, MAX_HORIZON, "time for which a common level is chosen for "
+            "all members; after each such period, newer forecasts are assumed to reveal which half "
+            "of the members was wrong",
         ),
         Parameter(
-            "min_on", 0.0, "s", 0.0, 86_400.0, "minimum on-time of the pumps, in a simulation at "
-            "least pump_min_on; filling is planned to take at least this long, so the pumps do not "
-            "run on afterwards",
+            "min_on", 0.0, "s", 0.0, 86_400.0, "minimum on-time of the pumps (in a simulation, at "
+            "least pump_min_on); filling is planned to take at least this long, so that the pumps "
+            "do not run on afterwards",
         ),
         OBSERVER_TIME_CONSTANT,
         WAITING_BUDGET,
@@ -175,7 +179,7 @@ class Lookahead:
 
     @property
     def learned(self) -> dict[str, float]:
-        """The cost of waiting so far."""
+        """The costs of waiting and of plain on/off so far."""
         return self._regret_budget.learned
 
     @learned.setter
@@ -255,14 +259,14 @@ class Lookahead:
         self._pass_tick()
 
     def statistics(self) -> dict[str, float]:
-        """Return the number of plans, and the times of a tick.
+        """Return the number of plans, and statistics of the wall times.
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
         """
         return self.solve_seconds.statistics(self.solves, 0)
 
     def _must_plan(self, rain: Array, rain_counts: bool) -> bool:
-        """Whether the plan is too old, or the forecast has changed."""
+        """Return whether the plan is too old, or the forecast has changed."""
         if self._policy is None or self._age >= self._max_age:
             return True
         if rain_counts != self._rain_counts or len(rain) != len(self._planned_rain):
@@ -278,7 +282,7 @@ class Lookahead:
         return np.asarray(np.add.reduce(rain * self._lengths[: self._after.steps], axis=1))
 
     def _plan(self, x1: float, x2: float, rain: Array, evaporated: Array) -> None:
-        """Make a plan; the order of the forecast's members does not change a single bit of it."""
+        """Make a plan, which is bit-identical for any order of the forecast's members."""
         chosen = self._plan_edges[len(rain) > 1]
         edges = self._after.edges[chosen]
         rain = self._means(rain[np.lexsort(rain.T[::-1])], chosen)
@@ -308,7 +312,7 @@ class Lookahead:
         return np.asarray(np.column_stack(rows)[policy.edges[1:] <= horizon])
 
     def _means(self, rates: Array, chosen: list[int]) -> Array:
-        """Average the forecast's steps to a plan's steps, both on the last axis."""
+        """Average rates over the steps of a plan, along the last axis."""
         amounts = np.add.reduceat(rates * self._lengths, chosen[:-1], axis=-1)
         return np.asarray(amounts / np.diff(self._after.edges[chosen]))
 
@@ -319,7 +323,7 @@ class Lookahead:
         return min(self._max_command * full, self._site.z_cap) if full else 0.0
 
     def _level(self, x1: float, x2: float) -> float:
-        """Return the volume to which the roof is filled or held (m3); a fuller roof is left alone.
+        """Return the volume up to which the roof is filled (m3); a fuller roof is left alone.
 
         Args:
             x1: volume in the cistern (m3).
@@ -334,7 +338,7 @@ class Lookahead:
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float
     ) -> float:
-        """Return the command that reaches a level without exceeding it; 0 if a start is too early.
+        """Return the command that fills the roof to a level; 0 if the pumps may not start yet.
 
         Args:
             x1: volume in the cistern (m3).
@@ -367,7 +371,7 @@ class Lookahead:
 
 
 def _are_numbers(rain: Array, evaporated: Array, all_of_them: bool) -> bool:
-    """Whether there is a forecast, and its present entries, or all entries, are numbers."""
+    """Return whether there is a forecast whose present entries, or all entries, are finite."""
     if not evaporated.size:
         return False
     if all_of_them:
@@ -376,10 +380,12 @@ def _are_numbers(rain: Array, evaporated: Array, all_of_them: bool) -> bool:
 
 
 def _merge_steps(edges: Array, min_length: float, share: float) -> list[int]:
-    """Return which step ends remain when short steps are merged; the first and last always do.
+    """Return the indices of the boundaries that remain when short steps are merged.
+
+    The first and the last boundary always remain.
 
     Args:
-        edges: ends of all steps (s from now).
+        edges: boundaries of all steps (s from now).
         min_length: minimum length of a step (s).
         share: minimum length as a share of the time until the step begins (1).
     """

@@ -1,4 +1,4 @@
-"""The paper's model predictive controller: seven steps, a quadratic program, OSQP."""
+"""The paper's model predictive controller, whose quadratic program OSQP solves in every tick."""
 
 from __future__ import annotations
 
@@ -55,20 +55,20 @@ os.register_at_fork(
 class Mpc:
     """Minimises Eq. (11) over the look-ahead, subject to the linear model of Eq. (10).
 
-    The states are eliminated: with U the M commands, the predicted roof depths minus the target are
-    r + G U, and the cost divided by 2 lambda is the program
+    The states are eliminated. If U is the vector of the M commands, the predicted roof depths minus
+    the target are r + G U, and the cost divided by 2 lambda leads to the program
 
         minimise  1/2 U' P U + q' U   subject to  0 <= U <= max_command,
         P = I + G'G / lambda,  q = G'r / lambda,
 
-    whose entries are around 1. (The cost as printed is around 1e-6, far below the solver's
-    tolerances.) If the solver does not report a solution as solved, it is not used: the command is
-    0, the pumps stay off for a tick, and ``fallbacks`` counts it.
+    whose entries are around 1. (The cost as printed in the paper is around 1e-6, far below the
+    solver's tolerances.) If the solver does not report the program as solved, its result is not
+    used: the command is 0, the pumps stay off for a tick, and ``fallbacks`` is increased by 1.
 
     Attributes:
         weight: lambda, the price of pumping (1); it can be changed between two ticks.
         cost: J of Eq. (11) for the last tick's solution (m2); NaN after a fallback.
-        status: OSQP's status value in the last tick, 1 = solved.
+        status: OSQP's status value in the last tick; 1 means solved.
         fallbacks: number of ticks without a solution.
         solve_seconds: wall time of every :meth:`command` (s).
     """
@@ -80,7 +80,7 @@ class Mpc:
         ),
         Parameter(
             "max_command", math.inf, "1", 1e-9, math.inf,
-            "maximum command; by default unlimited, as in the paper; up to 1 for a real pump",
+            "maximum command, by default unlimited as in the paper; a real pump cannot exceed 1",
         ),
     )
     outputs: ClassVar[Mapping[str, str]] = {
@@ -88,7 +88,7 @@ class Mpc:
     }
 
     def __init__(self, site: Site, weight: float, max_command: float) -> None:
-        """Set up the solver once; every tick only updates it.
+        """Set up the solver once; every tick only updates its data.
 
         Args:
             site: parameters of the site (Table I); ``site.M`` is the look-ahead.
@@ -139,19 +139,20 @@ class Mpc:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Take steps 1-3 and 6 of the algorithm.
+        """Carry out steps 1 to 3 and 6 of the paper's algorithm.
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
 
-        Steps 4 and 5, applying the command and moving on, are left to the plant.
+        Steps 4 and 5, which apply the command and advance the state, are left to the plant.
         """
         started = time.perf_counter()
         site = self._site
         if not len(precipitation) == len(evapotranspiration) == site.M:
             raise ConfigurationError(
-                f"the forecasts have {len(precipitation)} and {len(evapotranspiration)} entries, "
-                f"but the controller looks M = {site.M} ticks ahead; use the same site file for "
-                "weather and controller; only lookahead takes all members"
+                f"the forecast of rain has {len(precipitation)} entries and the forecast of "
+                f"evapotranspiration has {len(evapotranspiration)}, but the controller looks "
+                f"M = {site.M} ticks ahead; use the same site file for the weather node and the "
+                "controller, and use all members only with lookahead"
             )
         # Step 6: the operating point. The first disturbance average is 0, as in the paper; f is
         # affine in w, so the average cancels in the prediction and only determines where b is
@@ -213,14 +214,14 @@ class Mpc:
         """Do nothing: the averages cover only ticks with a solution."""
 
     def statistics(self) -> dict[str, float]:
-        """Return the solver's figures.
+        """Return the statistics of the solver.
 
         See :class:`greenroof_ros.controllers.protocol.Controller`.
         """
         return self.solve_seconds.statistics(len(self.solve_seconds), self.fallbacks)
 
     def _solve(self, P: Array, q: Array) -> tuple[float, float] | None:
-        """Return the first command of the program's solution and its objective.
+        """Return the first command and the objective of the program's solution.
 
         Return None if the program is not finite or the solver does not report it as solved.
         """

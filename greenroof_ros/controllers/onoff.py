@@ -10,7 +10,7 @@ from greenroof_ros.model.site import Site
 
 FRACTION = Parameter(
     "fraction", 1.0, "1", 1e-9, 1e6,
-    "v of Eq. (12): the command when pumping, as a share of the maximum flow", may_change=True,
+    "v of Eq. (12): the command while pumping, as a share of the maximum flow", may_change=True,
 )
 
 LEVEL = Parameter(
@@ -22,9 +22,9 @@ LEVEL = Parameter(
 class OnOff:
     """Pumps at a fixed command while the roof is too dry and the cistern holds enough water.
 
-    The roof is too dry below ``level`` times the target. A level below 1 leaves room for rain,
-    which is the only way to do so without a forecast. ``doc/explanation/controllers.md`` shows what
-    this gains on which roof.
+    The roof is too dry below ``level`` times the target. A level below 1 leaves room for rain, and
+    is the only way to leave room without a forecast. ``doc/explanation/controllers.md`` shows the
+    benefit of such a level for different roofs.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
@@ -52,7 +52,7 @@ class OnOff:
         return self.fraction if dry and enough else 0.0
 
     def skip(self) -> None:
-        """Do nothing: it has no memory."""
+        """Do nothing, because the controller has no memory."""
 
     def statistics(self) -> None:
-        """Return None: it has no solver."""
+        """Return None, because the controller has no solver."""

@@ -1,6 +1,7 @@
-"""How far to fill the roof, for every volume on it and every step: a dynamic program.
+"""A dynamic program for the volume to which the roof is filled, for every volume and every step.
 
-:func:`halve_by_rain` assumes when the members of an ensemble can be distinguished.
+:func:`halve_by_rain` contains the assumption about when the members of an ensemble can be
+distinguished.
 """
 
 from __future__ import annotations
@@ -30,13 +31,15 @@ _WATER_NODES = 12
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """What to do in every step, for every volume on the roof; :class:`OrderUpTo` computes it.
+    """Decisions for every step and every volume on the roof, computed by :class:`OrderUpTo`.
 
     Attributes:
-        edges: ends of the steps (s from when it was made), the first 0, shape (n + 1,).
-        fill_to: for every step, the volume to which the roof is filled and at which it is held
-            (m3), -1 if it is left alone; shape (groups of the step, S, nodes up to the target).
-        group_of: for every step, the index of each member's group, shape (members,).
+        edges: boundaries of the steps (s since the policy was made), beginning with 0, shape (n +
+            1,).
+        fill_to: volume to which the roof is filled and at which it is held (m3), or -1 if the roof
+            is left alone; one array for each step, shape (groups of the step, S, nodes up to the
+            target).
+        group_of: index of each member's group; one array for each step, shape (members,).
         cost: minimum mean deviation over all steps and members (m3).
     """
 
@@ -47,10 +50,10 @@ class Policy:
 
 
 class Cistern:
-    """The usable water of a cistern (m3), which is above the suction level, from step to step.
+    """Step-by-step balance of a cistern's usable water (m3), which is above the suction level.
 
-    A valve on the low outlet counts as closed: what it releases makes room for rain that refills
-    it.
+    A valve on the low outlet is assumed to be closed, because the water that it releases makes room
+    for rain that refills the cistern.
     """
 
     def __init__(self, site: Site) -> None:
@@ -63,15 +66,15 @@ class Cistern:
         self._suction = suction
 
     def usable(self, x1: float) -> float:
-        """Return the usable part of x1 (m3); water above the outlet, soon gone, does not count."""
+        """Return the usable part of x1 (m3), without water above the outlet, which soon drains."""
         return min(max(x1 - self._suction, 0.0), self._capacity)
 
     def scarce(self, x1: float, demand: float, seconds: float) -> float:
-        """Return up to which volume the water counts (m3); 0 if there will always be enough.
+        """Return the maximum relevant volume of water (m3); 0 if there will always be enough.
 
         Args:
             x1: volume in the cistern (m3).
-            demand: maximum demand for its water (m3).
+            demand: maximum demand for water from the cistern (m3).
             seconds: time in which the demand may occur (s).
         """
         supplied = (self._site.mains_flow or 0.0) * seconds
@@ -80,10 +83,10 @@ class Cistern:
         return self._capacity if self._low < self._capacity else min(demand, self._capacity)
 
     def predict_usable(self, water: Array, rain: Array, seconds: float) -> Array:
-        """Return the usable water (m3) after a step of rain (m/s), Eq. (2) without pumping.
+        """Return the usable water (m3) after a step with rain (m/s), from Eq. (2) without pumping.
 
-        Rain and mains water come first; then the low outlet drains the cistern, and the square root
-        of its head falls linearly.
+        Rain and mains water are added first. Then the low outlet drains the cistern, and the square
+        root of the head falls linearly with time.
         """
         site = self._site
         water = water + rain * (site.effective_catchment * seconds)
@@ -99,30 +102,31 @@ class Cistern:
 
 
 class OrderUpTo:
-    r"""The minimum mean of \|x2 - x2*\| over the steps, computed backwards from the last one.
+    r"""Dynamic program for the minimum mean of \|x2 - x2*\|, backwards from the last step.
 
-    Pumps can fill a roof in minutes, so a plan is a level: fill the roof to y and hold it there
-    while it dries, or leave it alone. For every member of an ensemble, V_i(x) is the minimum cost
-    of the deviation from step i on (m3 s) if the roof holds x. With h the length of the step (s),
+    Pumps can fill a roof in minutes, so a plan gives a level for each step: the roof is filled to y
+    and held there while it dries, or it is left alone. For every member of an ensemble, V_i(x) is
+    the minimum cost of the deviation from step i on (m3 s) if the roof holds x. With h the length
+    of the step (s),
 
-        F(x) = h mean|path - x*| + V_{i+1}(z),  z = what the soil makes of x in the step,
-        H(y) = the same, but held at y if it would dry, as far as the pumps can,
+        F(x) = h mean|path - x*| + V_{i+1}(z),  z = volume at the end if left alone,
+        H(y) = F(y) if held at y instead of drying, as far as the pumps can,
         V_i(x) = min(F(x), H(y) + filling),  x <= y <= x*, and y within the pumps' reach.
 
     The path within a step is assumed to be straight. Filling from x to y takes t seconds. During
-    this time, (y - x)/2 is missing on average that H assumes to be present, so filling costs t (y -
+    this time, the roof holds (y - x)/2 less on average than H assumes, so filling costs t (y -
     x)/2.
 
-    The decision, y or to leave the roof alone, is the same for all members of a group, based on the
-    mean over them; every member has its own V. If V were averaged as well, each step would draw a
-    new member, and the sums of storms would be lost.
+    The decision to fill to y or to leave the roof alone is the same for all members of a group, and
+    is based on their mean; every member has its own V. If V were averaged as well, each step would
+    draw a new member, and the total rain of a storm would be lost.
 
     V is stored at nodes of the volume, which are dense around the target and include it, and is
     interpolated linearly between them.
 
-    **Water.** If the cistern can run short, V depends on a second number s: the usable water plus
-    the water that would fill an empty roof to its present volume. Filling does not change s. If
-    there is always enough water, s has one node.
+    **Water.** If the cistern can run short, V depends on a second variable s, which is the usable
+    water plus the water that would fill an empty roof to its present volume. Filling does not
+    change s. If there is always enough water, s has one node.
     """
 
     def __init__(self, site: Site, fine: tuple[int, int] = (900, 300)) -> None:
@@ -153,12 +157,12 @@ class OrderUpTo:
         self._contents = self._content(self._nodes)
 
     def levels(self, policy: Policy, step: int, group: Any, usable: Any, x2: Any) -> Any:
-        """Return the volumes to which roofs are filled or held (m3); a fuller roof is left alone.
+        """Return the volumes up to which roofs are filled (m3); a fuller roof is left alone.
 
-        Between two nodes of the roof's volume, the decision at the lower one applies. Between two
-        nodes of the water, the volume is interpolated; if one of them leaves the roof alone, the
-        decision at the upper one applies. So the last water can be pumped, too, although there is
-        none at the node below.
+        Between two nodes of the roof's volume, the decision at the lower node applies. Between two
+        nodes of the water, the volume is interpolated; if the decision at either node is to leave
+        the roof alone, the decision at the upper node applies. This allows the last water to be
+        pumped, although there is none at the node below.
 
         Args:
             policy: policy from the last :meth:`solve`.
@@ -186,15 +190,15 @@ class OrderUpTo:
         """Find the plan with the minimum cost.
 
         Args:
-            edges: ends of the steps (s from now), the first 0, shape (n + 1,).
+            edges: boundaries of the steps (s from now), beginning with 0, shape (n + 1,).
             x1: volume in the cistern (m3).
             x2: volume on the roof (m3).
             rain: rain in every step (m/s), shape (members, n).
             evapotranspiration: evapotranspiration from the whole bed (m3/s), shape (n,).
             flow: maximum pump flow in every step (m3/s), which can be 0, shape (n,).
-            groups: group of every member in every step, given by the lowest member index in the
-                group; its members cannot be distinguished yet; groups only split; shape (members,
-                n).
+            groups: group of every member in every step, identified by the lowest member index in
+                the group, shape (members, n). The members of a group cannot be distinguished yet,
+                and groups only split.
         """
         members, steps = rain.shape
         lengths = np.diff(edges)
@@ -240,7 +244,7 @@ class OrderUpTo:
         self, policy: Policy, x1: float, x2: float, rain: Array, evapotranspiration: Array,
         flow: Array, member: int | None = None,
     ) -> tuple[Array, Array, Array]:
-        """Return a policy's pump flow (m3/s), roof at the end, and volume filled to (m3), by step.
+        """Simulate a policy; return the pump flow and the volumes on the roof, step by step.
 
         Args:
             policy: policy that :meth:`solve` found for the other arguments.
@@ -249,10 +253,12 @@ class OrderUpTo:
             rain: rain in every step (m/s), shape (members, n).
             evapotranspiration: evapotranspiration from the whole bed (m3/s), shape (n,).
             flow: maximum pump flow in every step (m3/s), shape (n,).
-            member: index of the member whose decisions are followed; None if each follows its own.
+            member: index of the member whose decisions are followed; None if each member follows
+                its own.
 
         Returns:
-            Three arrays of shape (members, n); a filling volume of 0 means left alone.
+            The pump flow (m3/s), the volume on the roof at the end of the step (m3), and the volume
+            to which the roof is filled (m3), or 0 if it is left alone; each of shape (members, n).
         """
         roof = np.full(len(rain), x2)
         water = np.full(len(rain), self.usable(x1))
@@ -274,7 +280,7 @@ class OrderUpTo:
         self, level: Array, roof: Array, rain: Array, evapotranspiration: float, flow: Array,
         seconds: float,
     ) -> tuple[Array, Array]:
-        """Move roofs on by a step in which each is filled to a level and held there.
+        """Advance roofs by a step in which each roof is filled to a level and held there.
 
         Args:
             level: level of each roof (m3), -1 to leave it alone.
@@ -285,7 +291,7 @@ class OrderUpTo:
             seconds: length of the step (s).
 
         Returns:
-            The volume on each roof at the end, and the volume pumped onto it (m3).
+            The volume on each roof at the end of the step, and the volume pumped onto it (m3).
         """
         soil, max_pumped, potential = self._soil, flow * seconds, evapotranspiration * seconds
         reached = soil.predict_volume(roof, max_pumped, potential, seconds)
@@ -298,14 +304,14 @@ class OrderUpTo:
         return ended, np.minimum(uptake, max_pumped)
 
     def _content(self, x2: Any) -> Any:
-        """Return the water that fills an empty roof to a volume, or to x* if that is less (m3)."""
+        """Return the water that fills an empty roof to a volume, or to x* if x* is less (m3)."""
         return self._soil.water_to_fill(np.minimum(x2, self._target))
 
     def _before(
         self, value: Array, rain: Array, potential: float, flow: float, seconds: float,
         strong: bool, groups: list[Any],
     ) -> tuple[Array, Array]:
-        """Go back by one step.
+        """Compute V before a step from V after it.
 
         Args:
             value: V after the step, shape (members, S, N).
@@ -313,7 +319,7 @@ class OrderUpTo:
             potential: evapotranspiration from the whole bed in the step (m3).
             flow: flow of the pumps (m3/s).
             seconds: length of the step (s).
-            strong: whether neither pumps nor water are ever the limit.
+            strong: whether neither the pumps nor the water can be a limit.
             groups: indices of the members in each group.
 
         Returns:
@@ -383,12 +389,12 @@ class OrderUpTo:
         return np.asarray(total / 2 + crossing / np.maximum(total, _MINIMUM))
 
     def _at(self, value: Array, x2: Array, water: Array) -> Array:
-        """Return V at volumes on the roof and at s (m3); beyond the nodes it stays constant.
+        """Return V at volumes on the roof and at s (m3); V is constant beyond the nodes.
 
         Args:
             value: V at the nodes, shape (members, S, nodes).
             x2: volumes on the roof (m3), shape (members or 1, S or 1, any).
-            water: s (m3), same shape; not used if s has only one node.
+            water: s (m3), in the same shape; not used if s has only one node.
         """
         members, rows, count = value.shape
         above = x2 - self._target
@@ -411,35 +417,37 @@ class OrderUpTo:
 
 
 def _between(nodes: Array, values: Any) -> tuple[Any, Any]:
-    """Return the node at or below each value, and the share of the way to the next (0 to 1)."""
+    """Return the node at or below each value, and the fraction of the way to the next node."""
     row = nodes[1:-1].searchsorted(values, side="right")
     return row, np.clip((values - nodes[row]) / np.diff(nodes)[row], 0.0, 1.0)
 
 
 def _find_minimum_onward(values: Array) -> Indices:
-    """Return the index of the minimum value from every place on; of several, the first one."""
+    """Return, for each position, the index of the first minimum from there to the end."""
     minimum = np.minimum.accumulate(values[..., ::-1], axis=-1)[..., ::-1]
     places = np.where(values == minimum, np.arange(values.shape[-1]), values.shape[-1])
     return np.asarray(np.minimum.accumulate(places[..., ::-1], axis=-1)[..., ::-1])
 
 
 def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
-    """Return the group of every member in every step, by the lowest member index in the group.
+    """Return the group of every member in every step, identified by its lowest member index.
 
-    All members of a group have the same pumping, since nothing distinguishes them yet. At first,
-    all form one group. At every ``recourse``, each group is halved into the members with less and
-    with more rain until then; ties are decided by the next step, and so on. If the number is odd,
-    the wetter half has one more. So groups only split, and in the end every member is alone.
+    The pumping is the same for all members of a group, since they cannot be distinguished yet. At
+    first, all members form one group. After every period of ``recourse``, each group is halved into
+    the members with less rain and the members with more rain so far; ties are decided by the rain
+    up to the next step, and so on. If the number of members is odd, the wetter half has one more.
+    Groups therefore only split, and in the end every member has a group of its own.
 
-    No forecast tells immediately which member will come true. A controller that assumed so would
-    wait, since it would soon know everything. Heitsch and Roemisch (2009, Scenario tree modeling
-    for multistage stochastic programs, doi:10.1007/s10107-007-0197-2) build a tree from scenarios
-    that are alike until each stage; here the members are split by rank, so that the tree has the
-    same size whatever the rain is. The order in which the members are given does not matter.
+    No forecast reveals immediately which member will come true. A controller that assumed otherwise
+    would wait, because it would expect to know everything soon. Heitsch and Roemisch (2009,
+    Scenario tree modeling for multistage stochastic programs, doi:10.1007/s10107-007-0197-2) build
+    a tree from scenarios that are alike until each stage; here the members are split by rank, so
+    that the size of the tree does not depend on the rain. The order in which the members are given
+    does not matter.
 
     Args:
         rain: forecast of rain (m/s), shape (members, n).
-        edges: ends of the steps (s from now), the first 0, shape (n + 1,).
+        edges: boundaries of the steps (s from now), beginning with 0, shape (n + 1,).
         recourse: time from one halving to the next (s).
 
     Returns:
