@@ -1,9 +1,9 @@
-"""What commands the valve of the low outlet, alongside any controller of the pump.
+"""Policies for the valve of the low outlet, alongside any controller of the pump.
 
 The cistern keeps storm water out of the sewer only if there is room in it when the rain comes. A
-policy decides in every tick how far the valve is open (share, 0 to 1): ``closed``; ``open``, an
-orifice without a valve; ``drain``, which makes room in dry weather; and ``plan``, which makes room
-before forecast rain, and otherwise keeps what the roof will need.
+policy decides in every tick how far the valve is open (share, 0 to 1). ``closed`` keeps the valve
+closed, and ``open`` turns it into an orifice without a valve. ``drain`` makes room in dry weather.
+``plan`` makes room before forecast rain, and otherwise keeps the water that the roof will need.
 """
 
 from __future__ import annotations
@@ -45,23 +45,25 @@ SHARE = Range(0.0, 1.0, "1")
 
 PARAMETERS = (
     Parameter(
-        "outlet", DRAIN, "", meaning="what commands the outlet valve. closed and open: always; "
-        "drain: it opens in dry weather, down to the reserve; plan: it opens in dry weather before "
-        "forecast rain that would not fit, and works like drain without a forecast", among=POLICIES,
+        "outlet", DRAIN, "", meaning="policy of the outlet valve. closed and open: the valve never "
+        "moves; drain: the valve opens in dry weather, until the cistern is down to the reserve; "
+        "plan: the valve opens in dry weather before forecast rain that would not fit, and works "
+        "as with drain if there is no forecast", among=POLICIES,
     ),
     Parameter(
-        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "volume that drain leaves in the cistern; "
-        "plan keeps this, or what the roof needs for outlet_reach if that is more, unless forecast "
-        "rain would not fit; by default ten days of irrigation at 4 mm a day, or half the "
-        "volume of the cistern if that is less",
+        "outlet_reserve", math.nan, "m3", 0.0, 1e9, "volume that drain leaves in the cistern; plan "
+        "keeps this volume, or the water that the roof needs for outlet_reach if this is more, "
+        "unless forecast rain would not fit; by default, ten days of irrigation at 4 mm a day, but "
+        "at most half the volume of the cistern",
     ),
     Parameter(
         "outlet_price", PRICE, "1", 0.0, 1e3, "for plan: cost of one m3 of mains water, "
         "expressed in m3 of discharge in wet weather",
     ),
     Parameter(
-        "outlet_reach", 20.0, "days", 0.0, 365.0, "for plan: time for which it keeps what "
-        "the roof needs; in dry weather it releases all water above this and above outlet_reserve",
+        "outlet_reach", 20.0, "days", 0.0, 365.0, "for plan: time for which plan keeps the water "
+        "that the roof needs; in dry weather, plan releases all water above this need and above "
+        "outlet_reserve",
     ),
 )
 """parameters of every controller at a site with a valve"""
@@ -72,7 +74,7 @@ def parameters_on(site: Site, policy: str) -> list[Parameter]:
 
     Args:
         site: site with a valve.
-        policy: policy of a controller unless another is chosen.
+        policy: default policy of the controller.
     """
     reserve = min(_RESERVE_M * site.a2, _MAX_RESERVE * site.cistern_volume(site.z_o))
     defaults = {"outlet": policy, "outlet_reserve": reserve}
@@ -83,7 +85,7 @@ def parameters_on(site: Site, policy: str) -> list[Parameter]:
 
 
 def find_horizon(parameters: Mapping[str, Any]) -> float:
-    """Return how far the policy in a controller's parameters looks ahead (h)."""
+    """Return the look-ahead of the policy in a controller's parameters (h); 0 without a plan."""
     return float(HORIZON_H) if parameters.get("outlet") == PLAN else 0.0
 
 
@@ -99,9 +101,10 @@ class OutletPolicy(Protocol):
         Args:
             cistern_level: water depth in the cistern (m).
             roof_level: water in the roof's substrate, as a depth (m).
-            precipitation: forecast of rain (m/s), as the controller receives it; the first entry is
-                now.
-            evapotranspiration: forecast of evapotranspiration (m3/s), in the same form.
+            precipitation: forecast of rain (m/s), in the shape that the controller receives; the
+                first entry is the present rain.
+            evapotranspiration: forecast of evapotranspiration (m3/s); the first entry is the
+                present value.
         """
         ...
 
@@ -114,11 +117,11 @@ def make_outlet(
 
     Args:
         site: site with a valve.
-        ends: ends of the forecasts' steps (s from now), the first 0.
+        ends: boundaries of the forecasts' steps (s from now), beginning with 0.
         outlet: name of the policy.
-        outlet_reserve: reserve of drain.
+        outlet_reserve: reserve of the policy drain.
         outlet_price: price of mains water.
-        outlet_reach: reach of the value of stored water.
+        outlet_reach: time for which stored water has a value.
     """
     if outlet in (CLOSED, OPEN):
         return Fixed(float(outlet == OPEN))
@@ -127,17 +130,18 @@ def make_outlet(
 
 
 class OfController:
-    """Opens the valve as a controller that commands it requests in its attribute ``outlet``."""
+    """Policy of a controller that commands the valve itself, in its attribute ``outlet``."""
 
     def __init__(self, controller: Any) -> None:
         """Set the controller, which decides or skips the tick before this policy is called."""
         self._controller = controller
 
     def command(self, *inputs: Any) -> float:
-        """Return the controller's share; see :class:`OutletPolicy`.
+        """Return the share that the controller requests; see :class:`OutletPolicy`.
 
         Raises:
-            ControllerError: if it is not a number from 0 to 1, or its code raised an error.
+            ControllerError: if the share is not a number from 0 to 1, or the controller's code
+                raised an error.
         """
         kind = type(self._controller)
         try:
@@ -151,17 +155,17 @@ class OfController:
         place = find_place(kind, "outlet")
         file, line = place if place[0] is not None else find_place(kind, "command")
         raise ControllerError(
-            f"{SHARE.expected(share)} (greenroof check-controller finds this before a run)",
+            f"{SHARE.expected(share)} (greenroof check-controller detects this before a run)",
             file=file, line=line,
             key=f"the attribute outlet of {kind.__name__} = {describe_value(share)}",
         )
 
 
 class Fixed:
-    """Leaves the valve as it is."""
+    """Policy that never moves the valve."""
 
     def __init__(self, share: float) -> None:
-        """Set the share to which it is open (1)."""
+        """Set the share to which the valve is open (1)."""
         self._share = share
 
     def command(self, *inputs: Any) -> float:
@@ -172,9 +176,9 @@ class Fixed:
 class Drain:
     """Opens the valve in dry weather, until the cistern is down to a reserve.
 
-    Weather is wet while it rains 0.1 mm/h or more, or less within an hour of such rain, and for
-    ``wet_after`` hours after that: what is released in dry weather meets a sewer without storm
-    water.
+    The weather is wet while it rains at 0.1 mm/h or more, during lighter rain within an hour after
+    that, and for ``wet_after`` hours after all of this rain. Water that is released in dry weather
+    meets a sewer without storm water.
     """
 
     def __init__(self, site: Site, reserve: float) -> None:
@@ -184,7 +188,7 @@ class Drain:
         self._only_drizzle_s = math.inf  # the same, without rain of 0.1 mm/h or more (s)
 
     def observe(self, rain: float) -> None:
-        """Count the time without rain; call it once a tick, with the present rain (m/s)."""
+        """Count the time without rain; call this once per tick, with the present rain (m/s)."""
         tau = self._site.tau
         self._only_drizzle_s = 0.0 if rain >= MIN_RAIN else self._only_drizzle_s + tau
         rains = rain > 0 and self._only_drizzle_s < _HOUR_S
@@ -192,7 +196,7 @@ class Drain:
 
     @property
     def wet_hours(self) -> float:
-        """Return how long the weather remains wet if there is no rain from now on (h)."""
+        """Return the time for which the weather remains wet if there is no more rain (h)."""
         before = max(0.0, self._without_rain_s - self._site.tau)
         return max(0.0, self._site.wet_after - before / _HOUR_S)
 
@@ -210,52 +214,51 @@ class Drain:
         return self.drain_to(self.reserve, cistern_level) if self.dry else 0.0
 
     def drain_to(self, volume: float, cistern_level: float) -> float:
-        """Return the share that does not take the cistern below a volume (m3) within the tick."""
+        """Return the largest share that keeps the cistern at or above a volume (m3) in the tick."""
         x1 = self._site.cistern_volume(cistern_level)
         full = self._site.tau * low_outlet_flow(self._site, x1)
         return min(1.0, max(0.0, x1 - volume) / full) if full > 0 else 0.0
 
 
 class Plan:
-    r"""Opens the valve in dry weather for forecast rain that would not fit; else keeps the water.
+    r"""Opens the valve in dry weather before rain that would not fit; otherwise keeps the water.
 
-    A stochastic dynamic program over the cistern's volume v, hour by hour to the forecast's end or
-    48 h. For every member of the forecast,
+    The plan is a stochastic dynamic program over the cistern's volume v, hour by hour to the end of
+    the forecast, but to no more than 48 h. For every member of the forecast,
 
-        V_t(v) = min over y of  U_t(y),  with y from what the open valve leaves of v to v,
+        V_t(v) = min over y of  U_t(y),  y from the rest of v after an hour of the open valve to v,
         U_t(y) = c_t max(v' - full, 0) + p max(floor - v', 0) + V_{t+1}(v'),
-        v' = y + what flows in - what the roof needs,
+        v' = y + inflow - need of the roof,
 
-    where c is 1 in wet weather and 0 in dry weather: the cost is the discharge in wet weather (m3),
-    and p per m3 of mains water. In wet weather y is v, because what is released then costs as much
-    as the most that it can save. At the end, water is worth its price if the roof needs it within
-    the reach. Beyond that it is worth nothing, so it is released in dry weather: then there is room
-    if rain comes that no forecast has shown.
+    where c is 1 in wet weather and 0 in dry weather. The cost is the discharge in wet weather (m3)
+    plus p per m3 of mains water. In wet weather, y is v, because a release then costs at least as
+    much as it can save. At the end of the plan, water is worth its price if the roof needs it
+    within ``reach``. Additional water is worth nothing, so it is released in dry weather, which
+    makes room for rain that no forecast has shown.
 
-    Above the outlet, U falls to its minimum and then rises, so that the best y is a level: the
-    cistern is drained down to it as far as the valve can. The level of the first hour is the same
-    for all members, based on the mean of their U; later hours assume that it is known which member
-    comes true. Among levels that cost the same, the highest is chosen, so that water is kept until
-    it must go.
+    Above the outlet, U falls to its minimum and then rises. The best y is therefore a level to
+    which the cistern is drained, as far as the valve allows. The level of the first hour is the
+    same for all members, and is based on the mean of their U; for later hours, the plan assumes
+    that it is known which member comes true. Among levels that cost the same, the highest is
+    chosen, so that water is kept until it has to be released.
 
-    What the roof needs is evapotranspiration minus rain, once the water above the target is gone.
-
-    A forecast shows only what comes until it ends. So the plan keeps no more than the open valve
-    could drain to drain's reserve until then: with a short forecast or a small valve, it equals
-    drain.
+    Once the water above the target is used up, the need of the roof is evapotranspiration minus
+    rain. A forecast shows no weather after its end. The plan therefore keeps no more water than the
+    open valve could drain down to the reserve of ``drain`` by that time. With a short forecast or a
+    small valve, the plan equals ``drain``.
     """
 
     def __init__(
         self, site: Site, ends: Array, drain: Drain, price: float, reach: float
     ) -> None:
-        """Set the site, the ends of the forecasts' steps (s), and what decides without a forecast.
+        """Set the site, the steps of the forecasts, and the policy without a forecast.
 
         Args:
             site: site with a valve.
-            ends: ends of the forecasts' steps (s from now), the first 0.
+            ends: boundaries of the forecasts' steps (s from now), beginning with 0.
             drain: policy that counts the dry hours, and decides without a forecast.
             price: price of mains water, in m3 of discharge in wet weather (1).
-            reach: days for which stored water is worth its price.
+            reach: number of days for which stored water is worth its price.
         """
         self._site, self._drain = site, drain
         self._levels = PlannedLevels(
@@ -287,7 +290,7 @@ class Plan:
 
 
 def find_present(precipitation: Any) -> float:
-    """Return the present rain in a forecast (m/s): its first entry, NaN if it is empty."""
+    """Return the present rain (m/s) from a forecast; NaN if the forecast is empty."""
     if not len(precipitation):
         return math.nan
     first = precipitation[0]

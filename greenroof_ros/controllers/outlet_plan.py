@@ -1,4 +1,4 @@
-"""The plan of :class:`.outlet.Plan`, for one site or for many with the same weather.
+"""The plan of :class:`.outlet.Plan`, for one or more sites with the same weather.
 
 All arrays of the dynamic program have shape (sites, members, nodes).
 """
@@ -36,13 +36,13 @@ _TOGETHER = 256
 
 
 class PlannedLevels:
-    """The volumes to which cisterns are drained, from plans that are made in the same ticks."""
+    """The volumes to which cisterns are drained, from plans for all sites in the same ticks."""
 
     def __init__(
         self, sites: Sites, ends: Array, reserves: Array, prices: Array, reaches: Array,
         areas: Array, check_s: float = 60.0,
     ) -> None:
-        """Set the sites; the arrays have one entry per site, except ``ends``.
+        """Set the sites and parameters; each array except ``ends`` has one entry per site.
 
         Args:
             sites: sites with valves, the same tau and the same ``wet_after``.
@@ -51,7 +51,7 @@ class PlannedLevels:
             prices: prices of mains water, in m3 of discharge in wet weather per m3 (1).
             reaches: time for which stored water is worth its price (days).
             areas: areas to which the forecast's evapotranspiration applies (m2).
-            check_s: time between two checks whether the forecast has changed (s).
+            check_s: interval at which the forecast is checked for changes (s).
         """
         self._areas, self._check_s = areas, check_s
         self._sites, self._tau = sites, float(sites.tau[0])
@@ -79,12 +79,13 @@ class PlannedLevels:
     def update(self, dry: bool, observe: Observe) -> Array:
         """Return the volumes to which the cisterns are drained in a tick (m3).
 
-        Call it in every tick. No valve opens in wet weather, so the volumes have no meaning then.
-        A forecast with a missing value is treated as lost.
+        Call this method in every tick. No valve opens in wet weather, so the volumes have no
+        meaning then. A forecast with a missing value is treated as lost.
 
         Args:
             dry: whether the weather is dry.
-            observe: function that returns state and forecast; called only if they are needed.
+            observe: function that returns the state and the forecast, called only if they are
+                needed.
         """
         self._age += self._tau
         self._unchecked += self._tau
@@ -117,7 +118,7 @@ class PlannedLevels:
             self._levels = np.minimum(levels, self._max_levels)
 
     def _hourly(self, rates: Array) -> Array:
-        """Return the total in each hour of rates per second, along the last axis."""
+        """Return hourly totals from rates per second, along the last axis."""
         totals = np.cumsum(rates * self._lengths, axis=-1)
         place = self._ends[1:].searchsorted(self._hour_ends[1:])
         before = np.concatenate((np.zeros_like(totals[..., :1]), totals), axis=-1)
@@ -154,7 +155,7 @@ class PlannedLevels:
     def _solve(
         self, rows: Rows, x1: Array, x2: Array, rain: Array, evaporated: Array, needed: Array
     ) -> Array:
-        """Return the levels of some sites, by the dynamic program; see :meth:`_find_levels`.
+        """Solve the dynamic program for some sites; see :meth:`_find_levels`.
 
         Args:
             rows: indices of the sites to which the other arrays belong.
@@ -192,7 +193,7 @@ class PlannedLevels:
         return np.asarray(nodes[np.arange(len(rows)), 0, highest])
 
     def _before(self, rows: Rows, value: Array, wet: Array) -> Array:
-        """Return V from U of :class:`.outlet.Plan`: the best that the valve can achieve in an hour.
+        """Compute V from U of :class:`.outlet.Plan`, with the best use of the valve in an hour.
 
         Args:
             rows: indices of the sites.
@@ -207,7 +208,7 @@ class PlannedLevels:
         return _value_at(nodes, value, level)
 
     def _drain_hour(self, rows: Rows, volumes: Array) -> Array:
-        """Return what remains of volumes after the valves are open for an hour (m3).
+        """Return the volumes that remain after the valves have been open for an hour (m3).
 
         Args:
             rows: indices of the sites.
@@ -219,7 +220,7 @@ class PlannedLevels:
         return np.asarray(np.minimum(volumes, outlet + a1 * root**2))
 
     def _find_needs(self, rows: Rows, x2: Array, rain: Array, evaporated: Array) -> Array:
-        """Return the water that roofs need from cisterns in each hour, less what drains back (m3).
+        """Return the water that roofs need from cisterns in each hour, minus their drainage (m3).
 
         Args:
             rows: indices of the sites.
@@ -243,12 +244,12 @@ class PlannedLevels:
 
 
 def _value_at(nodes: Array, value: Array, volumes: Array) -> Array:
-    """Return the values at volumes between the nodes, interpolated, shape (sites, members, n).
+    """Interpolate values between the nodes, to an array of shape (sites, members, n).
 
     Args:
         nodes: volumes at the nodes (m3).
         value: values at the nodes, shape (sites, members, nodes).
-        volumes: volumes at which the values are wanted (m3), shape (sites, members, n).
+        volumes: volumes at which to interpolate (m3), shape (sites, members, n).
     """
     first, last = nodes[..., :1], nodes[..., -1:]
     place = (volumes - first) * ((_NODES - 1) / (last - first))

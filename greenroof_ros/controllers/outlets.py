@@ -1,6 +1,6 @@
 """The policies of :mod:`.outlet` for many sites together.
 
-Whether the weather is dry depends only on the rain, so it is known for a whole run.
+Whether the weather is dry depends only on the rain, so it is determined for a whole run in advance.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class OutletGroup:
         ends: boundaries of the forecasts' steps (s from now), beginning with 0.
         foresee: function that returns a tick's forecast: rain (m/s), shape (members, steps), and
             evapotranspiration of a bed with crop coefficient 1 (m/s), shape (steps,).
-        has_rain: whether these forecasts contain rain, which can change.
+        has_rain: whether the forecasts contain rain, so that they can change.
     """
 
     rows: Rows
@@ -59,7 +59,7 @@ def find_dry_ticks(rain: Array, tau: float, wet_after: float) -> Flags:
 
 
 class Outlets:
-    """Decide how far each low outlet is open; one without a valve is always open."""
+    """Decides how far each low outlet is open; an outlet without a valve is always open."""
 
     def __init__(
         self, sites: Sites, policies: Sequence[str], reserves: Array, prices: Array,
@@ -69,7 +69,7 @@ class Outlets:
 
         Args:
             sites: n sites with the same tau.
-            policies: name of each site's policy; without effect if the site has no valve.
+            policies: name of each site's policy, which has no effect if the site has no valve.
             reserves: ``outlet_reserve`` of each site.
             prices: ``outlet_price`` of each site.
             reaches: ``outlet_reach`` of each site.
@@ -96,9 +96,9 @@ class Outlets:
         ]
 
     def command(self, tick: int, x1: Array, x2: Array) -> Array:
-        """Return the share to which each low outlet is open (1); call it once in every tick.
+        """Return the share to which each low outlet is open (1); call this once in every tick.
 
-        While no valve opens, it returns the same array every time.
+        While no valve opens, the same array is returned every time.
 
         Args:
             tick: number of the tick.

@@ -1,6 +1,7 @@
-"""The code of a user's controller, so that a study notices when it changes.
+"""A digest of the code of a user's controller, which tells a study when the code changes.
 
-Data files that it reads, and modules that it imports by a computed name, are not found.
+The digest does not cover data files that the code reads, or modules that it imports by a computed
+name.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _STANDARD_LIBRARY = {Path(sysconfig.get_path(name)) for name in ("stdlib", "plat
 
 
 def digest_own_code(modules: Sequence[str]) -> str:
-    """Return twelve digits that identify the source of modules and of everything they import.
+    """Return twelve digits that identify the source of modules and of all modules they import.
 
     The standard library, this package and installed packages are left out, unless a module belongs
     to one of the packages of ``modules``.
@@ -48,7 +49,7 @@ def digest_own_code(modules: Sequence[str]) -> str:
 
 
 def _find_file(name: str) -> Path | None:
-    """Return the file of a module; None if there is none, as for built-in modules."""
+    """Return the file of a module; None if the module has no file, like built-in modules."""
     try:
         spec = sys.modules[name].__spec__ if name in sys.modules else importlib.util.find_spec(name)
     except (ImportError, AttributeError, ValueError):  # for instance because it is a function
@@ -57,7 +58,10 @@ def _find_file(name: str) -> Path | None:
 
 
 def _is_foreign(name: str) -> bool:
-    """Whether a module is not the user's own; finding its package first avoids importing it."""
+    """Return whether a module is not the user's own.
+
+    The package is checked first, because looking up a module imports its package.
+    """
     package = name.rpartition(".")[0]
     if package and _is_foreign(package):
         return True
@@ -70,7 +74,7 @@ def _is_foreign(name: str) -> bool:
 
 
 def _imported_names(source: bytes, package: str) -> Iterator[str]:
-    """Yield the modules that a source imports, and names in them, which can be modules as well.
+    """Yield the modules that a source imports, and the imported names, which can be modules, too.
 
     Args:
         source: source text of a module.

@@ -1,4 +1,4 @@
-"""The interface of every controller: the class that a user writes, and how it is called."""
+"""The interface of every controller: the methods and attributes that its class must have."""
 
 from __future__ import annotations
 
@@ -9,45 +9,50 @@ from greenroof_ros.common.parameter import Parameter
 
 
 class Controller(Protocol):
-    """Anything that decides once a tick how much to pump.
+    """Anything that decides in each tick how much to pump.
 
-    It is constructed as ``Class(site, **parameters)``, with a value for each of its parameters. The
-    same inputs must lead to the same commands, at any time and on any machine. ``greenroof
-    check-controller package.module:Class`` checks a class against all of these rules.
+    A controller is constructed as ``Class(site, **parameters)``, with a value for each of its
+    parameters. The same inputs must lead to the same commands, at any time and on any machine.
+    ``greenroof check-controller package.module:Class`` checks a class against all of these rules.
 
-    Nine more attributes of the class are optional:
+    Nine other attributes of the class are optional:
 
-    - ``ensemble = True``: it takes all members of an ensemble of forecasts. ``precipitation`` is
-      then an array of shape (members, steps); a single forecast has one member.
-    - ``needs_forecast = False``: levels are enough. It is also called without a usable forecast;
-      both forecasts are then empty. Any other class is not called then: on a live site, the on/off
-      controller takes over if the forecast stays missing.
-    - ``outputs``: topics of ``msg_defs/topics.yaml`` that its node publishes after every command,
-      each with the attribute that holds the value: ``{"/controller/cost": "cost"}``. The value is a
-      number; for ``/controller/plan`` it is a numpy array of shape (steps, 4).
-    - ``learned``: a readable and settable property that holds, by name, the numbers that would take
-      weeks to learn again. After a restart, the node of a live site sets it to what it was before.
-    - ``time_ns``: the time (ns since 1970), set before every command at a site with quiet hours. A
-      class that has it is also called in quiet hours, when its command is replaced by 0; it can
-      plan with ``site.quiet``. Any other class skips these ticks.
-    - ``forecast_ends``: an array that is set after construction: the ends of the forecasts' steps
-      (s from the present tick), the first 0, shape (steps + 1,). Entry i of a forecast is the mean
-      from ``forecast_ends[i]`` to ``forecast_ends[i + 1]``.
-    - ``outlet``: for a class that commands the valve of a site's low outlet itself, the share to
-      which it is open (1), from 0 to 1. It is read in every tick, after ``command`` or ``skip``:
-      the valve also works in frost and in quiet hours, and stays as it was unless ``skip`` sets it.
-      The class must have it, not only its objects. At a site with a valve, any other class has the
-      parameters of :mod:`greenroof_ros.controllers.outlet`.
-    - ``outlet_policy``: the name of the policy that commands the valve by default; ``drain`` if it
-      is not set.
-    - ``gauge_rain``: what the rain gauge of a live site measures (m/s; 0 without a gauge), set
-      before every command. It is the present rain if there is no forecast.
+    - ``ensemble = True``: the controller takes all members of an ensemble of forecasts.
+      ``precipitation`` is then an array of shape (members, steps); a single forecast has one
+      member.
+    - ``needs_forecast = False``: the controller can decide from the levels alone. It is also called
+      without a usable forecast, when both forecasts are empty. Any other class is not called
+      without a forecast; on a live site, the on/off controller takes over if the forecast stays
+      missing.
+    - ``outputs``: topics of ``msg_defs/topics.yaml`` that the controller's node publishes after
+      every command, each with the attribute that holds the value: ``{"/controller/cost": "cost"}``.
+      The value is a number; for ``/controller/plan`` it is a numpy array of shape (steps, 4).
+    - ``learned``: a readable and settable property with a dictionary of the numbers that would take
+      weeks to learn again. After a restart, the node of a live site restores the last value of this
+      property.
+    - ``time_ns``: the present time (ns since 1970), set before every command at a site with quiet
+      hours. A class with this attribute is also called in quiet hours, when its command is replaced
+      by 0, and can plan with ``site.quiet``. Any other class skips the ticks in quiet hours.
+    - ``forecast_ends``: an array that is set after construction. It contains the boundaries of the
+      forecasts' steps (s from the present tick), beginning with 0, shape (steps + 1,). Entry i of a
+      forecast is the mean from ``forecast_ends[i]`` to ``forecast_ends[i + 1]``.
+    - ``outlet``: the share to which the valve of the low outlet is open, from 0 to 1, for a class
+      that commands this valve itself. The attribute is read in every tick, after ``command`` or
+      ``skip``, because the valve also works in frost and in quiet hours. The valve keeps its
+      position unless ``skip`` changes the attribute. The class must have the attribute, not only
+      its objects. At a site with a valve, any other class also has the parameters of
+      :mod:`greenroof_ros.controllers.outlet`.
+    - ``outlet_policy``: the name of the policy that commands the valve by default; ``drain`` if the
+      attribute is not set.
+    - ``gauge_rain``: rain measured by the gauge of a live site (m/s; 0 without a gauge), set before
+      every command. Without a forecast, this measurement serves as the present rain.
 
     Attributes:
-        parameters: its parameters. One named ``horizon`` (h) sets how far the forecasts reach; they
-            are then means over the steps of :func:`greenroof_ros.model.look_ahead.growing_steps`.
-            Without it they cover M ticks. One named ``min_on`` (s) is at least the ``pump_min_on``
-            of a simulation's pumps.
+        parameters: parameters of the controller. A parameter named ``horizon`` (h) sets the length
+            of the forecasts, which are then means over the steps of
+            :func:`greenroof_ros.model.look_ahead.growing_steps`. Without this parameter, the
+            forecasts cover M ticks. A parameter named ``min_on`` (s) is raised to at least the
+            ``pump_min_on`` of a simulation's pumps.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]]
@@ -64,16 +69,16 @@ class Controller(Protocol):
         Args:
             cistern_level: water depth in the cistern (m).
             roof_level: water in the roof's substrate, as a depth (m).
-            precipitation: forecast of rain (m/s), whose first entry is now, shape (steps,); with
-                ``ensemble = True`` shape (members, steps).
-            evapotranspiration: forecast of evapotranspiration from the whole bed (m3/s), whose
-                first entry is now, shape (steps,).
+            precipitation: forecast of rain (m/s), shape (steps,), or (members, steps) with
+                ``ensemble = True``; the first entry is the present rain.
+            evapotranspiration: forecast of evapotranspiration from the whole bed (m3/s), shape
+                (steps,); the first entry is the present value.
 
-        A forecast can be missing: empty, of another length, or with entries that are NaN. The
-        method must then return a command or raise a
+        A forecast can be missing, which means that it is empty, has another length, or contains
+        NaN. In this case, the method must return a command or raise a
         :class:`~greenroof_ros.common.errors.ConfigurationError`, which ends a simulated run; a live
-        site treats it as a missing forecast. Any other error also ends a simulated run, with its
-        file and line; on a live site, on/off then takes over.
+        site treats this error as a missing forecast. Any other error also ends a simulated run,
+        with a message that names file and line; on a live site, on/off control then takes over.
 
         Returns:
             Share of the pumps' maximum flow (1), finite and not negative.
@@ -81,21 +86,21 @@ class Controller(Protocol):
         ...
 
     def skip(self) -> None:
-        """Let a tick pass in which the command is 0: in frost, or if an input was rejected.
+        """Let a tick pass in which the command is 0, in frost or because an input was rejected.
 
-        If an input was rejected, the command to a valve is 0, too.
+        If an input was rejected, the command to the valve is also 0.
 
         A class without ``time_ns`` also skips the ticks of quiet hours. A class that needs a
-        forecast also skips the ticks of a live site without one; if on/off has pumped during these
-        ticks, the node replaces the object with a new one.
+        forecast also skips the ticks in which a live site has no forecast; if on/off control has
+        pumped in these ticks, the node replaces the object with a new one.
         """
         ...
 
     def statistics(self) -> dict[str, float] | None:
         """Return the solver's figures, or None if there is no solver.
 
-        They are ``solves``, ``fallbacks``, and the times of a tick (s) ``mean_s``, ``p99_s`` and
-        ``max_s``, whether or not anything was solved in it.
+        The figures are ``solves``, ``fallbacks``, and the wall times of ticks (s) ``mean_s``,
+        ``p99_s`` and ``max_s``, which also cover ticks without a solve.
         """
         ...
 
@@ -111,7 +116,7 @@ class ControllerClass(Protocol):
 
 
 def set_optional(controller: Controller, **values: Any) -> None:
-    """Set those attributes that a controller has, such as ``time_ns`` and ``forecast_ends``."""
+    """Set attributes such as ``time_ns`` and ``forecast_ends``, as far as a controller has them."""
     for name, value in values.items():
         if hasattr(controller, name):
             setattr(controller, name, value)

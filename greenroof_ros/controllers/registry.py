@@ -1,4 +1,4 @@
-"""Finds controllers: this package's by name, and any class by its path."""
+"""Finds controllers: those of this package by name, and any other class by its path."""
 
 from __future__ import annotations
 
@@ -60,10 +60,12 @@ class ControllerChoice:
     """A chosen controller.
 
     Attributes:
-        name: name of its node, of its section in a parameter file, and in results.
-        reference: what the user wrote: the name of one of these, or ``package.module:Class``.
+        name: name of the controller's node and of its section in a parameter file, also used in
+            results.
+        reference: text that the user wrote: the name of a built-in controller, or
+            ``package.module:Class``.
         path: ``package.module:Class``.
-        given: the class itself, if a program passed it; None if it is to be imported.
+        given: class that a program passed; None if the class has to be imported.
     """
 
     name: str
@@ -73,10 +75,10 @@ class ControllerChoice:
 
     @functools.cached_property
     def kind(self) -> ControllerClass:
-        """The class, imported on first use; :meth:`make` alone imports a solver's library.
+        """The class, imported on first use; only :meth:`make` imports the library of a solver.
 
         Raises:
-            ConfigurationError: if it cannot be imported, or is not a controller.
+            ConfigurationError: if the class cannot be imported, or is not a controller.
         """
         kind: Any = self._import_class() if self.given is None else self.given
         lacking = [
@@ -93,7 +95,8 @@ class ControllerChoice:
         clash = of_node.intersection(parameter.name for parameter in kind.parameters)
         if clash:
             raise ConfigurationError(
-                f"has a parameter {clash.pop()}, which its node already has; rename it",
+                f"has a parameter {clash.pop()}, a name that its node already uses; rename the "
+                "parameter",
                 key="controller", value=self.reference,
             )
         policy = _policy_of(kind)
@@ -116,37 +119,37 @@ class ControllerChoice:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Its parameters and those of the outlet valve, by name."""
+        """The parameters of the controller and of the outlet valve, by name."""
         return {parameter.name: parameter for parameter in (*self.kind.parameters, *self.of_valve)}
 
     @property
     def of_valve(self) -> tuple[Parameter, ...]:
-        """The parameters of the outlet valve; none if its class commands the valve itself."""
+        """The parameters of the outlet valve; none if the controller commands the valve itself."""
         return _of_valve(self.kind)
 
     @property
     def ensemble(self) -> bool:
-        """Whether it takes all members of an ensemble of forecasts; others receive the first."""
+        """Whether the controller takes all members of an ensemble, and not only the first one."""
         return bool(getattr(self.kind, "ensemble", False))
 
     @property
     def needs_forecast(self) -> bool:
-        """Whether it needs a forecast to decide, which is the default."""
+        """Whether the controller needs a forecast to decide, which is the default."""
         return bool(getattr(self.kind, "needs_forecast", True))
 
     @property
     def uses_forecast(self) -> bool:
-        """Whether it uses a forecast: it needs one, or has a ``horizon``."""
+        """Whether the controller uses a forecast, as it needs one or has a ``horizon``."""
         return self.needs_forecast or "horizon" in self.parameters
 
     @property
     def outputs(self) -> dict[str, str]:
-        """Topics that its node also publishes, each with the attribute that holds the value."""
+        """Additional topics that the controller's node publishes, each with its attribute."""
         return dict(getattr(self.kind, "outputs", {}))
 
     @functools.cached_property
     def source(self) -> str:
-        """Twelve digits that identify the code of a controller outside this package; else empty.
+        """Twelve digits that identify the code of a user's controller; empty for a built-in one.
 
         See :func:`greenroof_ros.controllers.own_code.digest_own_code`.
         """
@@ -155,10 +158,11 @@ class ControllerChoice:
         return digest_own_code([self.path.partition(":")[0], cast(type, self.kind).__module__])
 
     def make(self, site: Site, parameters: dict[str, Any]) -> Controller:
-        """Make the controller; to a controller, a valve that is always open is not a valve.
+        """Make the controller; if the valve is always open, for a site without a valve.
 
         Raises:
-            ConfigurationError: if its solver's library cannot be imported, or its code failed.
+            ConfigurationError: if the library of the solver cannot be imported, or the controller's
+                code raised an error.
         """
         if parameters.get("outlet") == outlet.OPEN:
             site = replace(site, low_outlet_valve=False)
@@ -179,15 +183,15 @@ class ControllerChoice:
     def make_outlet(
         self, site: Site, parameters: dict[str, Any], controller: Controller
     ) -> OutletPolicy | None:
-        """Make what commands the valve of a site's outlet; None at a site without a valve.
+        """Make the policy of a site's outlet valve; return None for a site without a valve.
 
         Args:
             site: the site.
             parameters: as for :meth:`make`.
-            controller: controller from :meth:`make`, or another one of the class.
+            controller: controller from :meth:`make`, or another object of its class.
 
         Raises:
-            ConfigurationError: if only the object has an attribute ``outlet``, not its class.
+            ConfigurationError: if only the object, and not its class, has an attribute ``outlet``.
         """
         if not site.low_outlet_valve:
             return None
@@ -195,8 +199,8 @@ class ControllerChoice:
             return OfController(controller)
         if hasattr(controller, "outlet"):
             raise ConfigurationError(
-                "must be an attribute of the class, too, as in outlet = 0.0; the controller then "
-                "commands the valve itself", key=f"the attribute outlet of {self.reference}",
+                "must also be an attribute of the class, for example outlet = 0.0; the controller "
+                "then commands the valve itself", key=f"the attribute outlet of {self.reference}",
             )
         ends = look_ahead_ends(
             site, parameters.get("horizon", 0.0), outlet.find_horizon(parameters)
@@ -205,7 +209,7 @@ class ControllerChoice:
         return outlet.make_outlet(site, ends, **of_valve)
 
     def count_own_steps(self, site: Site, parameters: Mapping[str, Any]) -> int | None:
-        """Return how many steps of the forecasts it takes itself; None for all.
+        """Return the number of forecast steps that the controller itself takes; None for all.
 
         A plan of the outlet valve takes more steps.
         """
@@ -214,9 +218,9 @@ class ControllerChoice:
         return len(look_ahead_ends(site, parameters.get("horizon", 0.0))) - 1
 
     def parameters_on(self, site: Site) -> list[Parameter]:
-        """Return its parameters, each with its default for a site's roof.
+        """Return the parameters of the controller, each with its default for a site's roof.
 
-        They include those of the outlet valve if the site has one.
+        If the site has an outlet valve, the parameters of the valve are included.
         """
         of_valve = []
         if site.low_outlet_valve and self.of_valve:
@@ -229,47 +233,49 @@ class ControllerChoice:
         ]
 
     def defaults(self, site: Site) -> dict[str, float]:
-        """Return the value of every parameter on a site, unless a user sets another."""
+        """Return the default of every parameter for a site."""
         return {parameter.name: parameter.default for parameter in self.parameters_on(site)}
 
     def complete_parameters(self, site: Site, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the value of every parameter on a site: what a user sets, or else its default.
+        """Return the value of every parameter for a site: the user's value, or else the default.
 
         Raises:
-            ConfigurationError: if one is for the outlet valve, which the site does not have.
+            ConfigurationError: if a parameter is for the outlet valve, but the site has no such
+                valve.
         """
         defaults = self.defaults(site)
         for name in given:
             if name not in defaults:
                 raise ConfigurationError(
-                    "is for the valve of the low outlet, which this site does not have "
-                    "(low_outlet_valve: true)", key=name, value=given[name],
+                    "is a parameter of the valve of the low outlet, which this site does not have "
+                    "(the site file would need "
+                    "low_outlet_valve: true)", key=name, value=given[name],
                 )
         return {**defaults, **given}
 
     def check_parameters(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return values of its parameters as numbers.
+        """Return the values of parameters of the controller as numbers.
 
         Raises:
-            ConfigurationError: if one is not a number, or out of its range; the error's key is its
-                name.
+            ConfigurationError: if a value is not a number, or is out of range; the error's key is
+                the name of the parameter.
         """
         known = self.parameters
         return {name: known[name].read(value, key=name) for name, value in given.items()}
 
     def read_parameters(self, path: Path, namespace: str = "") -> dict[str, Any]:
-        """Return the values that a ROS 2 parameter file sets for the parameters of its node.
+        """Return the values that a ROS 2 parameter file sets for the controller's node.
 
-        A dump of the node contains more: what rclpy declares in every node is ignored, and so is
-        the site file, with a warning, since an option of the command sets it.
+        A dump of the node contains more parameters. Those that rclpy declares in every node are
+        ignored. The site file is ignored with a warning, since an option of the command sets it.
 
         Args:
             path: the file.
             namespace: namespace of the node, such as ``/site1``; empty for none.
 
         Raises:
-            ConfigurationError: if the file or a value in it is wrong, or it has nothing for the
-                node.
+            ConfigurationError: if the file or a value in it is invalid, or if the file has no
+                section for the node.
         """
         node, known, values = f"{namespace}/{self.name}", self.parameters, {}
         sections = read_sections(path)
@@ -277,8 +283,8 @@ class ControllerChoice:
         if not matching:
             there = ", ".join(section.name for section in sections) or "nothing"
             raise ConfigurationError(
-                f"must contain '/**/{self.name}:' and, below it, 'ros__parameters:'; it contains "
-                f"{there}, which is not for the node {node}", file=path,
+                f"must contain '/**/{self.name}:' and, below it, 'ros__parameters:' for the node "
+                f"{node}; it contains {there}", file=path,
             )
         for section in matching:
             for key, value in section.values.items():
@@ -286,7 +292,7 @@ class ControllerChoice:
                 if key in known:
                     values[key] = known[key].read(value, **place)
                 elif key == "site_file":
-                    _log.warning("%s: site_file has no effect: --site sets the site", path)
+                    _log.warning("%s: site_file has no effect, because --site sets the site", path)
                 elif key.partition(".")[0] not in OF_EVERY_NODE:
                     hint = (
                         "set it with --node-parameters" if key in _OF_EVERY_NODE
@@ -302,10 +308,11 @@ def find_controller(reference: str) -> ControllerChoice:
     """Find a controller.
 
     Args:
-        reference: a name of :data:`BUILT_IN`, or ``package.module:Class``.
+        reference: name of a controller in :data:`BUILT_IN`, or ``package.module:Class``.
 
     Raises:
-        ConfigurationError: if there is no such controller, or its node's name is in use by another.
+        ConfigurationError: if there is no such controller, or if another node has the name of its
+            node.
     """
     if reference == EXTERNAL:
         return ControllerChoice(EXTERNAL, EXTERNAL, f"{_HERE}.external:External")
@@ -329,7 +336,7 @@ def find_controller(reference: str) -> ControllerChoice:
 
 
 def choose_class(kind: Any) -> ControllerChoice:
-    """Return the choice for a class that a program passes; this package's classes by name."""
+    """Return the choice of a class that a program passes; a built-in class keeps its name."""
     path = f"{kind.__module__}:{kind.__qualname__}"
     for name, own in BUILT_IN.items():
         if path == own:
@@ -338,7 +345,7 @@ def choose_class(kind: Any) -> ControllerChoice:
 
 
 def _of_valve(kind: Any) -> tuple[Parameter, ...]:
-    """Return the parameters of the outlet valve; none for a class that commands it itself."""
+    """Return the parameters of the outlet valve; none if a class commands the valve itself."""
     if hasattr(kind, "outlet"):
         return ()
     policy, *others = outlet.PARAMETERS

@@ -1,4 +1,4 @@
-"""A budget for the cost of waiting for rain that is forecast."""
+"""A budget for the cost of waiting for forecast rain."""
 
 from __future__ import annotations
 
@@ -18,61 +18,64 @@ _LOST_S = 604_800.0
 
 WAITING_BUDGET = Parameter(
     "waiting_budget", 72.0, "h", 0.0, 1e6,
-    "how much more waiting for rain may cost than plain on/off, in hours of an empty roof; if it "
-    "costs more than this plus waiting_share, forecasts of rain are ignored",
+    "maximum extra cost of waiting for rain compared with plain on/off, in hours of an empty roof; "
+    "if the cost is above this plus waiting_share, forecasts of rain are ignored",
 )
 WAITING_SHARE = Parameter(
     "waiting_share", 0.05, "1", 0.0, 1.0,
-    "how much more waiting may cost in addition, as a share of the cost of plain on/off so far",
+    "addition to waiting_budget, as a share of the cost of plain on/off so far",
 )
 
 
 class RegretBudget:
-    """Counts what waiting for rain has cost compared with plain on/off, and limits it.
+    """Adds up the extra cost of waiting for rain compared with plain on/off, and limits it.
 
     A controller that leaves room for rain that does not come is worse off than the on/off
-    controller, which has filled the roof. No rule can avoid this: while it waits, the true forecast
-    and the false one look the same. But the cost can be limited. This class follows what on/off,
-    Eq. (12), would now have on the roof and in the cistern - only the difference, so that errors of
-    model and sensor affect both alike - and adds up
+    controller, which has filled the roof. No rule can avoid this loss: while the controller waits,
+    a true forecast and a false one look the same. But the loss can be limited. This class tracks
+    how the volumes on the roof and in the cistern would differ now under on/off control, Eq. (12).
+    Since only the differences are tracked, errors of model and sensor affect both controllers
+    alike. The class adds up
 
         L = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),   D = sum of tau |x2_onoff - x2*|.
 
-    A gain from waiting counts as negative: it pays for later losses. If L, plus the cost of filling
-    the roof as on/off has done, is above
+    A gain from waiting counts as a negative loss, and pays for later losses. If L, plus the cost of
+    filling the roof as on/off control has done, is above
 
         waiting_budget x2* + waiting_share D,
 
-    forecasts of rain do not count, and the controller fills the roof like on/off. They count again
-    when the roof is filled and L is within the limit, which grows with D. So at any time, whatever
-    the forecasts predict, if on/off has cost D, this controller has cost no more than
+    forecasts of rain do not count, and the controller fills the roof like on/off control. Forecasts
+    count again when the roof is filled and L is within the limit, which grows with D. So at any
+    time, whatever the forecasts predict, if on/off control has cost D, this controller has cost no
+    more than
 
         (1 + waiting_share) D + waiting_budget x2*,
 
     apart from the loss in one tick, the pumps' wait for their next start, and the time by which
     evapotranspiration slows the filling. The reason is that L is below the limit while forecasts
-    count, and the limit already covers the filling when they cease to. Such a guarantee is the
-    robustness of an online algorithm with predictions; not harming a good forecast is its
-    consistency (Lykouris and Vassilvitskii 2021, Competitive Caching with Machine Learned Advice,
-    J. ACM 68(4), doi:10.1145/3447579). In frost nothing may be pumped, and the loss continues.
+    count, and that the limit already covers the filling of the roof when forecasts cease to count.
+    Such a guarantee is called the robustness of an online algorithm with predictions; making good
+    use of a good forecast is called its consistency (Lykouris and Vassilvitskii 2021, Competitive
+    Caching with Machine Learned Advice, J. ACM 68(4), doi:10.1145/3447579). In frost nothing may be
+    pumped, so the loss goes on.
 
-    If the cistern overflows while the controller waits, it loses water that on/off would have
-    pumped by then. This costs nothing until a drought empties the cistern. Then the water is
-    missing, and L grows until the drought ends, regardless of the limit. The loss is counted when
-    it occurs, and forecasts do not count until D has made up for it. So it happens once, not in
-    every drought.
+    If the cistern overflows while the controller waits, it loses water that on/off control would
+    have pumped by then. The lost water costs nothing until a drought empties the cistern. From then
+    on the water is missing, and L grows until the drought ends, regardless of the limit. This loss
+    is counted when it occurs, and forecasts do not count until D has made up for it. It can
+    therefore happen once, but not in every drought.
 
     While the controller waits, a low outlet of the cistern can drain the water meant for the roof.
-    The volume that on/off would have on the roof, beyond what will stay in the cistern, costs as
-    much as if it were missing for a week.
+    The volume that on/off control would have on the roof, minus the volume that will stay in the
+    cistern, costs as much as if it were missing for a week.
 
-    If the mains fill the cistern more slowly than the pumps empty it, and it holds less than the
-    roof lacks, filling takes longer than counted, and L can exceed the limit.
+    If the mains fill the cistern more slowly than the pumps empty it, and the cistern holds less
+    than the roof lacks, filling takes longer than assumed, and L can exceed the limit.
 
     The budget belongs to a site: a restarted live controller continues with its previous L and D.
 
-    The comparison assumes that the pumps do what is commanded. With minimum on- and off-times, or a
-    flow other than the site file's, the count is wrong by the difference.
+    The comparison assumes that the pumps follow their commands. With minimum on- and off-times, or
+    with a flow other than that in the site file, L and D are wrong by the difference.
 
     Attributes:
         loss: L so far (m3 s); a negative value is a gain.
@@ -86,7 +89,7 @@ class RegretBudget:
         Args:
             site: parameters of the site (Table I).
             waiting_budget: time (h) with an empty roof that costs as much as the budget.
-            waiting_share: share of what on/off costs (1).
+            waiting_share: share of the cost of on/off control (1).
         """
         self._site, self._soil = site, soil_of(site)
         self._budget = waiting_budget * 3600 * site.x2_star  # m3 s
@@ -115,7 +118,7 @@ class RegretBudget:
         Args:
             x1: volume in the cistern (m3).
             x2: volume on the roof (m3).
-            fraction: v, the command of on/off when it pumps (share of the maximum flow).
+            fraction: v, the command of on/off control while pumping (share of the maximum flow).
         """
         site = self._site
         theirs = abs(x2 + self._more - site.x2_star)
@@ -133,9 +136,9 @@ class RegretBudget:
             if self._budget > 0 and not drained and not self._warned:
                 self._warned = True
                 _log.warning(
-                    "waiting for rain has cost %.0f m3 s more than plain on/off: its budget is "
-                    "used up; forecasts of rain are ignored until it has grown enough (reported "
-                    "once)", self.loss,
+                    "waiting for rain has cost %.0f m3 s more than plain on/off, and the budget "
+                    "for this cost is used up; forecasts of rain are ignored until the budget has "
+                    "grown enough (reported once)", self.loss,
                 )
         # A controller that follows on/off is a tick behind it until both have filled the roof.
         elif behind <= site.tau * flow / 2:
@@ -158,7 +161,7 @@ class RegretBudget:
             fraction: as for :meth:`judge`.
             command: the actual command.
             precipitation: rain in the tick (m/s).
-            evapotranspiration: evapotranspiration from the whole bed (m3/s), of plants that do not
+            evapotranspiration: evapotranspiration from the whole bed (m3/s), for plants that do not
                 lack water.
         """
         theirs, ours = self._theirs, self._ours
@@ -171,7 +174,7 @@ class RegretBudget:
         self._stored, self._more = theirs.x1 - ours.x1, theirs.x2 - ours.x2
 
     def _filling(self, x2: float, behind: float, flow: float) -> float:
-        """Return the cost (m3 s) of following on/off to the target, behind it all the way."""
+        """Return the cost (m3 s) of filling the roof to the target later than on/off control."""
         stays = self._soil.retained_share(x2) * flow
         if behind <= 0 or stays <= 0:
             return 0.0
@@ -179,7 +182,7 @@ class RegretBudget:
         return behind * (missing + behind / 2) / stays
 
     def _drained(self, x1: float, x2: float) -> float:
-        """Return the cost (m3 s) of losing to a low outlet what on/off would have on the roof."""
+        """Return the cost (m3 s) of water that a low outlet drains and on/off would have pumped."""
         site = self._site
         if not site.always_drains or site.low_outlet_level is None:
             return 0.0

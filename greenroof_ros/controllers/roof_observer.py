@@ -29,22 +29,23 @@ class RoofObserver:
     """Follows the roof's mass balance, Eq. (1), and corrects it toward the sensor's readings.
 
     A controller that pumps whenever a reading is below the target follows the lowest readings: with
-    a noise of 0.5 mm, the roof soon holds a millimetre too much, and nothing removes it. So the
-    volume is predicted from rain, evapotranspiration, drainage and pumping, and every reading
-    corrects it by tau / observer_time_constant of the difference. This is a first-order observer,
-    the steady-state Kalman filter for that ratio of trust in model and sensor. It starts with the
-    mean of the first readings, like a Kalman filter without prior knowledge. If model and sensor
-    are exact, it equals the reading, apart from rounding.
+    a noise of 0.5 mm, the roof soon holds a millimetre too much, and nothing removes this excess.
+    The observer therefore predicts the volume from rain, evapotranspiration, drainage and pumping,
+    and every reading corrects the prediction by tau / observer_time_constant of the difference.
+    This is a first-order observer, or the steady-state Kalman filter for this ratio of trust in
+    model and sensor. The observer starts with the mean of the first readings, like a Kalman filter
+    without prior knowledge. If model and sensor are exact, the estimate equals the reading, apart
+    from rounding.
 
-    If the pumps deliver more than the model assumes, they would stay on while the observer catches
-    up. So if all readings over fifteen seconds (at least ten readings) are off by more than a
-    millimetre in the same direction, it moves by their mean difference in one step. A single
-    outlier counts like any other reading. After more than fifteen seconds without a reading, it
-    starts again.
+    If the pumps delivered more than the model assumes, they would stay on too long while the
+    observer catches up. So if all readings over fifteen seconds (at least ten readings) are off by
+    more than a millimetre in the same direction, the estimate moves by their mean difference in one
+    step. A single outlier counts like any other reading. After more than fifteen seconds without a
+    reading, the observer starts again.
     """
 
     def __init__(self, site: Site, observer_time_constant: float) -> None:
-        """Set the site and the averaging time of the readings (s); 0 uses every reading alone."""
+        """Set the site and the averaging time of the readings (s); 0 disables averaging."""
         self._site, self._soil = site, soil_of(site)
         self._gain = 1.0
         if observer_time_constant > 0:
@@ -77,7 +78,7 @@ class RoofObserver:
         return max(0.0, self._predicted + correction)
 
     def _is_lost(self) -> bool:
-        """Whether the last readings differ from their predictions by more than noise."""
+        """Return whether the last readings differ from their predictions by more than noise."""
         last = self._surprises
         if abs(last[-1]) <= self._lost or len(last) != last.maxlen:
             return False
@@ -93,7 +94,7 @@ class RoofObserver:
         """Move on by one tick.
 
         Args:
-            x2: the volume that :meth:`correct` returned (m3).
+            x2: volume that :meth:`correct` returned (m3).
             precipitation: rain in the tick (m/s).
             evapotranspiration: evapotranspiration from the whole bed (m3/s).
             pumped: flow pumped onto the roof (m3/s).

@@ -35,11 +35,11 @@ class TickTimes:
         self._max = max(self._max, seconds)
 
     def statistics(self, solves: int, fallbacks: int) -> dict[str, float]:
-        """Return the figures for a controller's ``statistics``; without ticks, the times are 0.
+        """Return the statistics of a controller; without ticks, the times are 0.
 
         Args:
             solves: number of programs solved or tried.
-            fallbacks: number of those without a solution.
+            fallbacks: number of these programs without a solution.
         """
         return {
             "solves": solves,
