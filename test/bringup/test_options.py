@@ -92,7 +92,7 @@ def test_a_live_site_has_no_valve(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     file, env = str(site_file(tmp_path, **VALVE)), environment(0)
     assert NO_LIVE_VALVE in refused(monkeypatch, "live", *EXTERNAL, "--site", file)
     words = ("--controller", "onoff", "--outlet", "drain")
-    no_valve = "for the valve of the low outlet, which this site does not have"
+    no_valve = "parameter of the valve of the low outlet, which this site does not have"
     assert no_valve in refused(monkeypatch, "live", *EXTERNAL, *words)
     assert no_valve in refused(monkeypatch, "run", *words)
     at_site = "--ros-args", "-p", f"site_file:={file}"
@@ -119,7 +119,7 @@ def test_policies_are_for_valves(
             name = word.partition(":")[0]
             assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
             assert f"parameter {name} of onoff" in done.stderr
-            assert "for the valve of the low outlet, which this site does not have" in done.stderr
+            assert "parameter of the valve of the low outlet, which this site does not have" in done.stderr
     site = str(site_file(tmp_path, **VALVE))
     words = "--controller", "external", "--outlet", "drain", "--site", site
     with pytest.raises(SystemExit):

@@ -33,8 +33,8 @@ def planning(plan: str) -> tuple[str, str]:
 
 FINITE = "its commands are finite and not negative, at all levels and for all forecasts"
 OUTPUTS = "each of its outputs is a topic of the interface and has a value after a command"
-NO_PLAN = "the attribute plan holds no numpy array of floats, of shape (n, 4),"
-VALVE = "if it commands the outlet valve itself, its attribute outlet is from 0 to 1 in each tick"
+NO_PLAN = "the attribute plan must be a numpy array of floats of shape (n, 4)"
+VALVE = "if it commands the outlet valve itself, its attribute outlet is 0 to 1 in every tick"
 
 
 def opening(share: str) -> tuple[str, str]:
@@ -44,11 +44,11 @@ def opening(share: str) -> tuple[str, str]:
 
 BROKEN = [
     # The error, the rule that it breaks, and the message.
-    (returning("return -command if command else 0.0"), FINITE, "must be a finite number and not"),
+    (returning("return -command if command else 0.0"), FINITE, "must be finite and not negative"),
     (
         returning("return command if self.gain else -1.0"),
-        "its commands are valid with each parameter at either end of its range, too",
-        "with gain = 0 command() ret",
+        "its commands are also valid with each parameter at either end of its range",
+        "with gain = 0, command() ret",
     ),
     (
         returning("import random; return command * random.random()"),
@@ -60,7 +60,7 @@ BROKEN = [
     ),
     (
         returning("precipitation[3]; return command"),
-        "a missing or wrong forecast leads to a valid command or a ConfigurationError only",
+        "a missing or invalid forecast leads only to a valid command or a ConfigurationError",
         "raises IndexError",
     ),
     (
@@ -68,8 +68,9 @@ BROKEN = [
             "def statistics(self) -> None:\n",
             'def statistics(self):\n        return {"solves": 1}\n',
         ),
-        "its statistics are None, or the figures of its solver",
-        "statistics() must be None or have fallbacks, max_s, mean_s, p99_s, solves",
+        "statistics() returns None, or the statistics of its solver",
+        "statistics() must return None, or a value for each of fallbacks, max_s, mean_s, p99_s, "
+        "solves",
     ),
     # The node can only send an array of floats with the interface's columns as plan.
     (planning("numpy.zeros((2, 4), dtype=int)"), OUTPUTS, NO_PLAN),
@@ -86,10 +87,10 @@ BROKEN = [
     (opening("__import__('random').random()"), VALVE, "for equal inputs"),
     (
         opening("self.gain / 20"),
-        "its commands are valid with each parameter at either end of its range, too",
-        "with gain = 10000 ",
+        "its commands are also valid with each parameter at either end of its range",
+        "with gain = 10000, ",
     ),
-    (("self.gain = gain", "self.gain = gain; self.outlet = 0.0"), VALVE, "the class must have it"),
+    (("self.gain = gain", "self.gain = gain; self.outlet = 0.0"), VALVE, "define it in the class"),
 ]
 
 

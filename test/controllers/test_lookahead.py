@@ -352,7 +352,7 @@ def test_forecasts_of_another_shape_are_refused() -> None:
         ([[0.0] * 5], DRY), ([DRY], [0.0] * 5), ([], DRY),
         ([DRY] * 101, DRY),
     ):
-        with pytest.raises(ConfigurationError, match="set the same horizon for weather"):
+        with pytest.raises(ConfigurationError, match="set the same horizon for the weather"):
             controller.command(2.3, 0.04, rain, evaporated)
 
 

@@ -76,7 +76,8 @@ def test_all_sections_of_a_node_count(tmp_path: Path) -> None:
     [
         (
             "onoff", "mpc: {ros__parameters: {weight: 1.0}}\n",
-            r"must contain '/\*\*/onoff:' and, below it, 'ros__parameters:'; it contains mpc",
+            r"must contain '/\*\*/onoff:' and, below it, 'ros__parameters:' for the node .*; it "
+            "contains mpc",
         ),
         (
             "onoff", "onoff: {ros__parameters: {level_limit: 3.0}}\n",
