@@ -1,1 +1,1 @@
-"""Forecasts: what a controller knows at every tick about the time ahead."""
+"""Forecasts: the information of a controller about the time ahead, in every tick."""

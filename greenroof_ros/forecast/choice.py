@@ -38,8 +38,8 @@ class ForecastChoice:
             ``config/forecasts/skill.yaml``.
         seed: seed of the errors.
         members: number of members of the ensemble.
-        delay: time after the nominal time from which an issue is known (h); None for the usual
-            delay of the kind of file, or of weather services for a model with errors.
+        delay: time from the nominal time of an issue until it is available (h); None for the usual
+            delay of the kind of file or, with errors, of weather services.
     """
 
     model: str = PERFECT
@@ -54,16 +54,15 @@ class ForecastChoice:
     )
     members: int = entry("number of members of an ensemble", 1, MAX_MEMBERS, default=10)
     delay: float | None = entry(
-        "for errors, ensemble and a file: time from the nominal time of an issue until the issue "
-        "is available; by "
-        f"default {SERVICE_DELAY_H:g} h for errors and ensemble, and the usual delay of the kind "
-        "of file: "
-        "0 for this project's format, which states when it was available", 0.0, 48.0, unit="h",
+        "for errors, ensemble and files: time from the nominal time of an issue until it is "
+        f"available; by default {SERVICE_DELAY_H:g} h for errors and ensemble, and the usual delay "
+        "of the kind of file (0 for this project's format, which states when an issue was "
+        "available)", 0.0, 48.0, unit="h",
         default=None,
     )
 
     def __str__(self) -> str:
-        """The model's name or the file's path, as in the option ``--forecast``."""
+        """Return the name of the model or the path of the file, as in the option ``--forecast``."""
         return self.model if self.file is None else str(self.file)
 
     @property
@@ -73,11 +72,11 @@ class ForecastChoice:
 
     @property
     def option_names(self) -> tuple[str, ...]:
-        """The :data:`OPTIONS` that apply to the model or to an archive."""
+        """Names of the :data:`OPTIONS` that apply to the model or to an archive."""
         return _OPTIONS_OF[self.model]
 
     def options(self) -> dict[str, str | float]:
-        """Return the :data:`OPTIONS` of the model that are set, each with its value."""
+        """Return those :data:`OPTIONS` of the model that are set, each with its value."""
         values = {name: getattr(self, name) for name in self.option_names}
         return {name: value for name, value in values.items() if value is not None}
 
@@ -99,8 +98,8 @@ def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoic
         options: values of :data:`OPTIONS`.
 
     Raises:
-        ConfigurationError: if there is no such model, or it has no such option or value; the
-            error's key is ``forecast``, or one of :data:`INPUTS`.
+        ConfigurationError: if there is no such model, or if the model has no such option or value;
+            the error's key is ``forecast``, or one of :data:`INPUTS`.
     """
     if text in MODELS:
         choice = ForecastChoice(text)
@@ -118,7 +117,8 @@ def choose(text: str, options: Mapping[str, Any] | None = None) -> ForecastChoic
                     for model, names in _OPTIONS_OF.items() if name in names
                 ]
                 raise ConfigurationError(
-                    f"is an option of {' and '.join(owners)}; the forecast is {choice}", key=name,
+                    f"is an option of {' and '.join(owners)}, but the forecast is "
+                    f"{choice}", key=name,
                     value=value,
                 )
         if checked.skill not in SKILLS and not checked.skill.lower().endswith(".yaml"):

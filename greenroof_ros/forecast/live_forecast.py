@@ -1,4 +1,4 @@
-"""The forecasts of a live site, from a file that is replaced repeatedly or from a service."""
+"""The forecasts of a live site, from a file that is replaced regularly or from a service."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ class ForecastFile:
     """A file of forecasts that is read again when it is replaced; an invalid file is ignored.
 
     Attributes:
-        issues: issues of the newest file that could be read, from the one that was newest at that
-            time on; empty before the first file.
-        problem: what is wrong with the present file; empty if nothing is.
+        issues: issues of the newest file that could be read, beginning with the issue that was the
+            newest at that time; empty before the first file.
+        problem: description of the fault in the present file; empty if there is none.
     """
 
     def __init__(self, path: Path) -> None:
-        """Prepare; nothing is read yet.
+        """Prepare, without reading the file.
 
         Args:
-            path: path of the file; see :func:`greenroof_ros.formats.own_csv.read_forecasts`. It
-                must have a column of evapotranspiration.
+            path: path of the file; see :func:`greenroof_ros.formats.own_csv.read_forecasts`. The
+                file must have a column of evapotranspiration.
         """
         self.issues: list[IssuedForecast] = []
         self.problem = ""
@@ -48,7 +48,7 @@ class ForecastFile:
         self._file_status: tuple[int, ...] | None = None
 
     def update(self) -> bool:
-        """Read the file if it has changed; return whether a new one was read."""
+        """Read the file if it has changed, and return whether a new file was read."""
         try:
             status = self._path.stat()
             file_status = (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size)
@@ -58,8 +58,8 @@ class ForecastFile:
             issues = read_forecasts(self._path, datetime.now(timezone.utc))
             if issues[0].evapotranspiration is None:
                 raise ConfigurationError(
-                    f"must have a column '{EVAPOTRANSPIRATION} [mm/day]': a live site has no other "
-                    "source of it",
+                    f"must have a column '{EVAPOTRANSPIRATION} [mm/day]', because a live site has "
+                    "no other source of evapotranspiration",
                     file=self._path,
                 )
         except OSError as error:
@@ -74,7 +74,7 @@ class ForecastFile:
 
 
 class LiveForecast:
-    """Forecasts over the look-ahead at any time, from the newest issue.
+    """Forecasts for the look-ahead at any time, from the newest issue.
 
     Attributes:
         issues: the known issues, in order of issue, all with evapotranspiration.
@@ -84,11 +84,13 @@ class LiveForecast:
         """Prepare, without an issue.
 
         Args:
-            site: site with tick, look-ahead, and the bed's area, to convert depths to volumes.
-            horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
+            site: site with the tick, the look-ahead, and the area of the bed, which converts depths
+                to volumes.
+            horizon: length of the forecast in growing steps (h); 0 for the next M ticks, one by
+                one.
             limit: maximum age of the newest issue (s).
             all_members: whether to return the rain of all members of an ensemble, or of the first
-                only.
+                member only.
         """
         self.issues: list[IssuedForecast] = []
         self._area = site.a2
@@ -99,7 +101,7 @@ class LiveForecast:
         self._issue: IssuedForecast | None = None
 
     def at(self, now: datetime, observed_rain: float | None = None) -> Outlook:
-        """Return the outlook at a time.
+        """Return the outlook at a given time.
 
         After the end of the issue, rain is assumed to be 0, and evapotranspiration repeats its last
         day, as in a simulation.
@@ -109,7 +111,7 @@ class LiveForecast:
             observed_rain: rain in the present hour from a gauge (m/s); None if there is no gauge.
 
         Raises:
-            NoForecastError: if no issue is new enough and covers the present hour.
+            NoForecastError: if there is no issue that is new enough and covers the present hour.
         """
         issue = self._newest(now)
         present = (now - issue.issued) // HOUR
@@ -127,7 +129,7 @@ class LiveForecast:
         return forecast.at(since, self._all_members)
 
     def repetition(self, now: datetime) -> str:
-        """Return a note if forecasts have not changed for a day; otherwise an empty text.
+        """Return a note if the forecasts have not changed for a day; otherwise an empty string.
 
         Raises:
             NoForecastError: if there is no forecast.
@@ -138,7 +140,7 @@ class LiveForecast:
         return self._repeated
 
     def shortage(self, now: datetime) -> str:
-        """Return what the newest issue lacks for the look-ahead, and the remedy; empty if nothing.
+        """Return a note, with a remedy, if the newest issue is too short; otherwise an empty text.
 
         Raises:
             NoForecastError: if there is no forecast.
@@ -150,19 +152,19 @@ class LiveForecast:
         needed = math.ceil((due + self._limit) / HOUR)
         # How far an issue reaches when it becomes too old.
         always = issue.hours - math.ceil(self._limit / HOUR)
-        shorter = f", or a horizon of up to {always} h" if always >= 1 and due >= HOUR else ""
+        shorter = f"; or set a horizon of up to {always} h" if always >= 1 and due >= HOUR else ""
         return (
             f"the forecast issued at {to_people(issue.issued)} ends at {to_people(end)}, before "
-            f"the {duration(due.total_seconds())} look-ahead does; the hours after it are treated "
-            f"as dry. To suffice until it is too old, an issue must cover {needed} h, not "
-            f"{issue.hours} h{shorter}"
+            f"the look-ahead of {duration(due.total_seconds())} does; the hours after the "
+            "forecast are treated as dry. To cover the look-ahead until it is too old, an issue "
+            f"must be {needed} h long, not {issue.hours} h{shorter}"
         )
 
     def _newest(self, now: datetime) -> IssuedForecast:
-        """Return the newest issue at a time.
+        """Return the newest issue at a given time.
 
         Raises:
-            NoForecastError: if the newest issue is too old or has ended, or there is none.
+            NoForecastError: if the newest issue is too old or has ended, or if there is no issue.
         """
         issues = self.issues
         if not issues:

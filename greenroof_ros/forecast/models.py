@@ -1,21 +1,22 @@
-"""Models of hourly forecasts: from records, exact or with errors, and from an archive's issues.
+"""Models of hourly forecasts: from records, exactly or with errors, and from an archive.
 
 :mod:`greenroof_ros.formats.forecasts` describes when forecasts are issued; a perfect forecast has
-no issues, and a file has its own. The present hour is observed, not forecast;
-:class:`greenroof_ros.forecast.resampling.SteppedForecast` takes it from the records.
+no issues, and a file states its own issues. The present hour is observed, not forecast;
+:class:`greenroof_ros.forecast.resampling.SteppedForecast` takes the present hour from the records.
 
-**With errors**, forecasts are wrong in the ways real ones are: missed rain, false alarms, wrong
-times and amounts. The z behind the records' rain (see :mod:`greenroof_ros.forecast.skill`) is
-forecast as
+**Forecasts with errors** are wrong in the ways real forecasts are: missed rain, false alarms, wrong
+times and wrong amounts. The number z behind the records' rain (see
+:mod:`greenroof_ros.forecast.skill`) is forecast as
 
     f_j = s z + sqrt(s - s^2) zeta + sqrt(1 - s) xi_j
 
-at each frequency, with the coherence s given there. The first two terms are what the forecasters
-know; zeta is an error common to all members, and xi_j is the error of member j alone. All have the
-spectrum of z, and so has f_j: it rains in forecasts as often as in the records. Any two members
-have the coherence s with each other, as each has with the truth. So the truth is like one more
-member, and the ensemble's spread is reliable. Finally, rain is made from f_j + wetness, and
-multiplied by the amount: these are a service's systematic errors.
+at each frequency, with the coherence s of that module. The first two terms are known to the
+forecasters; zeta is an error common to all members, and xi_j is the error of member j alone. All
+three have the spectrum of z, and so has f_j: it rains in forecasts as often as in the records. Any
+two members have the coherence s with each other, and each member has it with the truth. The truth
+is therefore like one more member, and the spread of the ensemble is reliable. Finally, f_j +
+wetness is turned into rain and multiplied by the amount. The wetness and the amount are a service's
+systematic errors.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ _RECORDS = 6158359
 
 
 class ForecastModel(ABC):
-    """Hourly forecasts: what is known in an hour about the following ones."""
+    """Hourly forecasts: the knowledge in an hour about the hours that follow."""
 
     max_issue_h: int | None = None
     """length of the longest issue (h); None if forecasts have no end"""
@@ -84,22 +85,23 @@ class ForecastModel(ABC):
     """what could not be used as it was in a file's forecasts"""
 
     def __init__(self, weather: Weather) -> None:
-        """Set the records; missing ones are rejected only when a forecast needs them."""
+        """Set the records; missing records are rejected only when a forecast needs them."""
         self._weather = weather
 
     @abstractmethod
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Return the forecast that is the newest in an hour of the records.
+        """Return the forecast that is the newest in a given hour of the records.
 
         Args:
-            hour: index of the hour.
-            hours: number of hours to return, beginning with that one.
+            hour: index of the hour in the records.
+            hours: number of hours to return, beginning with the given hour.
 
         Returns:
             Rain (mm/h), shape (members, hours), and evapotranspiration (mm/day), shape (hours,).
 
         Raises:
-            ConfigurationError: if there is no forecast, or it needs a record that is missing.
+            ConfigurationError: if there is no forecast, or the forecast needs a record that is
+                missing.
         """
 
     def issued(self, hour: int) -> datetime | None:
@@ -107,16 +109,16 @@ class ForecastModel(ABC):
         return None
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return the time from which these hours are assumed; None if all are known.
+        """Return the time from which the hours of a forecast are assumed; None if all are known.
 
-        This is the end of the records if the hours extend past it.
+        The time is the end of the records if the hours extend past this end.
         """
         past = hour + hours > len(self._weather.precipitation)
         return self._weather.end if past else None
 
 
 class PerfectModel(ForecastModel):
-    """Knows the records themselves."""
+    """Perfect forecasts, which are the records themselves."""
 
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
         """Return the records; see :class:`ForecastModel`."""
@@ -128,18 +130,18 @@ class PerfectModel(ForecastModel):
 class FileModel(ForecastModel):
     """Forecasts from an archive; see :func:`greenroof_ros.formats.reading.read_archive`.
 
-    The newest is the last one that was available by the start of the hour. After its end there is
-    no rain, as after all forecasts, and evapotranspiration repeats its last day, or its last hour
-    if it is shorter than a day. Without a column of evapotranspiration, the records' values are
-    assumed to be known. If the records' rain is late (``rain_late``), forecasts of rain are equally
-    late.
+    The newest forecast in an hour is the last one that was available at the start of the hour.
+    After the end of a forecast there is no rain, and evapotranspiration repeats the last day of the
+    forecast, or its last hour if the forecast is shorter than a day. Without a column of
+    evapotranspiration, the records' values are assumed to be known. If the rain in the records is
+    late (``rain_late``), forecasts of rain are equally late.
     """
 
     def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
         """Set the forecasts.
 
         Args:
-            archive: the archive of forecasts.
+            archive: archive of forecasts.
             weather: the records of the run.
             all_members: whether to use all members of each issue, or only member 0.
         """
@@ -183,7 +185,7 @@ class FileModel(ForecastModel):
         return self._newest(hour)[0].issued
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return the end of the issue, or of the records it needs, if the hours extend past it."""
+        """Return the end of the issue or of its records, if the hours extend past this end."""
         issue, lead = self._newest(hour)
         needed = issue.evapotranspiration is None
         end = issue.hours + self._late * needed  # evapotranspiration is not late
@@ -192,12 +194,12 @@ class FileModel(ForecastModel):
         return super().repeats_from(hour, hours) if needed else None
 
     def _newest(self, hour: int) -> tuple[IssuedForecast, int]:
-        """Return the newest issue in an hour, and its age (h)."""
+        """Return the newest issue in a given hour, and its age (h)."""
         number = bisect.bisect_right(self._available_from, hour) - 1
         if number < 0:
             known = self._weather.first + self._available_from[0] * HOUR
             raise ConfigurationError(
-                f"has forecasts that are available from {to_minutes(known)} on, but the run needs "
+                f"has no forecast that is available before {to_minutes(known)}, but the run needs "
                 f"one at {to_minutes(self._weather.first + hour * HOUR)}",
                 file=self._archive.source,
             )
@@ -206,16 +208,16 @@ class FileModel(ForecastModel):
 
 
 class NormalRecords:
-    """z for every hour of the records.
+    """The number z for every hour of the records.
 
-    Hours with rain determine their z. The z of a dry hour is only known to be no more than c; it is
-    drawn repeatedly from its distribution given its neighbours (Gibbs sampling; Geman and Geman,
+    The rain of a wet hour determines its z. The z of a dry hour is only known to be at most c; it
+    is drawn repeatedly from its distribution given its neighbours (Gibbs sampling; Geman and Geman,
     IEEE Trans. PAMI 6:721, 1984), every other hour at a time. The z of a missing hour is drawn in
-    the same way, without that limit. So the z of a dry hour amid rain is close to that of rain, and
-    in a dry week it is far from it.
+    the same way, without this limit. So the z of a dry hour amid rain is close to that of rain, and
+    the z of an hour in a dry week is far below it.
 
-    A draw depends only on the hour since 1970, not on which hours were requested first. Three weeks
-    or more from the ends of the records, it does not depend on these ends either.
+    A draw depends only on the hour since 1970, and not on the order of the requests. Three weeks or
+    more from the ends of the records, a draw does not depend on these ends either.
     """
 
     def __init__(self, climate: Climate, rain: Array, first: int) -> None:
@@ -229,7 +231,7 @@ class NormalRecords:
         self._climate, self._rain, self._first = climate, rain, first
 
     def at(self, hours: NDArray[np.intp]) -> Array:
-        """Return z (1) of hours by index; beyond the ends, z of the first or last hour."""
+        """Return z (1) of hours by index; outside the records, z of the first or last hour."""
         index = np.clip(hours, 0, len(self._rain) - 1)
         parts = (index + self._first) // (_PART * _BLOCK)
         normal = np.empty(len(index))
@@ -284,16 +286,17 @@ def _draw_normal(climate: Climate, records: bytes, first: int) -> Array:
 
 
 class ErrorModel(ForecastModel):
-    """Forecasts made from records, with errors; see the module.
+    """Forecasts made from records, with errors; see the description of the module.
 
     Errors are correlated from issue to issue: zeta and xi of an issue are sums over the white noise
-    of this and earlier issues, weighted by exp(-age / persistence). The noise depends only on the
-    seed, the member's number and the time of issue: the same seed gives the same forecasts, no
-    matter which are requested first.
+    of this issue and earlier ones, weighted by exp(-age / persistence). The noise depends only on
+    the seed, the member's number and the time of issue. The same seed therefore leads to the same
+    forecasts, in whatever order they are requested.
 
-    The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), whose mean is 1. e grows
-    from 0 to the skill's constant as the unknown share of the rain does, and g is drawn like xi.
-    Members differ only in the rain. Member 0 is the single forecast of the same seed.
+    The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), whose mean is 1. The
+    error e grows from 0 to the constant of the skill in proportion to the unknown share of the
+    rain, and g is drawn like xi. Members differ only in their rain. Member 0 equals the single
+    forecast with the same seed.
 
     Forecasts are limited to the ranges in :data:`greenroof_ros.formats.quantities.QUANTITIES`.
     """
@@ -306,10 +309,10 @@ class ErrorModel(ForecastModel):
         Args:
             weather: the records.
             seed: seed of the errors.
-            skill: how good the forecasts are; its leads count from the time of issue.
+            skill: skill of the forecasts, whose leads count from the time of issue.
             members: number of members in an issue.
-            delay: time after the nominal time from which an issue is known (h), during which a
-                service computes it; the newest issue is older by that much.
+            delay: time from the nominal time of an issue until it is known (h), in which a service
+                computes the issue; it adds to the age of the newest issue.
         """
         super().__init__(weather)
         self._delay = math.ceil(delay)  # an issue known within an hour counts from the next hour
@@ -351,11 +354,11 @@ class ErrorModel(ForecastModel):
         return from_epoch_ns(self._find_newest(hour) * 3600 * 10**9)
 
     def _find_newest(self, hour: int) -> int:
-        """Return the time (h since 1970) of the newest issue in an hour of the records.
+        """Return the time (h since 1970) of the newest issue in a given hour of the records.
 
-        It is the newest until the next one. If records do not begin on a whole hour of UTC, an
-        issue counts from the first hour of the records that begins after it. An issue made before
-        the records begin keeps its own time.
+        An issue is the newest until the next one. If the records do not begin at a whole hour of
+        UTC, an issue counts from the first hour of the records that begins after the issue. An
+        issue from before the start of the records keeps its own time.
         """
         known = hours_since_1970(self._weather.first) + hour - self._delay
         return known // ISSUE_HOURS * ISSUE_HOURS
@@ -383,11 +386,11 @@ class ErrorModel(ForecastModel):
         )
 
     def _noise(self, issue: int, hours: int) -> tuple[Array, float]:
-        """Return the noise of an issue, which is correlated with that of the previous issue.
+        """Return the noise of an issue, which is correlated with the noise of the previous issue.
 
         Args:
             issue: time of the issue (h since 1970).
-            hours: length of the noise; it begins equally long before every issue.
+            hours: length of the noise, which begins equally long before every issue.
 
         Returns:
             The common noise, then the noise of every member, shape (1 + members, hours); and the
@@ -404,9 +407,9 @@ class ErrorModel(ForecastModel):
         return rain, dry
 
     def _draw(self, issue: int, hours: int) -> tuple[Array, float]:
-        """Draw an issue's own noise, shape (1 + members, hours), and one for evapotranspiration.
+        """Draw the noise of an issue, shape (1 + members, hours), and of evapotranspiration.
 
-        The first hours are the same, however many are drawn.
+        The first hours do not depend on the number of hours that are drawn.
         """
         chances = [
             np.random.default_rng([self._seed, member, issue % 2**32])
@@ -417,7 +420,7 @@ class ErrorModel(ForecastModel):
 
 
 class _Filters(NamedTuple):
-    """Filters for every lead (h, from 0 on), over the hours up to ``reach`` before and after it."""
+    """Filters for each lead (h, from 0 on), over ``reach`` hours before and after the lead."""
 
     signal: Array
     """weights of z, shape (leads, 2 reach + 1)"""
@@ -431,7 +434,7 @@ class _Filters(NamedTuple):
 
 @lru_cache(maxsize=8)
 def _make_filters(skill: Skill, reach: int, blocks: int) -> _Filters:
-    """Return the filters for a number of blocks of leads; cached, as a study needs them per seed.
+    """Return the filters for a number of blocks of leads, cached for the other seeds of a study.
 
     Each block has the same size, because rounding in a matrix sum may depend on the number of rows.
     """
@@ -463,12 +466,13 @@ def _make_block(skill: Skill, reach: int, leads: NDArray[np.intp]) -> _Filters:
 
 
 def _apply_filters(weights: Array, values: Array) -> Array:
-    """Return the filtered hours around every lead.
+    """Apply the filter of every lead to the hours around the lead.
 
-    It is computed row by row, so that the value at a lead does not depend on the number of leads.
+    The result is computed row by row, so that the value at a lead does not depend on the number of
+    leads.
 
     Args:
-        weights: weights, shape (leads or more, width).
+        weights: weights of the filters, shape (leads or more, width).
         values: value of every hour, shape (leads + width - 1,).
     """
     windows = sliding_window_view(values, weights.shape[1])
@@ -482,9 +486,9 @@ def make_model(
     """Make the chosen forecast model.
 
     Args:
-        choice: the choice of the model.
+        choice: choice of the model.
         weather: the records of the run.
-        site: place on earth; a file of forecasts must be for a place near it.
+        site: site, whose place on earth must be near that of a file of forecasts.
         all_members: whether to use all members of an ensemble, or only member 0.
 
     Raises:

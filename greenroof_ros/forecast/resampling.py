@@ -1,4 +1,4 @@
-"""Forecasts in a controller's steps: what it receives at every tick about the time ahead."""
+"""Forecasts in the steps of a controller, as the controller receives them in every tick."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ _ROUNDING_S = 1e-6
 
 @dataclass(frozen=True)
 class Outlook:
-    """What a controller receives at a time: the present weather, and the forecast in steps.
+    """The present weather and the forecast in steps, as a controller receives them.
 
     Attributes:
-        rain: mean rain in the look-ahead's steps (m/s), shape (steps,); (members, steps) for all
-            members.
+        rain: mean rain in the steps of the look-ahead (m/s), shape (steps,), or (members, steps)
+            for all members.
         evapotranspiration: mean evapotranspiration of the whole bed (m3/s), shape (steps,).
         rain_now: present rain (m/s).
         evapotranspiration_now: present evapotranspiration of the whole bed (m3/s).
-        issued: nominal time of the forecast's issue; None if it has no issue.
+        issued: nominal time of the issue; None if the forecast has no issue.
         temperature: present air temperature (degC); NaN if unknown.
     """
 
@@ -50,11 +50,11 @@ class Outlook:
 
 
 class HourForecast:
-    """A forecast at a tick: rates in the present and following hours, as means over steps.
+    """A forecast from one hour on, with mean rates over steps that begin at any time in the hour.
 
-    While the end of every step stays within its hour, the means are linear in time. The lines
-    always begin at the start of the hour, whenever in the hour they are first needed, so that a
-    restarted node gives bit-identical results.
+    While the end of every step stays within its hour, the means are linear in time. The lines are
+    always computed from the start of the hour, whenever they are first needed, so that a restarted
+    node yields bit-identical results.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class HourForecast:
             rain: rain (mm/h), shape (members, hours), the present hour first.
             evapotranspiration: evapotranspiration (mm/day), shape (hours,).
             area: area of the bed, to convert depths to volumes (m2).
-            ends: ends of the steps, see :func:`look_ahead_ends`.
+            ends: boundaries of the steps; see :func:`look_ahead_ends`.
             rain_now: rain in the present hour from a gauge (m/s); None if there is no gauge.
             temperature: air temperature; see :class:`Outlook`.
         """
@@ -87,11 +87,11 @@ class HourForecast:
         self._first = self._slope = np.empty(0)
 
     def at(self, since: float, all_members: bool) -> Outlook:
-        """Return what is known at a time.
+        """Return the outlook at a given time.
 
         Args:
             since: time since the start of the present hour (s).
-            all_members: whether to return the rain of all members, or of the first only.
+            all_members: whether to return the rain of all members, or of the first member only.
         """
         if not self._from <= since < self._until:
             self._draw_lines(since)
@@ -120,12 +120,12 @@ class HourForecast:
 
 
 class PerfectForecast:
-    """Knows the weather of the next M ticks, as the paper assumes.
+    """Perfect knowledge of the weather in the next M ticks, as the paper assumes.
 
     Attributes:
-        repeats_from: the earliest time from which its values are assumed.
-        max_issue_h: length of its longest issue (h); None if it has no end.
-        notes: notes on what could not be used unchanged from a file's forecasts.
+        repeats_from: earliest time from which the values of the forecast are assumed.
+        max_issue_h: length of the longest issue (h); None if forecasts have no end.
+        notes: notes on the parts of a file's forecasts that could not be used unchanged.
     """
 
     max_issue_h = None
@@ -140,20 +140,20 @@ class PerfectForecast:
         self.repeats_from = series.repeats_from
 
     def precipitation(self, tick: int) -> array[float]:
-        """Rain (m/s), shape (M,)."""
+        """Return the rain in the next M ticks (m/s), shape (M,)."""
         self._update_window(tick)
         return self._rain[:]
 
     def evapotranspiration(self, tick: int) -> array[float]:
-        """Evapotranspiration from the whole bed (m3/s), shape (M,)."""
+        """Return the evapotranspiration of the bed in the next M ticks (m3/s), shape (M,)."""
         self._update_window(tick)
         return self._evapotranspiration[:]
 
     def issued(self, tick: int) -> None:
-        """Return None: exact knowledge has no issue."""
+        """Return None, because perfect knowledge has no issue."""
 
     def _update_window(self, tick: int) -> None:
-        """Update the window from a tick on, if it differs from the last; usually it is the same."""
+        """Update the window from a tick on, if it differs from the previous window."""
         if tick in self._ticks:
             return
         window = slice(tick, tick + self._look_ahead)
@@ -166,7 +166,7 @@ class PerfectForecast:
 class SteppedForecast:
     """Means of an hourly forecast over steps.
 
-    The present hour is observed rather than forecast: its rates come from the records.
+    The present hour is observed rather than forecast, so its rates come from the records.
 
     Attributes:
         repeats_from: as for :class:`PerfectForecast`.
@@ -178,17 +178,17 @@ class SteppedForecast:
         self, model: ForecastModel, weather: Weather, site: Site, start: datetime, ends: Array,
         steps: int, all_members: bool = False, rain_now: PerTick | None = None,
     ) -> None:
-        """Prepare for a run, and request all that it needs, so that missing data show at the start.
+        """Prepare for a run, and request all its forecasts, so that missing data are found at once.
 
         Args:
             model: model of the hourly forecasts.
             weather: the records, which provide the present hour.
-            site: site with tick, and the bed's area, to convert depths to volumes.
+            site: site with the tick, and the area of the bed, which converts depths to volumes.
             start: time of tick 0.
-            ends: ends of the steps, see :func:`look_ahead_ends`.
+            ends: boundaries of the steps; see :func:`look_ahead_ends`.
             steps: N of the run (ticks).
-            all_members: whether to return the rain of all members, or of the only one.
-            rain_now: present rain in every tick (m/s), if it is known by the minute.
+            all_members: whether to return the rain of all members, or of a single member.
+            rain_now: present rain in every tick (m/s), if the rain is known by the minute.
 
         Raises:
             ConfigurationError: if there is no forecast for a part of the run.
@@ -206,11 +206,11 @@ class SteppedForecast:
         self.notes = model.notes
 
     def precipitation(self, tick: int) -> Rain:
-        """Return mean rain (m/s), shape (steps,), or of all members, shape (members, steps)."""
+        """Return the mean rain (m/s), shape (steps,), or (members, steps) for all members."""
         return self._at(tick).rain
 
     def evapotranspiration(self, tick: int) -> array[float]:
-        """Return mean evapotranspiration of the whole bed (m3/s), shape (steps,)."""
+        """Return the mean evapotranspiration of the whole bed (m3/s), shape (steps,)."""
         return self._at(tick).evapotranspiration
 
     def issued(self, tick: int) -> datetime | None:
@@ -228,7 +228,7 @@ class SteppedForecast:
         return outlook
 
     def _request_all(self) -> datetime | None:
-        """Request all hours' forecasts; return the earliest time from which one only repeats."""
+        """Request the forecasts of all hours; return the earliest time from which values repeat."""
         times = []
         for hour in range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1):
             hours = self._hours(hour)
@@ -239,12 +239,12 @@ class SteppedForecast:
         return min(times, default=None)
 
     def _hours(self, hour: int) -> int:
-        """Return how many hours the ticks in an hour need, including that hour."""
+        """Return the number of hours that the ticks in an hour need, including that hour."""
         last_tick = min((hour + 1) * _HOUR_S, self._until)
         return math.ceil((last_tick + float(self._ends[-1])) / _HOUR_S) - hour
 
     def _make_hour_forecast(self, hour: int) -> HourForecast:
-        """Return the newest forecast in an hour, with observed values in that hour."""
+        """Return the newest forecast in an hour, with the observed values for that hour."""
         rain, evapotranspiration = self._model.forecast(hour, self._hours(hour))
         present = min(hour, len(self._weather.precipitation) - 1)
         rain[:, 0] = self._weather.precipitation[present]
@@ -272,16 +272,18 @@ def make_forecast(
 
     Args:
         weather: hourly records.
-        series: the same, tick by tick.
-        site: site with tick and look-ahead.
+        series: the weather, tick by tick.
+        site: site with the tick and the look-ahead.
         start: time of tick 0.
-        horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
-        choice: the choice of forecasts.
-        all_members: whether to return the rain of all members of an ensemble, or of the first only.
-        outlet_horizon: hours that a plan of the outlet valve looks ahead; 0 without such a plan.
+        horizon: length of the forecast in growing steps (h); 0 for the next M ticks, one by one.
+        choice: choice of the forecasts.
+        all_members: whether to return the rain of all members of an ensemble, or of the first
+            member only.
+        outlet_horizon: look-ahead of the plan of the outlet valve (h); 0 without such a plan.
 
     Raises:
-        ConfigurationError: if a file of forecasts is wrong, or there is none for a part of the run.
+        ConfigurationError: if a file of forecasts is invalid, or if there is no forecast for a part
+            of the run.
     """
     model = make_model(choice, weather, site, all_members)
     if not horizon and not all_members and isinstance(model, PerfectModel):

@@ -1,15 +1,16 @@
-"""Forecasts from Open-Meteo over the internet: each is requested, checked and passed on.
+"""Forecasts from Open-Meteo over the internet, which are requested, checked and passed on.
 
-The service has two interfaces for the same variables: *forecast*, with one series of each, and
-*ensemble*, with one for each member (``precipitation``, ``precipitation_member01``, ...). Their
-answers are read like files of the service (:mod:`greenroof_ros.formats.open_meteo`). An answer does
-not state which model run it is from. It is assumed to be issued in the hour in which it arrived,
-and to be available from its arrival on, so nothing is known too early. Open-Meteo's data are
-licensed under CC BY 4.0.
+The service has two interfaces for the same variables: *forecast*, with one series for each
+variable, and *ensemble*, with one series for each member (``precipitation``,
+``precipitation_member01``, ...). The responses are read like files from the service
+(:mod:`greenroof_ros.formats.open_meteo`). A response does not state the model run from which it
+comes. Its forecast is assumed to be issued in the hour of its arrival, and to be available from
+then on, so that nothing is known too early. Open-Meteo's data are licensed under CC BY 4.0.
 
-The service allows 600 requests a minute and 10,000 a day; an ensemble of many variables counts
-several times. One request an hour is far below that. The wait doubles with every failure, from a
-minute to no more than an hour; a status such as 429 can ask for a longer one (``Retry-After``).
+The service allows 600 requests a minute and 10,000 a day; a request for an ensemble of many
+variables counts as several requests. One request an hour is far below these limits. The wait before
+a new attempt doubles with every failure, from a minute to at most an hour; a status such as 429 can
+ask for a longer wait (``Retry-After``).
 """
 
 from __future__ import annotations
@@ -72,30 +73,30 @@ _STORED_NAME, _MAX_STORED = re.compile(r"\d{14}\.csv"), 2_000_000_000
 
 
 class Service:
-    """Requests forecasts, one after another."""
+    """The service, from which forecasts are requested one after another."""
 
     def __init__(
         self, site: Site, *, ensemble: bool = False, model: str = "", days: int = 7, url: str = ""
     ) -> None:
-        """Prepare; nothing is requested yet.
+        """Prepare, without a request.
 
         Args:
             site: site with its place on earth.
             ensemble: whether to request all members of an ensemble, or only one series.
-            model: weather model, by the service's name, such as ``icon_seamless``; if empty, the
-                service chooses.
-            days: length of the answer, from the first hour of today in UTC.
-            url: URL of the interface; if empty, the service's own.
+            model: name of the weather model in the service, such as ``icon_seamless``; if empty,
+                the service chooses a model.
+            days: length of the forecast, from the first hour of today in UTC (days).
+            url: URL of the interface; if empty, that of the service.
 
         Raises:
             ConfigurationError: if the site file lacks the place, its elevation or its offset from
-                UTC, or the URL is not http or https.
+                UTC, or if the URL does not begin with http or https.
         """
         for name in ("latitude", "longitude", "elevation", "utc_offset"):
             if getattr(site, name) is None:
                 raise ConfigurationError(
-                    f"must be in the site file: the request to {OPEN_METEO} and the "
-                    "evapotranspiration need it", key=name,
+                    f"must be set in the site file, because the request to {OPEN_METEO} and the "
+                    "evapotranspiration depend on this key", key=name,
                 )
         self._site = site
         self._parameters: dict[str, str | float] = {
@@ -130,14 +131,14 @@ class Service:
 
 
 def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
-    """Return an answer as a forecast that was issued in an hour.
+    """Convert a response to a forecast that was issued in a given hour.
 
-    Hours for which evapotranspiration cannot be computed receive the mean at that time of day of
-    the days around them, or else the site's monthly mean. The forecast ends before the first hour
-    that lacks a value.
+    If evapotranspiration cannot be computed for an hour, it is set to the mean at that time of day
+    in the days around the hour, or else to the site's monthly mean. The forecast ends before the
+    first hour that lacks a value.
 
     Raises:
-        ConfigurationError: if the answer is not a forecast for that hour and site.
+        ConfigurationError: if the response is not a forecast for the hour and the site.
     """
     if not answer.lstrip().startswith(b"{"):
         raise ConfigurationError(f"is not a forecast in JSON: {read_reason(answer)}")
@@ -155,8 +156,8 @@ def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
     means = repeat_monthly(records, site)
     if means is not None and np.isnan(evaporated).all():
         evaporated = means
-        notes.append("evapotranspiration is taken from the site's monthly means: the forecast "
-            "contains no complete day")
+        notes.append("evapotranspiration is taken from the site's monthly means, because the "
+            "forecast contains no complete day")
     start = (hour - records.first) // HOUR
     temperature = records.values.get(TEMPERATURE)
     return mend_forecast(replace(
@@ -167,10 +168,10 @@ def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
 
 
 def _check_clock(date: str, now: datetime) -> None:
-    """Reject an answer if the service's clock and ours differ.
+    """Reject a response if the clocks of the service and this machine differ.
 
     Raises:
-        ServiceError: if they differ by more than ten minutes.
+        ServiceError: if the clocks differ by more than ten minutes.
     """
     try:
         theirs = parsedate_to_datetime(date)
@@ -181,22 +182,22 @@ def _check_clock(date: str, now: datetime) -> None:
     apart = abs((theirs - now).total_seconds())
     if apart > _CLOCKS_S:
         raise ServiceError(
-            f"it is {to_people(theirs)} at the service and {to_people(now)} here: check the clock "
-            "of this machine"
+            f"the time is {to_people(theirs)} at the service but {to_people(now)} on this machine; "
+            "check the clock of this machine"
         )
 
 
 class ForecastFiles:
-    """Keeps forecasts as files."""
+    """Files in which forecasts are kept."""
 
     def __init__(self, newest: Path, archive: Path | None) -> None:
-        """Prepare; nothing is written yet.
+        """Prepare, without writing a file.
 
         Args:
-            newest: file of the newest forecast; it is replaced each time, and any live site can
-                read it.
-            archive: directory that keeps every forecast that brings new values, up to the newest 2
-                GB; None to keep none.
+            newest: file of the newest forecast, which every new forecast replaces; any live site
+                can read the file.
+            archive: directory for all forecasts with new values, of which the newest 2 GB are kept;
+                None for no archive.
         """
         self._newest, self._archive = newest, archive
         self._stored: IssuedForecast | None = None
@@ -205,7 +206,7 @@ class ForecastFiles:
         """Write a forecast.
 
         Raises:
-            OSError: if it cannot be written, for instance on a full disk.
+            OSError: if the forecast cannot be written, for instance because the disk is full.
         """
         about = "".join(f"# {line}\n" for line in (ATTRIBUTION, *issue.notes))
         text = f"{about}{write_forecasts([issue])}"
@@ -221,19 +222,18 @@ class Fetcher:
     """Fetches forecasts, one after another.
 
     Attributes:
-        problem: why the last attempt failed; empty if it succeeded.
-        newest: the last forecast that arrived; None before the first.
+        problem: reason why the last attempt failed; empty if the attempt succeeded.
+        newest: last forecast that arrived; None before the first one.
     """
 
     def __init__(
         self, service: Service, write: Callable[[IssuedForecast], None], every: float
     ) -> None:
-        """Prepare; nothing is fetched yet.
+        """Prepare, without fetching a forecast.
 
         Args:
-            service: the service to request forecasts from.
-            write: called with every forecast, to keep it; an error in it is an error of the
-                attempt.
+            service: service from which forecasts are requested.
+            write: function that keeps a forecast; if it raises an error, the attempt has failed.
             every: time between two forecasts (s).
         """
         self.problem = ""
@@ -261,7 +261,7 @@ class Fetcher:
         return self._every
 
     def start(self) -> None:
-        """Fetch repeatedly in a thread that ends with the process."""
+        """Fetch forecasts repeatedly in a thread that ends with the process."""
         threading.Thread(target=self._run, name="forecast service", daemon=True).start()
 
     def _run(self) -> None:
@@ -274,7 +274,7 @@ class Fetcher:
 
 
 def _remove_oldest(archive: Path) -> None:
-    """Remove the oldest kept forecasts beyond the limit; other files are never removed."""
+    """Remove the oldest kept forecasts beyond the limit, and never any other file."""
     stored = sorted(file for file in archive.iterdir() if _STORED_NAME.fullmatch(file.name))
     size = 0
     for file in reversed(stored):

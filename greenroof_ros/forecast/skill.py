@@ -1,24 +1,24 @@
-"""The skill of forecasts: constants for the rain of a place, and for the errors of its forecasts.
+"""The skill of forecasts: constants for the rain of a place and for the errors of its forecasts.
 
-**Climate.** An hour's rain r (mm) is a transformed standard normal number z: dry if z is no more
-than a threshold c, and above it
+**Climate.** The rain r of an hour (mm) is a transformed standard normal number z. The hour is dry
+if z is at most a threshold c; above c,
 
     r = k (exp(b (z - c)) - 1)
 
-so that small amounts are the most frequent and large ones become rarer as with a lognormal
-distribution. From hour to hour, z is a first-order autoregression with the correlation exp(-h / T)
-at h hours apart. So rain comes in spells, and the errors of an hour's forecast can be described by
-correlated normal numbers. A censored Gaussian process of this kind is a common model of rain:
-Sigrist, Kuensch and Stahel, Annals of Applied Statistics 6(4):1452 (2012); Bardossy and Plate,
-Water Resources Research 28(5):1247 (1992).
+so that small amounts are the most frequent, and large amounts become rarer as in a lognormal
+distribution. From hour to hour, z is a first-order autoregression, with the correlation exp(-h / T)
+between values h hours apart. Rain therefore comes in spells, and the errors of an hour's forecast
+can be described by correlated normal numbers. A censored Gaussian process of this kind is a common
+model of rain: Sigrist, Kuensch and Stahel, Annals of Applied Statistics 6(4):1452 (2012); Bardossy
+and Plate, Water Resources Research 28(5):1247 (1992).
 
 **Skill.** Each frequency f (1/h) of the weather is known at a lead l (h) with the coherence
 
     s(f, l) = exp(-(l / L)^p) exp(-(2 pi f sigma)^2 / 2),  sigma = sigma_1 (l / 24)^q
 
-The first factor is the general skill of the forecast; the second is an error of timing, which
-affects short showers first. Small scales are lost first in real rain forecasts, too (Bowler, Pierce
-and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006). At lead 0
+The first factor is the general skill of the forecast; the second factor is an error of timing,
+which affects short showers first. Small scales are lost first in real rain forecasts, too (Bowler,
+Pierce and Seed, Quarterly Journal of the Royal Meteorological Society 132:2127, 2006). At lead 0
 everything is known.
 """
 
@@ -52,8 +52,8 @@ _NO_REACH = 1e-6
 class Climate:
     """The rain of a place, hour by hour.
 
-    ``config/forecasts/skill.yaml`` has the constants for Toronto City Centre, May to October of
-    2015 to 2025.
+    ``config/forecasts/skill.yaml`` contains the constants for Toronto City Centre, May to October
+    of 2015 to 2025.
     """
 
     wet_share: float = entry("share of the hours with rain (1)", 1e-4, 0.9)
@@ -63,27 +63,28 @@ class Climate:
 
     @property
     def threshold(self) -> float:
-        """c: z of the lightest rain (1)."""
+        """The threshold c, which is the z of the lightest rain (1)."""
         # Imported here because it is slow: every command reads skills, and few need this.
         from scipy.special import ndtri
 
         return float(-ndtri(self.wet_share))
 
     def rain(self, normal: Array) -> Array:
-        """Return the rain (mm) in hours from their z (1), any shape."""
+        """Return the rain (mm) of hours from their z (1), in an array of any shape."""
         above = np.maximum(normal - self.threshold, 0.0)
         rain: Array = self.scale * np.expm1(self.growth * above)
         return rain
 
     def normal(self, rain: Array) -> Array:
-        """Return z (1) of hours with rain (mm), any shape; the threshold for a dry hour."""
+        """Return z (1) of hours from their rain (mm), in any shape; c for a dry hour."""
         normal: Array = self.threshold + np.log1p(rain / self.scale) / self.growth
         return normal
 
     def spectrum(self, hours: int) -> Array:
         """Return the power of z at every frequency of a circle of ``hours`` hours.
 
-        Its mean over all frequencies is 1, the variance of z; shape (hours // 2 + 1,).
+        The power has shape (hours // 2 + 1,), and its mean over all frequencies is 1, the variance
+        of z.
         """
         apart = np.minimum(np.arange(hours), hours - np.arange(hours))
         power: Array = np.fft.rfft(np.exp(-apart / self.memory)).real
@@ -95,14 +96,16 @@ class Errors:
     """The errors of forecasts, and how they grow with the lead.
 
     ``wetness``, ``amount`` and ``evapotranspiration`` have their full effect if nothing is known.
-    Otherwise it is proportional to the unknown part of z (a standard deviation), which is 0 at lead
-    0.
+    Otherwise, their effect is proportional to the unknown part of z (a standard deviation), which
+    is 0 at lead 0.
     """
 
     reach: float = entry("L, lead at which the coherence has fallen to 1/e (h)", 1.0, 1e6)
-    fading: float = entry("p, steepness of this decay (1)", 0.1, 10.0)
+    fading: float = entry("p, steepness of the decay of the coherence with the lead (1)", 0.1, 10.0)
     timing: float = entry("sigma_1, error of timing one day ahead (h)", 0.0, 24.0)
-    timing_growth: float = entry("q, exponent of its growth with the lead (1)", 0.0, 2.0)
+    timing_growth: float = entry(
+        "q, exponent of the growth of the error of timing with the lead (1)", 0.0, 2.0
+    )
     wetness: float = entry("shift of z toward rain if nothing is known (1)", -2.0, 2.0)
     amount: float = entry(
         "factor applied to the rain if nothing is known (1)", 0.0, 10.0
@@ -128,10 +131,10 @@ class Skill:
     errors: Errors = entry("the errors of its forecasts")
 
     def times_lead(self, factor: float) -> Skill:
-        """Return a skill whose errors at any lead are this one's at ``factor`` times that lead.
+        """Return a skill that has at any lead the present errors at ``factor`` times this lead.
 
-        With an infinite factor, only the climate is known from the next hour on: it rains at random
-        times, as often as in the climate.
+        With an infinite factor, only the climate is known from the next hour on, and it rains at
+        random times, as often as in the climate.
         """
         errors = replace(self.errors, reach=_NO_REACH, timing=0.0, wetness=0.0, amount=1.0)
         if math.isfinite(factor):
@@ -143,7 +146,7 @@ class Skill:
         return replace(self, errors=errors)
 
     def coherence(self, leads: Array, frequencies: Array) -> Array:
-        """Return s (1), shape (leads, frequencies).
+        """Return the coherence s (1), shape (leads, frequencies).
 
         Args:
             leads: lead times (h).
@@ -157,10 +160,10 @@ class Skill:
 
 
 def read_skill(text: str) -> Skill:
-    """Return a skill by its name, one of :data:`SKILLS`, or from a file.
+    """Return a skill by its name in :data:`SKILLS`, or from a file.
 
     Raises:
-        ConfigurationError: if the file is wrong; the message names line and value.
+        ConfigurationError: if the file is invalid; the message names the line and the value.
     """
     path = shared_directory() / "config" / "forecasts" / "skill.yaml"
     if text not in SKILLS:

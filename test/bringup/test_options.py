@@ -119,7 +119,8 @@ def test_policies_are_for_valves(
             name = word.partition(":")[0]
             assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
             assert f"parameter {name} of onoff" in done.stderr
-            assert "parameter of the valve of the low outlet, which this site does not have" in done.stderr
+            no_valve = "parameter of the valve of the low outlet, which this site does not have"
+            assert no_valve in done.stderr
     site = str(site_file(tmp_path, **VALVE))
     words = "--controller", "external", "--outlet", "drain", "--site", site
     with pytest.raises(SystemExit):
