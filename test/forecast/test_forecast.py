@@ -294,7 +294,7 @@ def test_hours_of_records_and_issues(tmp_path: Path) -> None:
     between = model("2021-07-07T11:00+05:30", 0.0).forecast(0, 2)[0][0]
     assert between.tolist() == pytest.approx([1.055, 1.065])
     late = model("2021-07-06T00:00+00:00", 6.0)
-    needed = "available from 2021-07-07T00:00.00:00 on, but the run needs one at 2021-07-06T23:00"
+    needed = "available before 2021-07-07T00:00.00:00, but the run needs one at 2021-07-06T23:00"
     refusal(late.forecast, 23, 1, match=needed)
     assert late.forecast(24, 1)[0].shape == (1, 1)
 
