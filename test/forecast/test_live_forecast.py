@@ -107,9 +107,9 @@ def test_no_forecast(file: Path, later: timedelta, horizon: float, words: str) -
 # The hours of an issue, its age (h), a horizon (h), and the sentence about it.
 SHORT = {
     "a day for five": (
-        24, 0.5, 120.0, r"ends at 2026-07-02 06:00\S*, before the look-ahead of 120 h does; the hours "
-        r"after the forecast are treated as dry\. .* must be 122 h long, not 24 h; or set a horizon of "
-        r"up to 22 h$",
+        24, 0.5, 120.0, r"ends at 2026-07-02 06:00\S*, before the look-ahead of 120 h does; the "
+        r"hours after the forecast are treated as dry\. .* must be 122 h long, not 24 h; or set a "
+        r"horizon of up to 22 h$",
     ),
     "less than the time for which it is used": (2, 1.0, 6.0, "must be 8 h long, not 2 h$"),
 }
