@@ -1,1 +1,1 @@
-"""The Python interface, ``import greenroof_ros as gr``: simulations, charts, environments."""
+"""The Python interface (``import greenroof_ros as gr``) to simulations, charts and environments."""

@@ -1,4 +1,4 @@
-"""The inputs of a run in Python: sites, and what is passed as keywords."""
+"""The inputs of a run in Python: sites and keyword arguments."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _NOT_THE_USERS = {__name__.partition(".")[0], "gymnasium"}
 
 
 def read_site(path: PathText | None = None, **changes: Any) -> Site:
-    """Read a site file; without one, the paper's site.
+    """Read a site file, or the paper's site if no file is given.
 
-    Volumes that depend on changed values change with them, such as the target volume ``x2_star``
-    with the target level ``z_veg``.
+    Volumes that depend on changed values are recomputed, such as the target volume ``x2_star`` if
+    the target level ``z_veg`` changes.
 
     Args:
-        path: path of the file.
-        changes: parameters, or plain keys such as ``cistern_volume`` and ``roof_area``, whose
-            values differ from the file's.
+        path: path of the file; None for the paper's site.
+        changes: values that replace those of the file, by the names of parameters, or of plain keys
+            such as ``cistern_volume`` and ``roof_area``.
 
     Raises:
-        ConfigurationError: if the file, or a value, is wrong.
+        ConfigurationError: if the file or a value is wrong.
 
     Example:
         >>> import greenroof_ros as gr
@@ -59,12 +59,12 @@ def read_weather(inputs: Mapping[str, Any]) -> Weather:
 def build_run(
     controller: ControllerChoice, inputs: Mapping[str, Any], warned: set[str]
 ) -> Run:
-    """Build and check a run from keywords, and warn of what readers must know before its results.
+    """Build and check a run from keywords, and issue its notes as warnings.
 
     Args:
         controller: controller of the run.
-        inputs: the keywords.
-        warned: the warnings shown before, which are not repeated; new ones are added.
+        inputs: keywords of the run.
+        warned: warnings that were issued before and are not repeated; new warnings are added.
 
     Raises:
         ConfigurationError: if an input is wrong.
@@ -78,7 +78,7 @@ def build_run(
 
 
 def _count_own_calls() -> int:
-    """Return how many calls, counted from the caller's, are inside this package or Gymnasium."""
+    """Return the number of calls, counted from the caller, inside this package or Gymnasium."""
     frame, count = sys._getframe(1), 1
     while frame.f_back is not None and (
         frame.f_globals.get("__name__", "").partition(".")[0] in _NOT_THE_USERS

@@ -1,4 +1,4 @@
-"""What may be a controller in Python: a name, a class, an instance, or a function."""
+"""Controllers in Python, which are given as a name, a class, an instance or a function."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class SiteState(NamedTuple):
 
 
 class ForecastSteps(NamedTuple):
-    """A forecast in steps, the first beginning now; its values are means over the steps."""
+    """A forecast in steps, the first of which begins now. The values are means over the steps."""
 
     rain: Values
     """rain (m/s), shape (steps,)"""
@@ -60,7 +60,7 @@ Function = Callable[[SiteState, ForecastSteps], float]
 
 
 def read_number(value: Any) -> float | None:
-    """Return a real number, which may be the only one in an array of any shape; otherwise None."""
+    """Return a real number, or the only real number in an array; None for any other value."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
     return float(value) if isinstance(value, Real) else None
@@ -70,7 +70,7 @@ class FunctionController:
     """A controller that calls a function; a subclass provides the function."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter(
-        "horizon", 24.0, "h", 0.1, MAX_HORIZON, "how far the forecast reaches, in growing steps"
+        "horizon", 24.0, "h", 0.1, MAX_HORIZON, "length of the forecast, in growing steps"
     ),)
     function: ClassVar[Function]
     forecast_ends: Values
@@ -80,7 +80,7 @@ class FunctionController:
         self._tick = -1
         self.forecast_ends = np.empty(0)
         self.start: datetime
-        """site of the run; it is set before the run"""
+        """start of the run, which is set before the run"""
 
     def command(
         self,
@@ -89,7 +89,7 @@ class FunctionController:
         precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Return what the function returns, as a number if it is one."""
+        """Return the result of the function, as a float if it is a number."""
         self._tick += 1
         time = self.start + timedelta(seconds=self._tick * self._site.tau)
         value = type(self).function(
@@ -102,22 +102,22 @@ class FunctionController:
         return value if number is None else number  # anything else is rejected, and named
 
     def skip(self) -> None:
-        """Count the tick, in which the pump may not run."""
+        """Count a tick in which the pump may not run."""
         self._tick += 1
 
     def statistics(self) -> None:
-        """Return None: it has no solver."""
+        """Return None, since the controller has no solver."""
 
 
 def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | None]:
-    """Return the choice of a controller, and the instance if it is one.
+    """Return the choice of a controller, and the controller itself if it is an instance.
 
     Args:
         controller: a name, ``package.module:Class``, a class, an instance, or a function of a
             :class:`SiteState` and :class:`ForecastSteps`.
 
     Raises:
-        ConfigurationError: if it is none of these.
+        ConfigurationError: if the controller is none of these.
     """
     if isinstance(controller, str):
         return find_controller(controller), None
@@ -139,17 +139,19 @@ def choose_controller(controller: Any) -> tuple[ControllerChoice, Controller | N
 
 
 def read_parameters(instance: Controller, choice: ControllerChoice) -> dict[str, float]:
-    """Return those parameters of its class that an instance has as attributes.
+    """Return the parameters of a controller's class that the instance has as attributes.
 
     Raises:
-        ConfigurationError: if it has a parameter ``horizon``, but no such attribute.
+        ConfigurationError: if the class has a parameter ``horizon``, but the instance has no such
+            attribute.
     """
     names = [parameter.name for parameter in choice.kind.parameters]
     values = {name: getattr(instance, name) for name in names if hasattr(instance, name)}
     if "horizon" in names and "horizon" not in values:
         raise ConfigurationError(
-            "must have its parameter horizon as an attribute, since the length of its forecast is "
-            "unknown otherwise; or pass the class and horizon=", key="an instance of "
+            "must have its parameter horizon as an attribute, since the length of its forecast "
+            "is unknown otherwise; alternatively, pass the class and "
+            "horizon=", key="an instance of "
             f"{choice.name}",
         )
     return values

@@ -1,4 +1,4 @@
-"""Districts from Python."""
+"""The Python function that simulates a district."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from greenroof_ros.analysis.workers.processes import processes, this_process
 def district(
     file: str | os.PathLike[str], *, weather: str | os.PathLike[str] | None = None, jobs: int = 1
 ) -> DistrictResult:
-    """Add up what many buildings send to one sewer, like ``greenroof district``.
+    """Simulate the discharge of many buildings into one sewer, like ``greenroof district``.
 
     Args:
-        file: the district's file.
-        weather: directory of weather files that are not next to it.
+        file: path of the district file.
+        weather: directory of weather files that are not next to the district file.
         jobs: number of processes. With more than 1, a script must start under ``if __name__ ==
             "__main__":``.
 
@@ -26,7 +26,8 @@ def district(
         ``.save(directory)``, which writes the page to a new or empty directory.
 
     Raises:
-        ConfigurationError: if a file is wrong; the message states which, and what would be right.
+        ConfigurationError: if a file is wrong; the message names the file and states what would be
+            right.
 
     Example:
         >>> import greenroof_ros as gr

@@ -1,4 +1,4 @@
-"""A run whose commands come from outside, step by step."""
+"""A run in which a program sets the command of every step."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from greenroof_ros.model.look_ahead import look_ahead_ends
 
 
 class _Commanded:
-    """A controller that a program commands, whatever it knows."""
+    """A controller that returns the command set by a program, and ignores its inputs."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     share = 0.0
@@ -40,10 +40,10 @@ class _Commanded:
         return self.share
 
     def skip(self) -> None:
-        """Do nothing: the pumps may not run."""
+        """Do nothing, since the pumps may not run."""
 
     def statistics(self) -> None:
-        """Return None: it has no solver."""
+        """Return None, since the controller has no solver."""
 
 
 def _read_share(outlet: Any) -> float:
@@ -57,7 +57,7 @@ def _read_share(outlet: Any) -> float:
 
 
 class _Valve:
-    """Opens the outlet valve as a program commands, or as a policy does if the program does not."""
+    """Control of the outlet valve by a program, or by a policy if the program sets no command."""
 
     share: float | None = None
 
@@ -65,16 +65,16 @@ class _Valve:
         self._policy = policy
 
     def command(self, *inputs: Any) -> float:
-        """Return the share; the policy is called in every tick, since it counts dry hours."""
+        """Return the share. The policy is called in every tick, since it counts dry hours."""
         share = self._policy.command(*inputs)
         return share if self.share is None else self.share
 
 
 class Environment:
-    """A site and its weather; a program sets the command of every tick.
+    """A site with its weather, for which a program sets the command of every tick.
 
     In frost and in quiet hours the command counts as 0. At a site with a valve on its low outlet,
-    the program can command the valve, too. ``copy`` and ``pickle`` create environments that
+    the program can also command the valve. ``copy`` and ``pickle`` create environments that
     continue from the same tick, bit for bit.
 
     Example:
@@ -100,10 +100,10 @@ class Environment:
         """Begin a run.
 
         Args:
-            inputs: inputs of :func:`.simulate`, without the controller and ``trajectory_every``;
-                and ``horizon``, how far the forecasts reach (h). At a site with a valve on its low
-                outlet, ``outlet`` and its parameters set the policy that commands the valve, unless
-                :meth:`step` does.
+            inputs: inputs of :func:`.simulate` except the controller and ``trajectory_every``, and
+                ``horizon``, the length of the forecasts (h). At a site with a valve on its low
+                outlet, ``outlet`` and its parameters set the policy that commands the valve in
+                ticks in which :meth:`step` does not command it.
 
         Raises:
             ConfigurationError: if an input is wrong.
@@ -117,7 +117,7 @@ class Environment:
         """Begin the run again, and return the state.
 
         Args:
-            seed: seed for the errors of forecasts that have errors; unchanged if None.
+            seed: seed of the forecast errors; None leaves it unchanged.
 
         Raises:
             ConfigurationError: if the seed is not a whole number, or is negative.
@@ -131,7 +131,7 @@ class Environment:
         if seed is not None:
             if not (isinstance(seed, Integral) and seed >= 0):
                 raise ConfigurationError(
-                    "must be a whole number and not negative", key="seed", value=seed
+                    "must be a non-negative whole number", key="seed", value=seed
                 )
             run = self._run
             choice = replace(run.forecast_choice, seed=seed)
@@ -150,25 +150,25 @@ class Environment:
         return self.state
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy needs to go on from the present tick."""
+        """Return the state from which a copy continues at the present tick."""
         return {name: value for name, value in self.__dict__.items() if name != "_ticks"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Go on from the tick of the original."""
+        """Continue from the tick of the original."""
         self.__dict__.update(state)
         self._ticks = self._simulation.ticks()
 
     def step(self, command: float, outlet: float | None = None) -> Tick:
-        """Run a tick with a command, and return what happened in it.
+        """Run a tick with a command, and return the results of the tick.
 
         Args:
             command: share of the pumps' maximum flow (1), finite and not negative.
             outlet: share to which the valve of the low outlet is open (1), from 0 to 1; None to
-                leave it to its policy.
+                leave the valve to its policy.
 
         Raises:
-            ConfigurationError: if a command is wrong, the site has no such valve, or the run has
-                ended.
+            ConfigurationError: if a command is wrong, if ``outlet`` is given at a site without a
+                valve, or if the run has ended.
 
         Example:
             >>> import greenroof_ros as gr
@@ -181,13 +181,13 @@ class Environment:
         share = read_number(command)
         if share is None or not 0 <= share < math.inf:
             raise ConfigurationError(
-                "must be a finite number and not negative", key="command", value=command
+                "must be a finite, non-negative number", key="command", value=command
             )
         if self._valve is not None:
             self._valve.share = None if outlet is None else _read_share(outlet)
         elif outlet is not None:
             raise ConfigurationError(
-                "is for the valve of the low outlet, which this site does not have "
+                "commands the valve on the low outlet, which this site does not have "
                 "(low_outlet_valve: true)", key="outlet", value=outlet,
             )
         self._controller.share = share
@@ -196,7 +196,9 @@ class Environment:
         return tick
 
     def _observe(self) -> None:
-        """Set the state with which the present tick begins; the last tick has only this state."""
+        """Set the state at the beginning of the present tick; after the last tick, it is the final
+        state.
+        """
         site = self._simulation.site
         time = self._run.start + timedelta(seconds=site.tick * self.site.tau)
         self.state = SiteState(time, *site.observe(), self.site)
@@ -204,7 +206,7 @@ class Environment:
 
     @property
     def forecast(self) -> ForecastSteps:
-        """What is known now about the coming weather.
+        """The forecast from the present tick on.
 
         Example:
             >>> import greenroof_ros as gr

@@ -1,6 +1,6 @@
 """The environment ``GreenRoof-v1`` for Gymnasium, the interface for reinforcement learning.
 
-Its name, including the package's, ``greenroof_ros:GreenRoof-v1``, is known in every process:
+With the name of the package, as in ``greenroof_ros:GreenRoof-v1``, every process finds it:
 
     import gymnasium
 
@@ -44,34 +44,36 @@ RANDOM = "random"
 
 
 def minus_deviation(tick: Tick, state: SiteState) -> float:
-    """Return the default reward: minus the deviation of the state that a tick leads to (m3)."""
+    """Return the default reward: the negative deviation of the state after a tick (m3)."""
     return -abs(state.roof - state.site.x2_star)
 
 
 class GreenRoofEnv(gymnasium.Env[Values, Values]):
-    """A green roof over a window of weather, for Gymnasium.
+    """A Gymnasium environment of a green roof in a window of weather.
 
-    - Observation: a vector of float32 from 0 to 1: the level of the cistern as a share of its
-      outlet's level times 1.5; the level on the roof as a share of the target level times 2; then
-      the forecast: mean rain in every step as a share of 50 mm/h, followed by mean
-      evapotranspiration in every step as a share of 12 mm/day. Anything above is 1. The steps grow,
-      see :attr:`ends`; the first begins now. At a site with a valve on its low outlet, the last
-      entry is how long the weather remains wet if no more rain falls, as a share of ``wet_after``.
-    - Action: the command, a vector with one number from 0 to 1, the share of the pumps' maximum
-      flow. In frost and in quiet hours it counts as 0. At a site with a valve on its low outlet, a
-      second number is the share to which the valve is open. Other numbers are rejected.
-    - Reward: minus the deviation from the target volume (m3) of the state that a tick leads to,
-      summed over the ticks of the step. So the sum over an episode is minus ``total_deviation_m3``
-      without the first tick, which no action can change.
-    - Episode: the N ticks of the window, each ``site.tau`` long, with ``decision_ticks`` of them in
-      every step with one action; the pumps' minimum times and the roof's limits apply in every
-      tick. It ends with ``truncated``, since the roof goes on; ``terminated`` is always false. The
-      ``info`` of the last step contains the ``metrics`` of the run, by their names in
-      ``summary.json``.
-    - Random numbers, which ``reset(seed=...)`` seeds, determine the errors of forecasts with
-      ``forecast="errors"`` or ``"ensemble"``; with ``start="random"`` the start, in whole hours of
-      the weather; and with ``initial="random"`` the volumes, uniform up to the outlet and to twice
-      the target, or to the soil's capacity if that is less.
+    - Observation: a vector of float32 from 0 to 1. The first entries are the level of the cistern
+      as a share of 1.5 times the level of its outlet, and the level on the roof as a share of twice
+      the target level. The forecast follows: the mean rain in every step as a share of 50 mm/h,
+      then the mean evapotranspiration in every step as a share of 12 mm/day. Higher values are 1.
+      The first step begins now, and the steps grow; see :attr:`ends`. At a site with a valve on its
+      low outlet, the last entry is the time for which the weather remains wet if no more rain
+      falls, as a share of ``wet_after``.
+    - Action: a vector with one number from 0 to 1, the command as a share of the pumps' maximum
+      flow. In frost and in quiet hours the command counts as 0. At a site with a valve on its low
+      outlet, a second number is the share to which the valve is open. Other numbers are rejected.
+    - Reward: the negative deviation from the target volume (m3) after a tick, summed over the ticks
+      of the step. The sum over an episode is therefore minus ``total_deviation_m3`` without the
+      first tick, which no action can change.
+    - Episode: the N ticks of the window, each ``site.tau`` long. A step with one action lasts
+      ``decision_ticks`` ticks, and the pumps' minimum times and the roof's limits apply in every
+      tick. An episode ends with ``truncated``, because the roof has no final state; ``terminated``
+      is always false. The ``info`` of the last step contains the ``metrics`` of the run, by their
+      names in ``summary.json``.
+    - Random numbers, which ``reset(seed=...)`` seeds: with ``forecast="errors"`` or ``"ensemble"``,
+      they determine the forecast errors. With ``start="random"``, they determine the start, which
+      is a whole hour of the weather. With ``initial="random"``, they determine the volumes, which
+      are uniformly distributed up to the outlet of the cistern, and up to twice the roof's target
+      or to the soil's capacity if that is less.
 
     Example:
         >>> import gymnasium
@@ -93,13 +95,13 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         self, *, reward: Callable[[Tick, SiteState], float] = minus_deviation,
         decision_ticks: int = 1, render_mode: str | None = None, **inputs: Any,
     ) -> None:
-        """Take the inputs of :class:`.Environment`.
+        """Make the environment from the inputs of :class:`.Environment`.
 
         Args:
-            reward: returns the reward for a tick, given what happened in it and the state that it
-                leads to.
-            decision_ticks: how many ticks an action lasts; the last action may be cut short by the
-                end of the window.
+            reward: function that returns the reward for a tick from the results of the tick and the
+                state after it.
+            decision_ticks: number of ticks that an action lasts; the last action may be cut short
+                by the end of the window.
             render_mode: None, the only mode.
             inputs: site, weather, start, hours, forecast, horizon (h) and others; start and initial
                 can also be ``"random"``.
@@ -110,8 +112,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         for name in map(attrgetter("name"), choose_class(FunctionController).of_valve):
             if inputs.get(name) is not None:
                 raise ConfigurationError(
-                    "selects what commands the outlet valve; here the action does so", key=name,
-                    value=inputs[name],
+                    "selects the policy for the outlet valve; in this environment, the action "
+                    "commands it", key=name, value=inputs[name],
                 )
         self.render_mode, self._reward = render_mode, reward
         self._decision_ticks = int(_TICKS.read(decision_ticks, key="decision_ticks"))
@@ -148,7 +150,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             options: ``start`` and ``initial`` of this episode, instead of the environment's own.
 
         Returns:
-            The observation; and ``start``, ``cistern_m3`` and ``roof_m3`` of the episode.
+            The observation, and a dictionary with ``start``, ``cistern_m3`` and ``roof_m3`` of the
+            episode.
 
         Raises:
             ConfigurationError: if an option is unknown, or its value is wrong.
@@ -177,11 +180,11 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         }
 
     def step(self, action: Values) -> tuple[Values, float, bool, bool, dict[str, Any]]:
-        """Run the ticks of a decision with a command.
+        """Run the ticks of one step with an action.
 
         Raises:
-            ConfigurationError: if the action is not one number from 0 to 1 (two of them at a site
-                with a valve), or the episode has ended.
+            ConfigurationError: if the action is not one number from 0 to 1 (two numbers at a site
+                with a valve), or if the episode has ended.
         """
         commands, shape = np.asarray(action), self.action_space.shape
         if not (
@@ -215,7 +218,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         return np.asarray(np.clip(values, 0.0, 1.0), np.float32)
 
     def _make_roof(self, begin: Mapping[str, Any]) -> Environment:
-        """Return an environment; all of them share the weather that the first one read."""
+        """Return an environment; all environments share the weather that the first of them read."""
         return Environment(**{**self._inputs, **begin})
 
     def _draw_start(self) -> datetime:
@@ -232,6 +235,6 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
                 continue
             return start
         raise ConfigurationError(
-            f"in {_MAX_DRAWS} attempts, every drawn start led to missing hours; gaps='fill' fills "
-            "them", key="weather"
+            f"{_MAX_DRAWS} randomly drawn episodes all contained missing hours; gaps='fill' "
+            "fills missing hours", key="weather"
         )

@@ -1,7 +1,7 @@
-"""Scenarios: fixed runs with a score, a bound on it, and the scores of other controllers.
+"""Scenarios: fixed runs with a score, its lower bound, and the scores of reference controllers.
 
-``config/scenarios.yaml`` defines the scenarios. ``config/scenarios.csv`` lists the scores of their
-controllers, which ``tools/reference_scores.py`` computes with :func:`evaluate`.
+``config/scenarios.yaml`` defines the scenarios. ``config/scenarios.csv`` lists the scores of the
+reference controllers, which ``tools/reference_scores.py`` computes with :func:`evaluate`.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ _MAPPINGS = ("inputs", "weights", "controllers")
 
 
 def _freeze(value: Any) -> Any:
-    """Return a value in which all mappings are read-only copies."""
+    """Return a value with all mappings replaced by read-only copies."""
     if isinstance(value, Mapping):
         return MappingProxyType({key: _freeze(each) for key, each in value.items()})
     return value
 
 
 def _thaw(value: Any) -> Any:
-    """Return a value in which all mappings are dicts."""
+    """Return a value with all mappings replaced by dicts."""
     if isinstance(value, Mapping):
         return {key: _thaw(each) for key, each in value.items()}
     return value
@@ -55,9 +55,9 @@ def _thaw(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A fixed site, weather, period and forecast, and a score.
+    """A fixed site, weather, period and forecast, with a score.
 
-    Nothing in it can be changed, so a score means the same to everyone.
+    A scenario cannot be changed, so a score means the same to everyone.
 
     Example:
         >>> import greenroof_ros as gr
@@ -73,8 +73,8 @@ class Scenario:
         inputs: inputs of :func:`.simulate`, apart from the controller.
         unit: unit of the score.
         score: description of the score; lower is better.
-        weights: weights of the metrics whose sum is the score, by the metrics' names.
-        controllers: inputs of the controllers with which others are compared, by name.
+        weights: weights of the metrics in the weighted sum that is the score, by metric.
+        controllers: inputs of the reference controllers, by name.
     """
 
     name: str
@@ -102,9 +102,10 @@ class Scenario:
     def bound(self, result: Result) -> float:
         """Return the lowest score that is possible in this scenario.
 
-        For the deviation, it is the minimum over all commands up to 1, or up to the highest command
-        in the result. For storm water, it is the minimum over all controls of the valve, with the
-        irrigation of the result and without water stress.
+        For the deviation, the bound is the minimum over all commands up to 1, or up to the highest
+        command in the result if that is higher. For storm water, it is the minimum over all
+        controls of the valve, given the irrigation of the result and without the part for water
+        stress.
         """
         run, metrics = result.run, result.metrics
         if _MAINS in self.weights:
@@ -142,12 +143,12 @@ def _read_scenarios() -> dict[str, Scenario]:
 
 
 scenarios: Mapping[str, Scenario] = MappingProxyType(_read_scenarios())
-"""by name"""
+"""scenarios by name"""
 
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """The score of a controller in a scenario; if printed, it is compared with other controllers.
+    """The score of a controller in a scenario, printed together with the reference controllers.
 
     Attributes:
         scenario: the scenario.
@@ -165,7 +166,7 @@ class Score:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """Rows for this controller and those of the scenario, beginning with the best."""
+        """Rows for this controller and the reference controllers, beginning with the best score."""
         own = (
             self.scenario.name, f"yours: {self.name}", self.value, self.bound,
             self.result.metrics["stress_hours"],
@@ -203,7 +204,7 @@ class Score:
 
 
 def read_references() -> list[dict[str, Any]]:
-    """Return the scores of the scenarios' controllers, one row per controller."""
+    """Return the scores of the reference controllers of all scenarios, one row per controller."""
     lines = read_lines(shared_directory() / "config" / REFERENCES)
     return [
         {name: text if name in _COLUMNS[:2] else float(text) for name, text in row.items()}
@@ -223,10 +224,10 @@ def score(
             ``outlet="plan"``.
 
     Returns:
-        The score, its bound, the run, and a table with the scores of the scenario's controllers.
+        The score, its bound, the run, and a table with the scores of the reference controllers.
 
     Raises:
-        ConfigurationError: if there is no such scenario, or a parameter is wrong or is fixed by
+        ConfigurationError: if there is no such scenario, or if a parameter is wrong or is fixed by
             the scenario.
 
     Example:
@@ -256,11 +257,12 @@ def evaluate(
     Args:
         scenario: the scenario.
         controller: the controller.
-        inputs: parameters, and inputs that replace those of the scenario, by name.
+        inputs: parameters of the controller, and inputs that replace those of the scenario, by
+            name.
 
     Raises:
         ConfigurationError: if an input is wrong.
-        NoBoundError: if the solver finds no bound.
+        NoBoundError: if the solver does not find the bound.
     """
     result = simulate(controller, **{**scenario.inputs, **inputs})
     return Score(

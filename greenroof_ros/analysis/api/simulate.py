@@ -1,4 +1,4 @@
-"""Simulations from Python, one or several that are compared; and the trajectory of a bag."""
+"""Python functions that simulate, compare simulations, and read the trajectory of a bag."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ class Result:
         3601
 
     Attributes:
-        run: what was simulated.
-        summary: everything that ``summary.json`` of the command contains.
-        ticks: the trajectory as arrays; :attr:`trajectory` is a table of them.
+        run: the run that was simulated.
+        summary: the content of ``summary.json`` as the command writes it.
+        ticks: the trajectory as arrays; :attr:`trajectory` contains it as a table.
     """
 
     run: Run
@@ -94,23 +94,25 @@ class Result:
         """The trajectory, with a row for every tick 0..N, as a polars data frame.
 
         ``.to_pandas()`` converts it to pandas, if pandas and pyarrow are installed. The columns are
-        the same as in ``greenroof simulate --trajectory``; their units are in their names:
+        the same as in ``greenroof simulate --trajectory``, and their names end in their units:
 
-        - ``time``, in the site's ``time_zone``, or else at the offset from UTC of the run's start
-          (in UTC if that is not in whole hours), and ``time_s``, since the start
+        - ``time``: in the site's ``time_zone``, or else at the UTC offset of the run's start (in
+          UTC if that offset is not in whole hours)
+        - ``time_s``: time since the start
         - ``cistern_m3``, ``roof_m3``: water volumes x1 and x2
         - ``cistern_level_m``, ``roof_level_m``: water depths; the command's file and bags contain
           the readings of the sensors instead, which differ if the roof's sensor has errors
         - ``precipitation_m_per_s``: rain
-        - ``evapotranspiration_m3_per_s``: from the whole bed, for plants that lack no water
+        - ``evapotranspiration_m3_per_s``: evapotranspiration from the whole bed, if plants do not
+          lack water
         - ``command``: share of the pumps' maximum flow (1)
-        - ``pump_flow_m3_per_s``: from the cistern to the roof
-        - ``outflow_m3_per_s``: from the cistern to the sewer
-        - ``drainage_m3_per_s``: from the roof
+        - ``pump_flow_m3_per_s``: flow from the cistern to the roof
+        - ``outflow_m3_per_s``: flow from the cistern to the sewer
+        - ``drainage_m3_per_s``: drainage from the roof
         - ``frost``: 1 in frost, otherwise 0
         - ``drainage_layer_m3``: water volume in the drainage layer of field-capacity soil
 
-        The flows in the last row are not applied: the run ends in that state.
+        The flows in the last row are not applied, because the run ends in the state of this row.
 
         Raises:
             ConfigurationError: if polars is not installed.
@@ -125,12 +127,13 @@ class Result:
 
     @cached_property
     def events(self) -> polars.DataFrame:
-        """The rain events, one per row, and how much of each reached the sewer.
+        """The rain events, one per row, with the discharge of each to the sewer.
 
-        Events are separated by ``event_separation`` of the site without rain, by default six hours.
-        ``volume_reduction`` and ``peak_reduction`` are for the discharge in wet weather, compared
-        with the same area without roof and cistern. The columns are ``start``, in the time zone of
-        :attr:`trajectory`, and the fields of :class:`greenroof_ros.model.storm_water.Event`.
+        Events are separated by at least the site's ``event_separation`` without rain, by default
+        six hours. ``volume_reduction`` and ``peak_reduction`` compare the discharge in wet weather
+        with that of the same area without green roof and cistern. The columns are ``start``, in the
+        time zone of :attr:`trajectory`, and the fields of
+        :class:`greenroof_ros.model.storm_water.Event`.
 
         Raises:
             ConfigurationError: if polars is not installed.
@@ -157,11 +160,11 @@ class Result:
         })
 
     def plot(self) -> altair.VConcatChart:
-        """Return a chart: rain, levels of roof and cistern, the pump, and any water to the sewer.
+        """Return a chart of rain, roof level, cistern level, pump flow and any flow to the sewer.
 
-        A notebook shows it as a picture; ``.save("run.png")`` writes it, and .svg and .html are
-        possible, too (``inline=True`` for a page that needs no internet). Long runs are drawn with
-        the smallest and the largest value in each of some 500 intervals.
+        A notebook shows the chart as a picture. ``.save("run.png")`` writes it to a file, which can
+        also be .svg or .html (``inline=True`` for a page that needs no internet). For a long run,
+        the chart contains the smallest and the largest value in each of about 250 intervals.
 
         Raises:
             ConfigurationError: if altair is not installed.
@@ -175,7 +178,7 @@ class Result:
         return Comparison({self.run.controller.name: self}).plot()
 
     def save(self, directory: PathText) -> Path:
-        """Write a run directory with the trajectory, as the command does; return its path.
+        """Write a run directory with the trajectory, as the command does, and return its path.
 
         ``greenroof report DIRECTORY`` reads it.
 
@@ -183,8 +186,8 @@ class Result:
             directory: a new or empty directory.
 
         Raises:
-            ConfigurationError: if it is not empty, or cannot be written, or polars is not
-                installed.
+            ConfigurationError: if the directory is not empty or cannot be written, or if polars is
+                not installed.
 
         Example:
             >>> import tempfile, greenroof_ros as gr
@@ -205,51 +208,55 @@ class Result:
 def simulate(
     controller: str | type | Controller | Function = "onoff", **inputs: Any
 ) -> Result:
-    """Simulate a run without ROS; the numbers equal those of ``greenroof simulate``.
+    """Simulate a run without ROS, with the same results as ``greenroof simulate``.
 
     Args:
         controller: ``"mpc"``, ``"onoff"``, ``"anticipating_onoff"``, ``"lookahead"`` or
             ``"package.module:Class"``; a class as described under "Your controller" in the
-            documentation; an instance, which keeps what it has learned; or a function of
-            (state, forecast) that returns the command, the share of the pumps' maximum flow.
-            ``state`` has time, cistern_level and roof_level (m), cistern and roof (m3), and the
-            site. ``forecast`` has rain (m/s), evapotranspiration (m3/s) and the ends of its steps
-            (s); a function's parameter ``horizon`` (h, 24 by default) is its length.
+            documentation; an instance, which keeps what it has learned; or a function of (state,
+            forecast) that returns the command, the share of the pumps' maximum flow. ``state`` has
+            time, cistern_level and roof_level (m), cistern and roof (m3), and the site.
+            ``forecast`` has rain (m/s), evapotranspiration (m3/s) and the ends of its steps (s);
+            for a function, the parameter ``horizon`` (h, 24 by default) is the length of the
+            forecast.
         inputs: the inputs below and the controller's parameters, by name; None for the default.
 
-            - ``site``: a site file, or what ``gr.read_site`` returns; by default the paper's.
-            - ``weather``: a file, a pattern or a list of them, or a polars or pandas data frame
-              with hourly rows and the columns of such a file: ``time`` (or an index of times),
-              ``precipitation [mm/h]`` and others. By default the paper's.
+            - ``site``: a site file, or a site from ``gr.read_site``; by default the paper's site.
+            - ``weather``: a file name, a glob pattern, a list of these, or a polars or pandas data
+              frame with hourly rows and the columns of a weather file: ``time`` (or an index of
+              times), ``precipitation [mm/h]`` and others. By default the paper's weather.
             - ``start``: time of the first tick, ISO 8601, a datetime or a date; without an offset
               from UTC, it is wall-clock time in the site's ``time_zone``, or else in the weather's
               zone or offset. By default the paper's window, 2021-07-07T02:00-05:00.
             - ``hours``: length of the run (h); by default N of the site file, 12 h.
             - ``forecast``: ``"perfect"``, ``"errors"``, ``"ensemble"``, or the path of archived
-              forecasts; with ``forecast_skill``, ``forecast_seed``, ``forecast_members`` and
-              ``forecast_delay`` (h), like the command's options.
+              forecasts. ``forecast_skill``, ``forecast_seed``, ``forecast_members`` and
+              ``forecast_delay`` (h) correspond to the options of the command.
             - ``initial``: ``"low-low"``, ``"high-low"`` or ``"high-high"`` from Table II of the
-              paper, ``"site"`` for the site file's own, or the volumes in the cistern and on the
-              roof (m3). By default the site file's own, or low-low.
-            - ``evapotranspiration``: ``"fao56"``, ``"hargreaves"``, ``"monthly"``, or the name of
-              the weather's own column; by default the weather's own, otherwise the first of these
-              three for which the weather has what is needed.
+              paper, ``"site"`` for the state in the site file, or the volumes in the cistern and on
+              the roof (m3). By default the state in the site file, or low-low if it has none.
+            - ``evapotranspiration``: ``"fao56"``, ``"hargreaves"``, ``"monthly"``, or the column in
+              the weather that contains it. By default this column is used; without it, the first of
+              these three methods for which the weather has the required data.
             - ``gaps``: ``"refuse"``, or ``"fill"`` to fill long gaps in the weather.
-            - ``roof_noise`` and ``roof_offset`` of the roof's level sensor (m), ``noise_seed``, and
-              ``pump_min_on`` and ``pump_min_off`` (s); by default 0, as in the paper.
-            - ``trajectory_every``: time between the ticks that the trajectory keeps (s), in
-              addition to the last one; by default all are kept: ten million take a gigabyte.
+            - ``roof_noise`` and ``roof_offset`` of the roof's level sensor (m), ``noise_seed``,
+              ``pump_min_on`` and ``pump_min_off`` (s): by default 0, as in the paper.
+            - ``trajectory_every``: time between the ticks that the trajectory contains (s); it
+              always contains the last tick. By default it contains all ticks: ten million ticks
+              take a gigabyte.
             - parameters of the controller, such as ``weight=0.01``.
 
     Returns:
-        The metrics, the trajectory with a chart of it, and a way to save both.
+        The metrics, and the trajectory with a chart; both can be saved.
 
     Raises:
-        ConfigurationError: if an input is wrong; the message states which, and what would be right.
+        ConfigurationError: if an input is wrong; the message names the input and states what would
+            be right.
 
     Warns:
-        UserWarning: what a reader must know before the results, like the command's notes: weather
-            from far away, a run shorter than the look-ahead, or assumptions about the weather.
+        UserWarning: for each note that the command would print before the results, for example
+            about weather from far away, a run shorter than the look-ahead, or assumptions about the
+            weather.
 
     Example:
         >>> import greenroof_ros as gr
@@ -266,7 +273,7 @@ def simulate(
 def _simulate(
     controller: str | type | Controller | Function, keywords: Mapping[str, Any], warned: set[str]
 ) -> Result:
-    """Simulate a run; the warnings are as for :func:`.build_run`."""
+    """Simulate a run; ``warned`` is the argument of :func:`.build_run`."""
     inputs = {**keywords}
     every_s = _EVERY.read(inputs.pop("trajectory_every", None) or 0.0, key="trajectory_every")
     choice, instance = choose_controller(controller)
@@ -278,7 +285,7 @@ def _simulate(
         given = inputs.keys() & choice.parameters.keys() - of_valve
         if given:
             raise ConfigurationError(
-                f"cannot be set with an instance of {choice.name}, which has its own",
+                f"cannot be set for an instance of {choice.name}, which has its own parameters",
                 key=", ".join(sorted(given)),
             )
         own = read_parameters(instance, choice)
@@ -309,7 +316,7 @@ class Comparison:
 
     @property
     def table(self) -> polars.DataFrame:
-        """Their metrics, one row for each: ``controller``, then the names of ``summary.json``.
+        """The metrics of all controllers, one row each, with their names in ``summary.json``.
 
         Raises:
             ConfigurationError: if polars is not installed.
@@ -328,12 +335,13 @@ class Comparison:
         ])
 
     def plot(self) -> altair.VConcatChart:
-        """Return a chart as :meth:`.Result.plot` does, with a line for each controller.
+        """Return a chart like that of :meth:`.Result.plot`, with a line for each controller.
 
-        If their sites differ in the target, or in a level of the cistern, there is no line for it.
+        If the sites differ, the chart contains no lines for the target and the levels of the
+        cistern.
 
         Raises:
-            ConfigurationError: if they begin at different times, or altair is not installed.
+            ConfigurationError: if the runs begin at different times, or if altair is not installed.
 
         Example:
             >>> import greenroof_ros as gr
@@ -354,15 +362,15 @@ def compare(
     """Simulate several controllers with the same inputs.
 
     Args:
-        controllers: controllers by their names for table and chart. A result is used as it is, so
-            that parameters can differ.
-        inputs: inputs of :func:`simulate`, for all of them.
+        controllers: controllers by their names in the table and the chart. A :class:`Result` is
+            used as it is, so controllers can have different parameters.
+        inputs: inputs of :func:`simulate`, for all controllers.
 
     Returns:
-        One table and one chart.
+        The results, with a common table and a common chart.
 
     Raises:
-        ConfigurationError: if an input is wrong, or polars is not installed.
+        ConfigurationError: if an input is wrong, or if polars is not installed.
 
     Example:
         >>> import greenroof_ros as gr
@@ -373,8 +381,8 @@ def compare(
     """
     if not (isinstance(controllers, Mapping) and controllers):
         raise ConfigurationError(
-            'must be controllers by name, such as {"on/off": "onoff"}', key="controllers",
-            value=controllers,
+            'must be a dictionary of controllers by name, such as {"on/off": "onoff"}',
+            key="controllers", value=controllers,
         )
     with require_extra("study"):  # checked before the work, since the table needs it
         import polars  # noqa: F401
@@ -387,7 +395,7 @@ def compare(
 
 
 def make_table(site: Site, ticks: Trajectory) -> polars.DataFrame:
-    """Return a trajectory as :attr:`Result.trajectory` describes it."""
+    """Return a trajectory as a table with the columns of :attr:`Result.trajectory`."""
     frame = ticks.to_frame()
     with require_extra("study"):
         import polars
@@ -405,19 +413,20 @@ def make_table(site: Site, ticks: Trajectory) -> polars.DataFrame:
 
 
 def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.DataFrame:
-    """Read the trajectory from a bag, recorded by a run of this package or at a real site.
+    """Read the trajectory from a bag that was recorded by a run of this package or at a real site.
 
     Args:
         path: a run directory (including one that :meth:`Result.save` wrote), a bag, or a single
             .mcap file.
-        site: the site, or its file; by default the one next to the bag, or else the paper's.
+        site: the site, or its file; by default the site file next to the bag, or else the paper's
+            site.
 
     Returns:
         The columns of :attr:`Result.trajectory`.
 
     Raises:
-        ConfigurationError: if the bag is damaged or is not from such a graph, or a package is
-            missing.
+        ConfigurationError: if the bag is damaged or was not recorded by this package, or if a
+            package is missing.
 
     Example:
         >>> import tempfile, greenroof_ros as gr

@@ -1,4 +1,4 @@
-"""Sizing from Python."""
+"""The Python function that compares sizes of cisterns."""
 
 from __future__ import annotations
 
@@ -15,29 +15,32 @@ def size(**options: Any) -> Sizes:
     Args:
         options: the options below; None for the default.
 
-            - ``site``: a site file, or what ``gr.read_site`` returns; by default the paper's.
-            - ``weather``: files, a pattern or a data frame, as for ``gr.simulate``; at least one
-              season.
+            - ``site``: a site file, or a site from ``gr.read_site``; by default the paper's site.
+            - ``weather``: files, a pattern or a data frame, as for ``gr.simulate``, with at least
+              one season.
             - ``evapotranspiration``, ``gaps``: as for ``gr.simulate``.
-            - ``volumes``: volumes of the cistern up to its overflow (m3); by default eight that
-              suit roof and catchment.
-            - ``targets``: water to keep on the roof, as depths (mm); by default the site's target,
-              and 4 mm below and above it.
+            - ``volumes``: volumes of the cistern up to its overflow (m3); by default eight volumes
+              that suit roof and catchment.
+            - ``targets``: target depths of the water on the roof (mm); by default the site's
+              target, and 4 mm below and above it.
             - ``outlets``: any of ``"none"``, ``"drain"`` and ``"plan"``; by default all three.
-            - ``season``: its first and last day, as in ``"05-01/10-31"``; by default May to
-              October, south of the equator November to April.
-            - ``knee``: water that another m3 of cistern must save in a season (m3), by default 1.
+            - ``season``: first and last day of the season, as in ``"05-01/10-31"``; by default May
+              to October, or November to April south of the equator.
+            - ``knee``: minimum water that another m3 of cistern must save in a season (m3), by
+              default 1.
             - ``mains_price``, ``storm_water_price``, ``cistern_price`` (each per m3), and
-              ``cistern_years`` over which the last one is spread: all of them, or none.
-            - ``jobs``: number of processes, by default 1. With more, a script must start under
-              ``if __name__ == "__main__":``.
+              ``cistern_years``, the number of years over which the price of the cistern is spread:
+              give all four, or none.
+            - ``jobs``: number of processes, by default 1. With more than 1, a script must start
+              under ``if __name__ == "__main__":``.
 
     Returns:
         The results: ``.sentence``, ``.table``, ``.table_of_seasons``, ``.plot()`` and
         ``.save(directory)``, which writes the page.
 
     Raises:
-        ConfigurationError: if an input is wrong; the message states which, and what would be right.
+        ConfigurationError: if an input is wrong; the message names the input and states what would
+            be right.
 
     Example:
         >>> import greenroof_ros as gr

@@ -59,9 +59,9 @@ def test_seeds() -> None:
 def test_what_is_wrong_is_named() -> None:
     roof = gr.Environment(hours=4 / 3600)
     for command in (-0.1, math.nan, math.inf, None, "on", np.ones(2)):
-        refusal(roof.step, command, match="command.*must be a finite number and not negative")
+        refusal(roof.step, command, match="command.*must be a finite, non-negative number")
     for seed in (-1, "a", 0.5):
-        refusal(roof.reset, seed, match="seed = .*: must be a whole number and not negative")
+        refusal(roof.reset, seed, match="seed = .*: must be a non-negative whole number")
     for _ in range(4):
         roof.step(0.0)
     refusal(roof.step, 0.0, match="the run: has ended; call reset")

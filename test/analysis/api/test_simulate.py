@@ -382,7 +382,7 @@ def test_what_is_wrong_is_named(inputs: dict[str, object], reason: str) -> None:
 
 def test_what_cannot_be_compared_is_named() -> None:
     for controllers in ({}, ["onoff"]):
-        refusal(gr.compare, controllers, match="must be controllers by name")
+        refusal(gr.compare, controllers, match="must be a dictionary of controllers by name")
 
 
 def test_a_run_can_start_with_a_day() -> None:
