@@ -1,1 +1,1 @@
-"""Fitting field-capacity soil and the pumps: records, their checks, fits, site file and page."""
+"""Calibration of field-capacity soil and pumps: records, checks, fits, site file and page."""

@@ -1,4 +1,4 @@
-"""Measured records from a bag of this project, from a live site or a simulation."""
+"""Measured records from a bag that this project recorded at a live site or in a simulation."""
 
 from __future__ import annotations
 
@@ -25,17 +25,19 @@ _GAP_S = 600.0
 def read_bag_record(bag: Path, site: Site) -> StepRecord:
     """Read a bag as steps of five minutes.
 
-    Rain, evapotranspiration and pumped water are summed over every step; ``/roof/level`` is the
-    level at its beginning. If ``/roof/drainage`` is not recorded, or is always 0, runoff does not
-    count.
+    Rain, evapotranspiration and pumped water are summed over every step; the level is
+    ``/roof/level`` at the beginning of the step. If ``/roof/drainage`` is not recorded, or is
+    always 0, the record has no runoff.
 
     Evapotranspiration that the run computed (``fao56`` in the files next to its bag) includes the
-    crop coefficient of the run's site, and is divided by it. A weather file's own column and the
-    forecasts of a live site do not include it, so other evapotranspiration is used as it is.
+    crop coefficient of the run's site, and is divided by it. The column of a weather file and the
+    forecasts of a live site do not include the crop coefficient, so all other evapotranspiration is
+    used as it is.
 
-    The pumps' command counts while they deliver water. Steps with a command above 1, which no real
-    pump can follow, have none. Steps in a gap have only evapotranspiration, because a roof dries in
-    gaps, too: the value of the previous day or, on the first day, the last one before the gap.
+    The command counts only while the pumps deliver water. It is unknown in steps with a command
+    above 1, which no real pump can follow. In a gap only evapotranspiration is known, because the
+    roof continues to dry: it is the value of the previous day or, on the first day, the last value
+    before the gap.
 
     Raises:
         ConfigurationError: if the bag cannot be read, is shorter than two steps, or contains no
@@ -46,7 +48,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
     steps = int(trajectory.time[-1] // _STEP_S)
     if steps < 2:
         raise ConfigurationError(
-            f"is {trajectory.time[-1]:g} s long; it must have at least two steps of {_STEP_S:g} s",
+            f"is {trajectory.time[-1]:g} s long; it must cover at least two steps of {_STEP_S:g} s",
             file=bag,
         )
     edges = _STEP_S * np.arange(steps + 1)
@@ -57,7 +59,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
         gap[int(low):int(high)] = True
 
     def summed(flow: Values) -> Values:
-        """Return the sum, in every step, of a flow that holds from each sample to the next."""
+        """Return the sum of a flow over every step; the flow is constant between two samples."""
         total = np.concatenate(([0.0], np.cumsum(flow[:-1] * spacing)))
         amounts = np.diff(np.interp(edges, trajectory.time, total))
         return np.where(gap, np.nan, amounts)
@@ -71,8 +73,8 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
         reference /= (read_site(own) if own.is_file() else site).crop_coefficient
     if not np.any(reference > 0):
         raise ConfigurationError(
-            "is not in the bag, or is 0 throughout: how the roof dries cannot be fitted without "
-            "it", file=bag, key="/weather/evapotranspiration",
+            "is not in the bag, or is always 0; without it, the drying of the roof cannot be "
+            "fitted", file=bag, key="/weather/evapotranspiration",
         )
     beyond = summed((trajectory.command > 1).astype(np.float64)) > 0
     running = pumps_run(site, trajectory.pump_flow)

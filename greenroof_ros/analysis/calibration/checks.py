@@ -1,4 +1,4 @@
-"""Checks of a record before its fit, and of the fit."""
+"""Checks of a record before the fit, and checks of the fit."""
 
 from __future__ import annotations
 
@@ -19,27 +19,29 @@ _MIN_VALUES, _MIN_WATER = 100, 20.0
 
 
 def check_record(record: StepRecord, site: Site) -> list[str]:
-    """Return what is implausible in a record, using :data:`greenroof_ros.formats.rules.RULES`.
+    """Return a warning for each implausible finding in a record.
+
+    The findings come from :data:`greenroof_ros.formats.rules.RULES`.
 
     Args:
         record: the measurements in the steps that count.
         site: site with the roof and its place.
 
     Raises:
-        ConfigurationError: if a rule rejects it, or it is too short for a fit.
+        ConfigurationError: if a rule rejects the record, or if it is too short for a fit.
     """
     for column, values in {"rain": record.rain, **record.measured}.items():
         there = int(np.count_nonzero(~np.isnan(values)))
         if there < _MIN_VALUES:
             raise ConfigurationError(
-                f"has {there} values; it must have at least {_MIN_VALUES}", file=record.source,
+                f"has {there} values; a fit needs at least {_MIN_VALUES}", file=record.source,
                 key=column,
             )
     water = float(record.water.sum())
     if water < _MIN_WATER:
         raise ConfigurationError(
-            f"is {water:.3g} mm, with pumped water; a fit needs at least {_MIN_WATER:g} mm: "
-            "is the unit of the column right?", file=record.source, key="rain",
+            f"is {water:.3g} mm in total, including pumped water, but a fit needs at least "
+            f"{_MIN_WATER:g} mm. Is the unit of the column right?", file=record.source, key="rain",
         )
     return check_steps(record, site)
 
@@ -51,12 +53,12 @@ _VOLUME_OFF = 0.5
 def check_fit(scores: Sequence[FitScores], source: Path) -> list[str]:
     """Return warnings about a fit.
 
-    There is a warning if, in the validation, the NSE of days is below 0 (or of hours or longer
-    steps if there are too few days), or the volume of runoff is wrong by more than half.
+    There is a warning if, in the validation, the daily NSE is below 0 (or the NSE of hours or
+    longer steps, if there are too few days), or if the volume of runoff is wrong by more than half.
 
     Args:
         scores: scores of every series, in the fit and in the validation.
-        source: the record.
+        source: path of the record.
 
     Raises:
         ConfigurationError: if every NSE is below 0, for hours (or longer steps) and for days, in
@@ -69,11 +71,11 @@ def check_fit(scores: Sequence[FitScores], source: Path) -> list[str]:
     advice = "Check the units, the clocks, the sensors, and the site's a2 and z_soil."
     if all(nse < 0 for _, of_row in nses for nse in of_row):
         best = ", ".join(
-            f"{row.quantity} in {row.part} {max(of_row):.2f}" for row, of_row in nses if of_row
+            f"{row.quantity} in {row.part} {max(of_row):.2f}f" for row, of_row in nses if of_row
         )
         raise ConfigurationError(
-            f"no roof fits this record: the best NSE is {best}; the mean of the measurements "
-            f"alone has 0. {advice}", file=source,
+            f"no roof fits this record: the best NSE is {best}, although the mean of the "
+            f"measurements would have an NSE of 0. {advice}", file=source,
         )
     why = [
         f"the NSE of {row.quantity} is {of_row[-1]:.2f}" for row, of_row in nses

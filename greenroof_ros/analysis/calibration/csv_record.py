@@ -1,4 +1,4 @@
-"""Records of a roof in this project's CSV, in the form that a fit needs."""
+"""Records of a roof, read from this project's CSV for a fit."""
 
 from __future__ import annotations
 
@@ -36,12 +36,13 @@ _MAX_STEP_S = 3 * HOUR_S
 def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRecord:
     """Read a measured record from CSV; see :func:`greenroof_ros.formats.own_csv.read_rows`.
 
-    A row describes the step that begins at its time; levels are at that time. Rows are no more than
-    a day apart. Rain, ``level`` or ``runoff``, and evapotranspiration are required. The last is
-    ``reference evapotranspiration``, with gaps of no more than an hour, or is computed with
-    Hargreaves' equation from ``temperature``, or from the day's ``minimum temperature`` and
-    ``maximum temperature`` in any row of that day. Pumped water is ``pumped``, or ``pump state``
-    (share of the maximum flow) with ``cistern level``, or else 0.
+    Each row covers the step that begins at the time given; levels are measured at that time. Rows
+    are no more than a day apart. Rain, ``level`` or ``runoff``, and evapotranspiration are
+    required. Evapotranspiration is the column ``reference evapotranspiration``, with gaps of no
+    more than an hour. Alternatively, it is computed with Hargreaves' equation from ``temperature``,
+    or from ``minimum temperature`` and ``maximum temperature`` in any row of the day. Pumped water
+    is the column ``pumped``, or is computed from ``pump state`` (share of the maximum flow) and
+    ``cistern level``; without these columns it is 0.
 
     Args:
         file: the record.
@@ -50,7 +51,8 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
             longer gaps, which are interpolated linearly.
 
     Raises:
-        ConfigurationError: if the file breaks a rule; the message names line, column and value.
+        ConfigurationError: if the file breaks a rule; the message names the line, the column and
+            the value.
     """
     rows = read_rows(file, site, _WANTED)
     columns, measured = rows.columns, rows.method == "reference"
@@ -73,7 +75,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
         raise rows.table.refuse(
             f"the time between rows changes from {name_time(rows.steps.durations[changed - 1])} to "
             f"{name_time(rows.steps.durations[changed])} after row {changed}; a record must have "
-            "one interval throughout: make a separate file of each part"
+            "one interval throughout: write each part to a separate file"
         )
     if count < _MIN_ROWS:
         raise ConfigurationError(
@@ -82,7 +84,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     # A roof drains within hours, so longer sums show no more than the rain does.
     if step_s > DAY_S:
         raise rows.table.refuse(
-            f"the rows are {name_time(step_s)} apart; more than a day is not allowed"
+            f"the rows are {name_time(step_s)} apart; they may be at most a day apart"
         )
     step_h, steps = step_s / HOUR_S, int(rows.steps.steps[-1]) + 1
     series = {}
@@ -118,7 +120,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
 
 
 def _find_last_decimal(values: Values) -> float:
-    """Return the unit of the last decimal place that any value has, at least 1e-12."""
+    """Return the unit of the last decimal place of all values, which is at least 1e-12."""
     there = values[~np.isnan(values)]
     places = 0
     while places < 12 and not np.allclose(np.round(there, places), there, rtol=1e-9, atol=0.0):
@@ -145,22 +147,22 @@ def _compute_pumped(series: Mapping[str, Values], site: Site, step_s: float) -> 
 def _bridge_short_gaps(record: StepRecord, values: Values, counts: Steps) -> Values:
     """Return reference evapotranspiration without gaps (mm), shape (steps,).
 
-    A roof dries even while its sensors fail. So a gap of no more than an hour, or a step, is
-    interpolated linearly, and a longer gap is rejected.
+    A roof dries even while its sensors fail. Therefore, a gap of no more than an hour, or of a
+    single step, is interpolated linearly, and a longer gap is rejected.
 
     Args:
         record: record with the times and the column's name.
         values: values of every step (mm), NaN if missing.
-        counts: whether a step is fitted or judged, shape (steps,). A gap without such steps may
-            have any length.
+        counts: whether each step is used for the fit or the validation, shape (steps,). A gap that
+            contains no such step may have any length.
 
     Raises:
-        ConfigurationError: if another gap is longer, or evapotranspiration is 0 throughout.
+        ConfigurationError: if any other gap is longer, or if evapotranspiration is always 0.
     """
     column = record.reference_column
     if not np.any(values > 0):
         raise ConfigurationError(
-            "is 0 throughout: how the roof dries cannot be fitted without it",
+            "is always 0; without it, the drying of the roof cannot be fitted",
             file=record.source, key=column,
         )
     missing = np.isnan(values)
@@ -169,9 +171,9 @@ def _bridge_short_gaps(record: StepRecord, values: Values, counts: Steps) -> Val
         if gap_s > max(HOUR_S, record.step_s) and counts[low:high].any():
             raise ConfigurationError(
                 f"has no value from {record.time(low)} for {name_time(gap_s)}: at most an hour may "
-                "be missing, since the roof continues to dry during a gap; write a daily value "
-                "into every row of its day, and add missing rows with the time and this value, and "
-                "all other cells empty", file=record.source, key=column,
+                "be missing, since the roof continues to dry during a gap. Write a daily value "
+                "into every row of its day, and add the missing rows with their time and this "
+                "value, leaving all other cells empty", file=record.source, key=column,
             )
     steps = np.arange(len(values))
     return np.interp(steps, steps[~missing], values[~missing])
@@ -182,9 +184,9 @@ def _compute_from_temperatures(
 ) -> Values:
     """Return Hargreaves' reference evapotranspiration in every step (mm), shape (steps,).
 
-    Days follow the record's own clock. A day without temperatures, or with less than 0.75 of its
-    ``temperature`` values, is interpolated. For a day that counts, temperatures must exist within
-    three days.
+    Days follow the record's own clock. The temperatures of a day without values, or with less than
+    0.75 of its ``temperature`` values, are interpolated. Every day that counts must have
+    temperatures within three days.
 
     Args:
         record: record with the times.
@@ -192,17 +194,17 @@ def _compute_from_temperatures(
         series: series of every quantity, including ``temperature``, or ``minimum temperature`` and
             ``maximum temperature`` in any row of the day (degC), NaN if a step has none, shape
             (steps,).
-        counts: whether a step is fitted or judged, shape (steps,).
+        counts: whether each step is used for the fit or the validation, shape (steps,).
 
     Raises:
-        ConfigurationError: if the site has no place; or temperatures are too far apart to show a
-            day's extremes, too far from a day that counts, or the minimum is above the maximum.
+        ConfigurationError: if the site has no place, if temperatures are too far apart to show a
+            day's extremes or too far from a day that counts, or if a minimum is above the maximum.
     """
     check_place(site, HARGREAVES, ("latitude", "longitude"))
     if TEMPERATURE in series and record.step_s > _MAX_STEP_S:
         raise ConfigurationError(
-            f"its rows are {name_time(record.step_s)} apart, but show a day's extremes only if "
-            "they are up to three hours apart; write columns 'minimum temperature [degC]' and "
+            f"has rows that are {name_time(record.step_s)} apart, but a day's extremes show only "
+            "in rows up to three hours apart; write columns 'minimum temperature [degC]' and "
             "'maximum temperature [degC]' instead", file=record.source, key=TEMPERATURE,
         )
     dates, day = np.unique(record.times.astype("datetime64[D]"), return_inverse=True)
@@ -220,14 +222,15 @@ def _compute_from_temperatures(
         )
     there = ~np.isnan(extremes).any(axis=0)
     if not there.any():
-        raise ConfigurationError("no day has all its temperatures", file=record.source)
+        raise ConfigurationError("no day has all of its temperatures", file=record.source)
     temperatures = DailyTemperatures(dates, extremes)
     counted: NDArray[np.datetime64] = np.unique(record.times[counts].astype("datetime64[D]"))
     far = temperatures.far(counted)
     if far.any():
         raise ConfigurationError(
-            f"has no temperature within 3 days of {counted[far][0]}, from which evapotranspiration "
-            "is computed; add a row for each day that lacks them, with its temperatures and all "
-            "other cells empty, or leave its month out with --months", file=record.source,
+            f"has no temperature within 3 days of {counted[far][0]}, but evapotranspiration is "
+            "computed from temperatures; add a row with the temperatures for each day that lacks "
+            "them, leaving all other cells empty, or leave its month out with "
+            "--months", file=record.source,
         )
     return temperatures.evapotranspiration(site, record.seconds, record.step_s, record.offset_s)

@@ -1,4 +1,4 @@
-"""The fit: which parameters a record identifies, their values, and how certain they are."""
+"""The fit of a roof to a record: the parameters that the record identifies, with intervals."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
 
 UpdateProgress = Callable[[str, float], None]
-"""called with a text on the current stage, and the share of stages that are done, 0 to 1"""
+"""callback that receives a text about the current stage, and the share of stages done, 0 to 1"""
 
 _STAGES = (
-    "what the record identifies", "where to begin", "search", "what it identifies there",
-    "last search",
+    "identification of parameters", "start of the search", "search",
+    "identification at the solution", "final search",
 )
 # Duration of sums (s): shorter ones show the sensors' resolution, longer ones lose the peaks.
 _SUM_S = 3600
@@ -72,7 +72,7 @@ class FitRange:
             the roof when the record begins.
         low: minimum value.
         high: maximum value.
-        logarithmic: whether its scale is logarithmic.
+        logarithmic: whether the scale of the range is logarithmic.
     """
 
     name: str
@@ -81,7 +81,7 @@ class FitRange:
     logarithmic: bool = False
 
     def share(self, value: float) -> float:
-        """Return where a value lies between the ends, from 0 to 1."""
+        """Return the position of a value within the range, from 0 to 1."""
         if self.logarithmic:
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
@@ -122,7 +122,7 @@ _TYPICAL_STORAGE = 0.02
 
 
 def complete_roof(site: Site) -> Site:
-    """Return a site with field-capacity soil, with typical values for parameters that it lacks."""
+    """Return a site with field-capacity soil, using typical values for missing parameters."""
     if site.field_capacity is None:
         site = replace(
             site, field_capacity=0.35, wilting_point=0.02, depletion_fraction=0.5,
@@ -139,11 +139,11 @@ _DEPLETION = 0.5
 
 
 def lower_target(site: Site) -> Site:
-    """Return the site with a target that its roof can hold; unchanged if it holds the present one.
+    """Return the site with a target that its roof can hold; a target that it can hold is unchanged.
 
-    Water above field capacity drains, so pumping to a target there would never end. A record says
-    nothing about the target. It is set half-way between wilting point and field capacity, and the
-    site's owner is asked to choose another one.
+    Water above field capacity drains, so the pumps would never reach a target above it. Because a
+    record says nothing about the target, it is set half-way between wilting point and field
+    capacity, and the site's owner is asked to choose another target.
 
     Args:
         site: site with field-capacity soil.
@@ -164,11 +164,11 @@ class FittedParameter(NamedTuple):
     """end of the 95 % interval; NaN if the data do not determine it"""
     high: float
     reason: str
-    """why it was not fitted, or is uncertain; empty if the data determine it"""
+    """reason why it was not fitted, or is uncertain; empty if the data determine it"""
 
     @property
     def interval(self) -> str:
-        """Its 95 % interval as text; empty if the data do not determine it."""
+        """The 95 % interval as text; empty if the data do not determine the parameter."""
         return "" if np.isnan(self.low) else f"{self.low:.4g} to {self.high:.4g}"
 
 
@@ -187,24 +187,25 @@ def fit(
 ) -> Fit:
     """Fit field-capacity soil to some steps of a record.
 
-    Sums of runoff and means of the level are fitted to the measured ones by least squares within
-    bounds. Each covers an hour, or eight steps (but no more than four days) if that is longer,
-    because a simulated step spreads its rain evenly. Beyond ten standard deviations of the
-    measurements, the loss grows only in proportion ("soft_l1"), so that a broken sensor does not
-    dominate. The simulation is compared as the record's meter would show it. The search begins at
-    the best point of a coarse grid.
+    The simulated sums of runoff and means of the level are fitted to the measured values by least
+    squares within bounds. Each sum or mean covers an hour, or eight steps (but no more than four
+    days) if these are longer, because a simulated step spreads its rain evenly. Beyond ten standard
+    deviations of the measurements, the loss grows only linearly ("soft_l1"), so that a broken
+    sensor does not dominate. The simulated values are compared as the record's meter would show
+    them. The search begins at the best point of a coarse grid.
 
     Parameters that the record does not identify keep the site's values: the drainage time if steps
-    are longer than an hour, and any parameter with a column of the Jacobian, scaled by its range,
-    that is small or a sum of others (QR with column pivoting; Golub and Van Loan, Matrix
-    Computations, 5.5.7). Intervals come from :func:`compute_intervals`, with weeks as groups. They
-    are widened by how far a parameter follows the held ones anywhere within their ranges.
+    are longer than an hour, and any parameter whose column of the Jacobian, scaled by the
+    parameter's range, is small or a linear combination of other columns (QR with column pivoting;
+    Golub and Van Loan, Matrix Computations, 5.5.7). Intervals come from :func:`compute_intervals`,
+    with weeks as groups. They are widened by the largest change of a parameter that a change of the
+    held parameters within their ranges causes.
 
     Args:
-        site: start of the search, and values of the parameters that are held.
+        site: site with the start of the search, and the values of the parameters that are held.
         record: the measurements.
         steps: steps that count; the roof is simulated through all steps.
-        update_progress: called after every simulation.
+        update_progress: callback that receives the progress before every simulation.
     """
     site = complete_roof(site)
     every = list_ranges(site, record)
@@ -231,9 +232,9 @@ def fit(
     def jacobian() -> Values:
         """Return the derivatives of residuals by the shares of ranges, shape (n, ranges).
 
-        The meter has no minimum reading here, because that turns a smooth simulation into steps. A
-        short difference across a few steps makes a parameter look identified, or makes equal
-        columns look different.
+        The minimum reading of the meter is ignored, because it turns a smooth simulation into
+        steps. A small difference across a few of these steps would make a parameter look
+        identified, or equal columns look different.
         """
         base = differences(at, 0.0)
         columns = []
@@ -289,7 +290,7 @@ def fit(
     parameters = list(map(_judge, every, at.tolist(), half.tolist(), why))
     if record.step_s > _DRAINAGE_STEP_S:
         assert site.drainage_time is not None
-        reason = f"steps of {name_time(record.step_s)} are too long to identify it"
+        reason = f"steps of {name_time(record.step_s)} are too long to identify this parameter"
         parameters.insert(3, FittedParameter(_DRAINAGE, site.drainage_time, np.nan, np.nan, reason))
     fitted, shown = simulated(at, minimum)
     update_progress("done", 1.0)
@@ -297,14 +298,14 @@ def fit(
 
 
 def _compute_cost(residuals: Values) -> float:
-    """Return what the search minimises, except for a constant factor."""
+    """Return the loss that the search minimizes, apart from a constant factor."""
     return float(np.sum(np.sqrt(1 + (residuals / _ROBUST_FROM) ** 2) - 1))
 
 
 def _make_comparison(
     record: StepRecord, steps: Steps
 ) -> tuple[Callable[[Simulated], Values], NDArray[np.int64]]:
-    """Return a function for the residuals of a simulation, and the week of every residual.
+    """Return a function that computes a simulation's residuals, and the week of every residual.
 
     Residuals are in standard deviations of the measurements.
     """
@@ -327,7 +328,7 @@ def _make_comparison(
 
 
 def _identify(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]:
-    """Return which parameters the data identify, and why they do not identify the others."""
+    """Return a mask of the identified parameters, and the reasons why the others are not."""
     from scipy.linalg import qr
 
     _, triangle, order = qr(jacobian, mode="economic", pivoting=True)
@@ -339,23 +340,24 @@ def _identify(names: Sequence[str], jacobian: Values) -> tuple[Steps, list[str]]
     why = [""] * len(names)
     for place in np.flatnonzero(~free).tolist():
         if lengths[place] <= _UNIDENTIFIED * size.max():
-            why[place] = "the data do not depend on it"
+            why[place] = "the data do not depend on this parameter"
             continue
         weights = np.linalg.lstsq(jacobian[:, free], jacobian[:, place], rcond=None)[0]
         alike = np.flatnonzero(free)[np.abs(weights) * lengths[free] > 0.1 * lengths[place]]
         others = " and ".join(names[other] for other in alike)
-        why[place] = f"the data cannot tell it apart from {others}"
+        why[place] = f"the data cannot distinguish this parameter from {others}"
     return free, why
 
 
 def _judge(parameter: FitRange, share: float, half: float, why: str) -> FittedParameter:
-    """Return a parameter with its interval, and the reason if something is wrong with it.
+    """Return a parameter with its interval, and the reason if the parameter is uncertain.
 
     Args:
         parameter: name and range of the parameter.
-        share: its value, as a share of the range.
-        half: half of its interval, as a share of the range; NaN if the data do not determine it.
-        why: reason why they do not determine it.
+        share: value of the parameter, as a share of the range.
+        half: half of the interval, as a share of the range; NaN if the data do not determine the
+            parameter.
+        why: reason why the data do not determine the parameter.
     """
     value = parameter.value(share)
     if math.isnan(half):
@@ -365,7 +367,7 @@ def _judge(parameter: FitRange, share: float, half: float, why: str) -> FittedPa
     if not _END < share < 1 - _END:
         reason = f"at the end of its range ({parameter.low:.3g} to {parameter.high:.3g})"
     elif high - low > _HARDLY * 2 * abs(value) or half > _HARDLY:
-        reason = "the data hardly constrain it"
+        reason = "the data hardly constrain this parameter"
     return FittedParameter(parameter.name, value, low, high, reason)
 
 
@@ -375,18 +377,18 @@ def compute_intervals(
     """Return half of every parameter's 95 % interval, using :func:`compute_half_intervals`.
 
     The fit is treated as linear: without a group with residuals r_g and Jacobian J_g, the
-    parameters move by (J'J - J_g'J_g)^-1 J_g' r_g. If few groups have most of the information about
-    a parameter, its variance is less certain. The degrees of freedom are Kish's effective number of
-    groups minus one, sum(w)^2 / sum(w^2) - 1, where w is the information that is lost without a
-    group; at least 1. With equal groups they are the number of groups minus one. If one group alone
-    determines nearly everything about a parameter, nothing shows how it would vary, and its half
-    interval is infinite.
+    parameters move by (J'J - J_g'J_g)^-1 J_g' r_g. If few groups contain most of the information
+    about a parameter, its variance is less certain. The degrees of freedom are Kish's effective
+    number of groups minus one, sum(w)^2 / sum(w^2) - 1, where w is the information that is lost
+    without a group, but at least 1. With equal groups, this is the number of groups minus one. If
+    one group alone determines nearly everything about a parameter, nothing shows how it would vary,
+    and its half interval is infinite.
 
     Args:
         jacobian: Jacobian at the fit, shape (n, parameters).
         residuals: residuals at the fit, shape (n,).
-        groups: number of every residual's group, shape (n,). Residuals in one group may depend on
-            each other.
+        groups: number of the group to which every residual belongs, shape (n,). Residuals in one
+            group may depend on each other.
     """
     moved, kept = [], []
     for group in np.unique(groups):
@@ -402,7 +404,7 @@ def compute_intervals(
 
 
 def _measure_information(jacobian: Values) -> Values:
-    """Return the information about every parameter: its column's squares minus what others explain.
+    """Return the information about every parameter: the squares that other columns do not explain.
 
     Args:
         jacobian: Jacobian, shape (n, parameters).
@@ -416,14 +418,15 @@ def _measure_information(jacobian: Values) -> Values:
 
 
 def compute_half_intervals(moved: Values, degrees: Values | int) -> Values:
-    """Return half of every 95 % interval, from how a value moves without one group.
+    """Return half of every 95 % interval, computed from the values without each group.
 
-    Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t.
+    The method is Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t.
 
     Args:
         moved: values without each group, shape (groups, values); adding a constant to all groups
             does not matter.
-        degrees: degrees of freedom of every value; with equal groups, their number minus one.
+        degrees: degrees of freedom of every value; with equal groups, the number of groups minus
+            one.
     """
     from scipy.stats import t as student  # half of the import time; not for rejected records
 

@@ -1,4 +1,4 @@
-"""The page of a calibration: one file with all figures that needs nothing but a browser."""
+"""The page of a calibration: one file with all figures, which needs nothing but a browser."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def render(
         site_file: text of the site file that was written.
         spans: time span of each half, as text.
         warnings: objections to the record and the fit.
-        notes: what else was found or changed.
+        notes: other findings, and changes to the record.
     """
     known = {parameter.name: (parameter.unit, parameter.meaning) for parameter in site_parameters()}
     known[FILLED] = "1", "share of the available water on the roof when the record begins"
@@ -71,15 +71,15 @@ _WHEN = alt.Tooltip("t:T", title="day", timeUnit="utcyearmonthdate", format="%Y-
 def draw_quantity(
     quantity: str, record: StepRecord, halves: Mapping[str, Steps], simulated: Values
 ) -> Figure:
-    """Return a quantity as measured and as simulated, with the residuals."""
+    """Return the figure of a quantity, measured and simulated, with the residuals."""
     title, _ = _QUANTITIES[quantity]
     days = _list_days(quantity, record, halves, simulated)
     name = f"calibration-{quantity}"
     adds_up = COMBINE[quantity] is sum_spans
     boundary = [{"t": row["t"]} for row in days if row["part"] == [*halves][1]][:1]
     caption = (
-        f"{'Sums' if adds_up else 'Means'} of days, and the residuals (simulated minus measured). "
-        "The dashed line separates fit and validation; times without measurements are left out."
+        f"Daily {'sums' if adds_up else 'means'}, and the residuals (simulated minus measured). "
+        "The dashed line separates fit and validation. Times without measurements are left out."
     )
     data = alt.Chart(alt.NamedData(f"{name}-days"))
     rule = alt.Chart(alt.InlineData(boundary)).mark_rule(
@@ -107,7 +107,7 @@ def draw_quantity(
 def _list_days(
     quantity: str, record: StepRecord, halves: Mapping[str, Steps], simulated: Values
 ) -> Rows:
-    """Return sums or means of days as rows, with the residual: simulated minus measured."""
+    """Return daily sums or means as rows, with the residuals (simulated minus measured)."""
     rows: Rows = []
     for part, steps in halves.items():
         seconds = record.seconds[steps]

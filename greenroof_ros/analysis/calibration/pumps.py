@@ -1,4 +1,4 @@
-"""The pumps of a site, fitted to the mean fall of the cistern's level while they run."""
+"""The fit of a site's pump curve to the mean fall of the cistern's level while the pumps run."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PumpRun(NamedTuple):
 
 
 class PumpFit(NamedTuple):
-    """The pumps as fitted to the cistern's levels."""
+    """The result of a fit of the pump curve."""
 
     site: Site
     """site with the fitted curve; unchanged if the record does not identify it"""
@@ -60,8 +60,9 @@ class PumpFit(NamedTuple):
 def find_runs(record: StepRecord, site: Site, command: Values, cistern: Values) -> list[PumpRun]:
     """Return the pump runs in which nothing else changes the cistern's level.
 
-    It has not rained for an hour, no value is missing, and the level lies between the outlet and
-    the levels of suction and mains valve. Runs with short breaks count as one.
+    In such a run, it has not rained for an hour, no value is missing, and the level lies between
+    the outlet and the levels of suction and mains valve. Runs with short breaks between them count
+    as one run.
     """
     standing = max(_STANDING_STEPS, round(_STANDING_S / record.step_s))
     count = standing // 3 + 1  # number of levels averaged, before and after
@@ -89,7 +90,7 @@ def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
     (3b)-(3e): Z + c_hat - d = Q^2 (pipe_resistance - a_hat). A sensor's offset does not matter, nor
     does a pump state that is a little late. The interval comes from
     :func:`.fit.compute_half_intervals` with runs as groups. Runs whose flow is far from the median
-    are left out, because something else moved the level.
+    are left out, because the level changed for another reason.
 
     With fewer than ten runs no curve is fitted.
 
@@ -98,7 +99,7 @@ def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
         record: the measurements; without a command or a cistern level, nothing is fitted.
 
     Raises:
-        ConfigurationError: if the flow is far from what the site's pumps can lift.
+        ConfigurationError: if the flow is far from the flow according to the site's pump curve.
     """
     if record.command is None or record.cistern is None:
         return PumpFit(site)
@@ -127,7 +128,7 @@ def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
     [c_hat] = heights(np.array([flow])).tolist()
     moved = np.stack([without, heights(without)], axis=-1)
     half, of_height = compute_half_intervals(moved, len(moved) - 1).tolist()
-    held = "the data cannot tell it apart from c_hat"
+    held = "the data cannot distinguish this parameter from c_hat"
     return PumpFit(
         replace(site, c_hat=c_hat),
         [

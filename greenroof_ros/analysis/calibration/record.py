@@ -1,4 +1,5 @@
-"""A roof's record for a fit: sums over time spans, storms that count, months and two halves."""
+"""Preparation of a roof's record for a fit: sums over time, storms that count, months and halves.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ _RAINED_MM = 1.0
 
 
 def sum_spans(values: Values | Steps, seconds: NDArray[np.int64], span_s: int) -> Values:
-    """Add up values by the clock span of ``span_s`` seconds in which each begins.
+    """Add up the values that begin in the same clock span of ``span_s`` seconds.
 
     Spans without values are left out.
     """
@@ -37,9 +38,9 @@ def sum_spans(values: Values | Steps, seconds: NDArray[np.int64], span_s: int) -
 
 
 def average_spans(values: Values, seconds: NDArray[np.int64], span_s: int) -> Values:
-    """Average values by the clock span in which each begins, as :func:`sum_spans` adds them up.
+    """Average the values that begin in the same clock span; see :func:`sum_spans`.
 
-    NaN values do not count; the mean of a span with only NaN is NaN.
+    NaN values do not count; the mean of a span that contains only NaN is NaN.
     """
     count = sum_spans(~np.isnan(values), seconds, span_s)
     total = sum_spans(np.nan_to_num(values), seconds, span_s)
@@ -54,10 +55,11 @@ Amounts add up. Levels do not: their sum would depend on the length of gaps in t
 
 
 def find_outages(record: StepRecord) -> list[slice]:
-    """Return the steps of every outage of a water meter, until the roof has forgotten it.
+    """Return the steps from every outage of a water meter until the roof has forgotten the outage.
 
-    A storm may have come in them. Its water is gone after about a week, and not before 20 mm could
-    evaporate. Outages of up to an hour count only if it rained in the hours next to them.
+    A storm may have occurred during an outage. Its water is gone after about a week, but not before
+    20 mm could evaporate. Outages of up to an hour count only if it rained in the hour before or
+    after them.
     """
     lost = find_gaps(np.isnan(record.rain) | np.isnan(record.pumped))
     evaporated = np.concatenate(([0.0], np.cumsum(record.reference)))
@@ -73,12 +75,12 @@ def find_outages(record: StepRecord) -> list[slice]:
 
 
 def select_comparable(record: StepRecord) -> Steps:
-    """Return the steps in which a simulation is compared: known steps outside broken storms.
+    """Return the steps in which a simulation is compared: complete steps outside broken storms.
 
-    A storm is broken if rain, pumped water or runoff is missing in it. Unrecorded water affects the
-    roof for the whole storm. And meters fail when runoff is largest; their values before and after
-    the gap can then be incomplete, for an unknown time. Nor do steps count until a roof has
-    forgotten the water of an outage (:func:`find_outages`).
+    A storm is broken if rain, pumped water or runoff is missing during it, because unrecorded water
+    affects the roof for the whole storm. In addition, meters fail when runoff is largest, and their
+    values can then be incomplete for an unknown time before and after the gap. Steps after an
+    outage do not count until the roof has forgotten its water (:func:`find_outages`).
     """
     steps = record.complete
     for outage in find_outages(record):
@@ -95,16 +97,17 @@ def select_comparable(record: StepRecord) -> Steps:
 def halve_steps(record: StepRecord, steps: Steps) -> dict[str, Steps]:
     """Split steps on the first dry day after half of all rain and pumped water.
 
-    Only water tells something about a roof: with halves of equal time, one half could have all the
-    storms. A storm in both halves would make the validation depend on data used in the fit. Without
-    a dry day, all steps are in the earlier half.
+    The halves have equal water because only water reveals the properties of a roof: with halves of
+    equal time, one half could contain all the storms. A storm in both halves would make the
+    validation depend on data used in the fit. Without a dry day, all steps are in the earlier half.
 
     Args:
         record: record with rain and pumped water.
         steps: steps that count.
 
     Returns:
-        The steps of each half by its purpose: ``fit``, the earlier half, and ``validation``.
+        The steps of each half by its purpose: ``fit`` for the earlier half, and ``validation`` for
+        the later half.
     """
     total = np.cumsum(np.where(steps, record.water, 0.0))
     dry = ~prolong_steps(record.water > 0, math.ceil(AFTER_STORM_S / record.step_s))
@@ -116,7 +119,7 @@ def read_months(span: str) -> tuple[int, int]:
     """Return the first and the last month (1 to 12) of a span such as ``4-10``.
 
     Raises:
-        ConfigurationError: if it is not a span.
+        ConfigurationError: if the text is not a span of months.
     """
     match = re.fullmatch(r"(\d{1,2})-(\d{1,2})", span)
     first, last = map(int, match.groups()) if match else (0, 0)
@@ -129,12 +132,13 @@ def read_months(span: str) -> tuple[int, int]:
 
 
 def select_months(record: StepRecord, span: str | None) -> Steps:
-    """Return which steps begin in a span of months on the record's own clock; None means all.
+    """Return a mask of the steps that begin in a span of months on the record's own clock.
 
-    A span is written like ``4-10``, or ``11-3`` over new year; both ends are included.
+    A span is written like ``4-10``, or ``11-3`` over new year; both ends are included. None selects
+    all steps.
 
     Raises:
-        ConfigurationError: if no step does, or the text is not a span.
+        ConfigurationError: if no step begins in the span, or if the text is not a span of months.
     """
     if span is None:
         return np.full(record.steps, True)
@@ -143,7 +147,7 @@ def select_months(record: StepRecord, span: str | None) -> Steps:
     within = (number - first) % 12 <= (last - first) % 12
     if not within.any():
         raise ConfigurationError(
-            f"has no row in the months {span} of --months: it is from "
+            f"has no row in the months {span} of --months: the record is from "
             f"{str(record.times[0])[:10]} to {str(record.times[-1])[:10]}", file=record.source,
         )
     return within

@@ -14,8 +14,9 @@ from greenroof_ros.formats.step_record import DAY_S, HOUR_S, Values
 class FitScores(NamedTuple):
     """The scores of one series in one half of a record.
 
-    Efficiencies are for sums of runoff, or means of levels, over a time (s), and are listed by that
-    time. 1 is perfect; an NSE of 0 is no better than the mean of the measurements.
+    The efficiencies are computed for sums of runoff, or means of levels, over time spans, and are
+    listed by the length of the span (s). A value of 1 is perfect; an NSE of 0 is no better than the
+    mean of the measurements.
     """
 
     quantity: str
@@ -33,7 +34,7 @@ class FitScores(NamedTuple):
 def efficiency(simulated: Values, measured: Values) -> float:
     """Return NSE: 1 minus the squared errors over the squared deviations from the measured mean.
 
-    NaN if the measurements do not vary, because then they cannot judge a simulation.
+    The result is NaN if the measurements do not vary, because they cannot judge a simulation then.
     """
     if np.ptp(measured) == 0:
         return float("nan")
@@ -44,7 +45,7 @@ def efficiency(simulated: Values, measured: Values) -> float:
 def kling_gupta(simulated: Values, measured: Values) -> float:
     """Return KGE: 1 minus the distance of correlation, spread ratio and mean ratio from (1, 1, 1).
 
-    NaN if either series does not vary, because then there is no correlation.
+    The result is NaN if either series does not vary, because there is no correlation then.
     """
     if np.ptp(measured) == 0 or np.ptp(simulated) == 0:
         return float("nan")
@@ -62,7 +63,7 @@ def score(
 
     Args:
         quantity: ``runoff`` or ``level``.
-        part: part of the record.
+        part: ``fit`` or ``validation``.
         simulated: simulated values, shape (n,).
         measured: measured values in the same steps, without NaN.
         seconds: start of every step on a clock (s since 1970-01-01 on that clock).

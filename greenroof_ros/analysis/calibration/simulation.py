@@ -1,4 +1,4 @@
-"""Simulation of field-capacity soil with a record's weather and pumping, as its meters show it."""
+"""Simulation of field-capacity soil with the weather and the pumped water of a record."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
     """Simulate field-capacity soil through a record's steps.
 
     The result matches :class:`greenroof_ros.model.plant.Plant` with short ticks, because
-    percolation is solved for a whole step. Runoff is solved for a constant inflow; so steps longer
-    than ten minutes are divided while water arrives, and steps longer than an hour always. Water
-    arrives evenly within a step. Unknown rain is treated as 0. The soil is computed only in steps
-    in which water moves, which are few in a dry week.
+    percolation is solved for a whole step. Runoff is solved for a constant inflow. Therefore, steps
+    longer than ten minutes are divided while water arrives, and steps longer than an hour are
+    always divided. Water arrives evenly within a step. Unknown rain is treated as 0. The soil is
+    computed only in steps in which water moves, which are few in a dry week.
 
     Args:
         site: site with a ``field_capacity``.
         record: record of rain, pumped water and reference evapotranspiration.
-        filled: share of the available water that is on the roof at first, 0 to 1.
+        filled: share of the available water that is on the roof at the beginning, 0 to 1.
         minimum: runoff in a step (mm) below which a meter shows 0.
     """
     volume_flow = site.a2 / 1000 / record.step_s  # m3/s for one mm per step
@@ -81,8 +81,8 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
 def find_min_reading(record: StepRecord) -> float:
     """Return the runoff in a step (mm) below which a record's meter shows 0.
 
-    It is the minimum reading above 0. A tipping bucket misses nothing, because less than a tip is
-    carried over to the next. For this kind of meter, and without a meter, the result is 0.
+    The limit is the minimum reading above 0. A tipping bucket misses nothing, because less than a
+    tip is carried over to the next tip. For a tipping bucket, and without a meter, the result is 0.
     """
     if record.runoff is None:
         return 0.0
@@ -93,11 +93,11 @@ def find_min_reading(record: StepRecord) -> float:
 
 
 def _is_counted(readings: Values, last_decimal: float) -> bool:
-    """Whether readings, in rising order, are multiples of one tip, apart from rounding.
+    """Return whether readings in rising order are multiples of one tip, apart from rounding.
 
-    A reading of n tips with a rounding error up to h limits a tip to (reading - h) / n to
-    (reading + h) / n. Its n follows from the range of tips that earlier readings allow, because
-    rounding can make the minimum reading alone wrong by half a tip.
+    If a reading of n tips has a rounding error of up to h, the volume of a tip is between
+    (reading - h) / n and (reading + h) / n. The number n follows from the volumes of a tip that the
+    earlier readings allow, because rounding can change the minimum reading by half a tip.
     """
     low, high = 0.0, 2 * float(readings[0])
     for reading in readings.tolist():

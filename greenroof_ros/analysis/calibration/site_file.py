@@ -1,4 +1,4 @@
-"""The site file of a fitted roof: the file with which the fit began, with fitted values."""
+"""The site file of a fitted roof: the original site file with the fitted values."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ CROP_NOTE = (
 )
 """where a crop coefficient has an effect"""
 INTERVAL_NOTE = (
-    "The intervals include the effect of parameters that the record cannot distinguish, anywhere "
-    "within their ranges. All other parameters have the site file's values."
+    "The intervals include the effect of parameters that the record cannot identify and that may "
+    "have any value within their ranges. All other parameters have the values of the site file."
 )
 """what the intervals of fitted parameters cover"""
 
@@ -31,7 +31,7 @@ Entries = dict[str, tuple[float, str]]
 
 
 def list_fit_entries(fit: Fit, target: float) -> Entries:
-    """Return the entries of a fit, each with its interval or why the record does not identify it.
+    """Return the entries of a fit, each with its interval, or the reason why it is not identified.
 
     Args:
         fit: result of the fit, with the pumps' parameters if the record has data on them.
@@ -56,9 +56,9 @@ def format_fitted_site(file: Path, entries: Entries, heading: Sequence[str]) -> 
     """Return the text of a complete site file with fitted values.
 
     Args:
-        file: the site file with which the fit began.
+        file: path of the original site file.
         entries: entries of the fit.
-        heading: lines for the top.
+        heading: comment lines for the top of the file.
 
     Raises:
         ConfigurationError: if the result is not a valid site, because a value is out of its range.
@@ -68,7 +68,7 @@ def format_fitted_site(file: Path, entries: Entries, heading: Sequence[str]) -> 
         site = read_site(file, fitted)
     except ConfigurationError as error:
         raise ConfigurationError(
-            f"the fitted values do not form a valid site; nothing is written: {error.wrong}",
+            f"the fitted values do not form a valid site, so no file was written: {error.wrong}",
             file=file,
         ) from error
     text = format_site(site, {name: reason for name, (_, reason) in entries.items()})

@@ -1,1 +1,1 @@
-"""Reports on runs: figures, tables and one page, from a study, run directories or bags."""
+"""Reports on the runs of studies, run directories and bags: figures, tables and a page."""

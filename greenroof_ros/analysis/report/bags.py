@@ -1,7 +1,7 @@
-"""Run directories and bags as runs of a report.
+"""Reading of run directories and bags as runs of a report.
 
-A run directory contains a bag; for a simulation in one process, it contains the trajectory, or only
-the results.
+A run directory contains a bag. For a simulation in one process, it contains the trajectory instead,
+or only the results.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ def _bag_in(path: Path) -> Path:
 
 
 def _closed_and_repair(bag: Path, run: Path) -> tuple[Path | None, str]:
-    """Return the closed bag to read, if any, and what repairs it, for a message.
+    """Return the closed bag to read, if any, and the way to repair it, for a message.
 
-    The bag that ``recover`` made is used until something is recorded after it, or if no other is
+    The bag that ``recover`` made is used if nothing has been recorded since, or if no other bag is
     closed. A single file counts as a bag.
     """
     new = name_recovered_bag(bag)
@@ -65,16 +65,18 @@ def _closed_and_repair(bag: Path, run: Path) -> tuple[Path | None, str]:
 def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
     """Read a run directory, a bag or an .mcap file.
 
-    The results of a finished run are taken from its summary; all others are computed from the
-    trajectory.
+    The results of a finished run are taken from its summary; all other results are computed from
+    the trajectory.
 
     Args:
         path: path of the run directory, bag or file.
-        site: the site, or its file; by default the one next to the bag, or else the paper's.
+        site: the site, or its file; by default the site file next to the bag, or else the paper's
+            site.
 
     Raises:
-        ConfigurationError: if the bag is damaged or foreign, or there is neither bag nor result; if
-            the run was not finished, the message begins with how it ended.
+        ConfigurationError: if the bag is damaged or was not recorded by this package, or if there
+            is neither a bag nor a result. If the run was not finished, the message begins with the
+            way it ended.
     """
     about = read_about(run_directory(path))
     try:
@@ -105,9 +107,9 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
         if closed == name_recovered_bag(bag):
             notes.append(f"{closed.name} contains the data that greenroof recover could recover")
             if repair:
-                notes.append(f"more has been recorded since: {repair}")
+                notes.append(f"more data have been recorded since: {repair}")
         if zone is None:
-            notes.append("times are in UTC: no configuration states the offset")
+            notes.append("times are in UTC, because no configuration states the offset")
         trajectory, further, unknown = load_bag(
             closed, site, zone or timezone.utc, own=about.own, external_pump=about.external_pump,
             repair=repair,
@@ -124,8 +126,9 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
         raise ConfigurationError("no bag", file=path)
     elif not row.keys() >= _NEEDED:
         raise ConfigurationError(
-            "must be a study (with results.csv), a run (with bag/, or a finished simulation), "
-            "a bag (with metadata.yaml) or an .mcap file", file=path,
+            "must be the directory of a study (with results.csv), of a run (with bag/, or with "
+            "the results of a finished simulation) or of a bag (with metadata.yaml), or an .mcap "
+            "file", file=path,
         )
     if trajectory is not None:
         samples = make_samples(site, trajectory, unknown)
@@ -151,7 +154,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
             for alarm in read_alarms(run)
         ]
     except (OSError, ValueError) as error:
-        notes.append(f"the file of alarms next to the bag is damaged and is not used: {error}")
+        notes.append(f"the file of alarms next to the bag is damaged and was not used: {error}")
         alarms = []
     return ReportedRun(
         site=site, row=row, notes=notes, alarms=alarms, kept=trajectory, kept_events=events or (),
@@ -159,7 +162,7 @@ def _read_run(path: Path, given: Path | Site | None, about: About) -> ReportedRu
 
 
 def _zone(row: Row, site: Site | None) -> tzinfo | None:
-    """Return the time zone of a run: that of its start, or the site's."""
+    """Return the time zone of a run, which is that of its start or else that of the site."""
     if "start" in row:
         return datetime.fromisoformat(row["start"]).tzinfo
     if site is not None and (site.time_zone, site.utc_offset) != (None, None):
@@ -172,10 +175,10 @@ def _moment(seconds: float, zone: tzinfo | None) -> str:
 
 
 def complete_row(known: Row, site: Site, trajectory: Trajectory, samples: Samples) -> Row:
-    """Return a run's row: the known results, and the others computed from its trajectory.
+    """Return a run's row: the known results, and all other results from its trajectory.
 
-    Sums are Euler sums: a value holds from its sample to the next, over the difference of their
-    times. The flows of the last sample are in no sum, because the run ends in that state.
+    Sums are Euler sums, in which a value is constant from its sample to the next. They do not
+    include the flows of the last sample, because the run ends in the state of this sample.
     """
     frost = trajectory.frost[:-1] > 0
     pumped = trajectory.pump_flow[:-1] * np.diff(trajectory.time)
@@ -191,7 +194,7 @@ def complete_row(known: Row, site: Site, trajectory: Trajectory, samples: Sample
 def make_samples(
     site: Site, trajectory: Trajectory, unknown: Collection[str] = ()
 ) -> Samples:
-    """Return a whole run as samples. Whether a tank's flows were limited is unknown.
+    """Return a whole run as samples, without the information whether a tank's flows were limited.
 
     The drainage layer of field-capacity soil is computed from percolation; it begins with the
     site's ``initial_layer``.
@@ -199,7 +202,7 @@ def make_samples(
     Args:
         site: parameters of the site.
         trajectory: trajectory of the run.
-        unknown: attributes of the trajectory that are 0 because nobody recorded them.
+        unknown: attributes of the trajectory that are 0 because they were not recorded.
     """
     dt = np.append(np.diff(trajectory.time), site.tau)
     # The run ends in the state of the last sample, which begins no new minute, hour or day.

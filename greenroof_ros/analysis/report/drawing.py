@@ -1,4 +1,4 @@
-"""The parts of every figure: panels, colours that everybody can distinguish, and files."""
+"""The parts of all figures: panels, colours that everybody can distinguish, and files."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Panel(NamedTuple):
     """height of its plotting area (px)"""
 
     def sized(self, width: int | str = _PANEL_WIDTH) -> Chart:
-        """Return the chart with its title and size; its width is in px, or ``container``."""
+        """Return the chart with its title and size; the width is in px, or ``container``."""
         sized: Chart = self.chart.properties(width=width, height=self.height, title=self.title)
         return sized
 
@@ -65,7 +65,7 @@ class Panel(NamedTuple):
 class _Picture:
     """A chart that a notebook shows as a picture, without scripts from the internet.
 
-    This does not apply if another of Altair's renderers was enabled.
+    If a renderer of Altair other than the default is enabled, it shows the chart instead.
     """
 
     def _repr_mimebundle_(self, *given: Any, **further: Any) -> Any:
@@ -78,11 +78,11 @@ class _Picture:
 
 
 class PictureColumn(_Picture, alt.VConcatChart):
-    """Charts below one another."""
+    """Charts arranged in a column."""
 
 
 class PictureGrid(_Picture, alt.ConcatChart):
-    """Charts in rows."""
+    """Charts arranged in rows."""
 
 
 @dataclass(frozen=True)
@@ -90,12 +90,12 @@ class Figure:
     """A figure: its panels and their data.
 
     Attributes:
-        name: name of its files.
-        title: what it shows.
-        caption: a few words that name the marks; it may be empty.
-        panels: in reading order.
+        name: name of the figure's files, without extension.
+        title: title of the figure.
+        caption: short explanation of the marks; it may be empty.
+        panels: panels in reading order.
         columns: number of panels side by side.
-        data: the rows that the panels refer to by name.
+        data: data rows, by the names that the panels use.
     """
 
     name: str
@@ -136,7 +136,7 @@ class Figure:
 def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
     """Distinguish the series of a field by colour and by dashes; see :func:`cycle_choices`.
 
-    Without series there is no legend: in vega the size of an empty legend is not a number.
+    Without series there is no legend, because the size of an empty legend is not a number in Vega.
     """
     legend = alt.Legend(symbolSize=600, symbolType="stroke") if values else None
     return {
@@ -165,8 +165,8 @@ def distinguish_points(name: str, values: list[str]) -> dict[str, Any]:
 def make_tooltips(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tooltip]:
     """Return the tooltips for some fields; numbers of a field with a title have six digits.
 
-    They are made here because Altair would search all of its classes for a channel given only by
-    name, which takes longer than the rest of a chart.
+    The tooltips are made here because Altair would search all of its classes for a channel given
+    only by name, which takes longer than the rest of a chart.
     """
     def tooltip(shown: str | tuple[str, str] | alt.Tooltip) -> alt.Tooltip:
         if isinstance(shown, tuple):
@@ -184,7 +184,7 @@ def cycle_choices(choices: Sequence[Any], values: Sequence[str]) -> alt.Scale:
 
 
 def value_scale(values: Iterable[float | None]) -> alt.Scale:
-    """Return the scale that covers a quantity's values, logarithmic if they vary widely."""
+    """Return the scale that covers a quantity's values; it is logarithmic if they vary widely."""
     known = [value for value in values if value is not None]
     if known and 0 < 5 * min(known) < max(known):
         return alt.Scale(type="log", nice=False, padding=8)
@@ -200,9 +200,9 @@ def series_panel(
     lines: alt.Chart, field: str, names: list[str], title: str,
     below: Sequence[alt.Chart],
 ) -> Panel:
-    """Return a panel of lines; on the page, a click on its legend shows one line alone.
+    """Return a panel of lines; on the page, a click on its legend fades all other lines.
 
-    Shift and the wheel zoom along x; the wheel alone still scrolls the page.
+    The mouse wheel zooms along x while Shift is pressed; otherwise, it scrolls the page.
 
     Args:
         lines: chart with axes and tooltips.

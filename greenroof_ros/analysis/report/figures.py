@@ -58,7 +58,7 @@ def make_figures(report: Report) -> Iterator[Figure]:
 
 
 def _over_time(place: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
-    """Yield the figures over time of a place's runs that are cases of their own."""
+    """Yield the figures over time for those cases of a place that consist of a single run."""
     window, initial = place[0].place
     title = f"from {initial}: {window}"
     lines: dict[str, dict[str, Drawn]] = {}
@@ -99,9 +99,10 @@ _MAINS, _WET = "mains water (m³)", "discharge in wet weather (m³)"
 
 
 def _of_discharge(cases: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
-    """Yield the figure of a window's discharge over its mains water.
+    """Yield the figure that plots the discharge in a window against the mains water.
 
-    It is for sites with a valve and a mains top-up: without one, nothing is traded for discharge.
+    Only sites with a valve and a mains top-up have this figure: elsewhere, a lower discharge costs
+    no mains water.
     """
     here = [
         case for case in cases
@@ -112,7 +113,7 @@ def _of_discharge(cases: Sequence[CaseRuns], name: str) -> Iterator[Figure]:
 
 
 def draw_discharge(cases: Sequence[CaseRuns], name: str) -> Figure:
-    """Return the discharge in wet weather over the mains water, with a panel per initial state."""
+    """Plot the discharge in wet weather against the mains water, with a panel per initial state."""
     panels, data = list[Panel](), dict[str, Rows]()
     for initial in dict.fromkeys(case.place[1] for case in cases):
         here = [case for case in cases if case.place[1] == initial]
@@ -141,8 +142,8 @@ def draw_discharge(cases: Sequence[CaseRuns], name: str) -> Figure:
         panels.append(Panel(chart, f"from {initial}", 260))
     return Figure(
         name, f"Effect of each controller on storm water in the sewer: {cases[0].place[0]}",
-        "Minimum possible: the least discharge with the irrigation of on/off control and all "
-        "weather known in advance",
+        "Minimum possible: the lowest discharge for the irrigation of on/off control, if all "
+        "weather is known in advance",
         tuple(panels), min(len(panels), 2), data,
     )
 
@@ -150,19 +151,19 @@ def draw_discharge(cases: Sequence[CaseRuns], name: str) -> Figure:
 # --- rain events ----------------------------------------------------------------------------------
 
 _REDUCTIONS = {
-    "volume_reduction": "volume kept from the sewer", "peak_reduction": "peak kept from the sewer",
+    "volume_reduction": "reduction of the volume", "peak_reduction": "reduction of the peak",
 }
 # A valve can release more from the cistern than a small event brings: the axis ends here.
 _MIN_REDUCTION = -1.0
 
 
 def draw_events(events: Mapping[str, Sequence[EventRow]], name: str, title: str) -> Figure:
-    """Return the reduction of volume and peak in every event over its depth.
+    """Plot the reduction of volume and peak in every event against the depth of its rain.
 
     Args:
         events: events of every case, by its label.
         name: name of the figure.
-        title: end of its title.
+        title: end of the figure's title.
     """
     rows = [
         {
@@ -192,15 +193,15 @@ def draw_events(events: Mapping[str, Sequence[EventRow]], name: str, title: str)
     ]
     return Figure(
         name, f"Rain events{title}",
-        "Each point is an event, compared with the runoff of the same area without roof and "
-        "cistern, in wet weather. Events cut off by the run are left out; values below -100 % are "
-        "drawn at -100 %",
+        "Each point compares the discharge of an event in wet weather with the runoff of the "
+        "same area without green roof and cistern. Events that the run does not fully cover are "
+        "left out. Values below -100 % are drawn at -100 %",
         tuple(panels), 2, {name: rows},
     )
 
 
 def _lowest(reductions: Iterable[float]) -> float:
-    """Return where the axis of some reductions begins: at 0 if none is below."""
+    """Return the lower end of the axis of reductions, which is 0 if no reduction is negative."""
     return max(_MIN_REDUCTION, min([0.0, *reductions]))
 
 
@@ -210,7 +211,7 @@ _DEVIATION = "total deviation (m³)"
 
 
 def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
-    """Return the total deviation of a window's cases, with a panel for every initial state."""
+    """Plot the total deviation of a window's cases, with a panel for every initial state."""
     panels, data = list[Panel](), dict[str, Rows]()
     for initial in dict.fromkeys(case.place[1] for case in cases):
         here = [case for case in cases if case.place[1] == initial]
@@ -222,13 +223,16 @@ def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
         panels.append(Panel(chart, f"from {initial}", height))
     return Figure(
         f"deviation-{name}", f"Total deviation: {cases[0].place[0]}",
-        "Lines extend from the smallest to the largest of a case's runs. Dashed: minimum possible",
+        "Lines extend from the smallest to the largest value of a case's runs. The dashed line "
+        "is the minimum possible value",
         tuple(panels), min(len(panels), 3), data,
     )
 
 
 def _make_row(case: CaseRuns) -> dict[str, Any]:
-    """Return the row of a case: its mean ``v``, and ``low`` and ``high`` of its runs (m3)."""
+    """Return the row of a case: the mean ``v``, minimum ``low`` and maximum ``high`` of its runs
+    (m3).
+    """
     totals = np.concatenate([*case.deviations.totals.values()])
     return {
         "case": case.label, "controller": case.row["controller"],
@@ -243,7 +247,7 @@ def _draw_rows(dataset: str, rows: Rows, reference: float | None) -> Chart:
     Args:
         dataset: name of the rows.
         rows: rows from :func:`_make_row`.
-        reference: value of a dashed line, if there is one.
+        reference: value of the dashed line; None for no line.
     """
     controllers = list(dict.fromkeys(row["controller"] for row in rows))
     cases = list(dict.fromkeys(row["case"] for row in rows))

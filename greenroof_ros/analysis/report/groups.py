@@ -36,10 +36,10 @@ class CaseRuns:
 
     Attributes:
         runs: runs in the order of their source.
-        row: the first run's row, with the mean of each result over the seeds of every year, and
-            then over the years; None if no run has it.
+        row: the row of the first run, in which every result is the mean over the seeds of each year
+            and then over the years; None if no run has the result.
         deviations: deviations of every seed and, for a season, of every week.
-        relative: the season compared with plain on/off, if that ran in the same years.
+        relative: comparison of the season with plain on/off control, if both ran in the same years.
     """
 
     runs: list[ReportedRun]
@@ -82,11 +82,11 @@ class Report:
             _compare(place)
 
     def windows(self) -> list[list[CaseRuns]]:
-        """Return the cases of every window."""
+        """Return the cases, grouped by window."""
         return _grouped(self.cases, lambda case: case.place[0])
 
     def places(self) -> list[list[CaseRuns]]:
-        """Return the cases of every window and initial state."""
+        """Return the cases, grouped by window and initial state."""
         return _grouped(self.cases, lambda case: case.place)
 
 
@@ -118,7 +118,7 @@ def _means(years: Sequence[Sequence[Row]]) -> Row:
     """Return the mean of every result over the runs of a year, then over the years.
 
     The ratio to the minimum possible deviation is the ratio of the means; it is known if all minima
-    are.
+    are known.
     """
     means: Row = {}
     for name in _AVERAGED:
@@ -139,10 +139,10 @@ _AVERAGED = (
 
 
 def _derived(run: ReportedRun) -> Row:
-    """Return what is derived from the results: changes of storage, and mass balance errors.
+    """Return the changes of storage and the mass balance errors, derived from the results.
 
-    The mass balance error, which is the change of storage that the flows do not explain, is
-    rounding in a simulation. On a real site it is everything that was not measured.
+    The mass balance error is the change of storage that the flows do not explain. In a simulation
+    it is a rounding error. At a real site it is all the water that was not measured.
     """
     row, site = {**run.row, "mains_m3": run.row.get("mains_m3") or 0.0}, run.site
     row["drainage_kept_m3"], derived = 0.0, Row()
@@ -162,7 +162,7 @@ def _derived(run: ReportedRun) -> Row:
 
 
 def _sum(row: Row, terms: Mapping[str, float]) -> float | None:
-    """Return a sum of results, each times a factor; None if one of them is missing."""
+    """Return a sum of results, each times a factor; None if a result is missing."""
     if any(row.get(name) is None for name in terms):
         return None
     return float(sum(factor * row[name] for name, factor in terms.items()))
@@ -171,10 +171,10 @@ def _sum(row: Row, terms: Mapping[str, float]) -> float | None:
 def _compare(place: Sequence[CaseRuns]) -> None:
     """Compare the cases of a place with the on/off controller that fills to the target.
 
-    This is the paper's controller, with the valve of the low outlet closed if there is a valve and
-    such a run. If there are several with different shares of the flow, it is the one in the most
-    years with the smallest mean deviation. Deviations are compared for seasons; volumes are
-    compared if both ran in the same years.
+    This is the paper's controller; if some of its cases keep the valve of the low outlet closed,
+    only these are used. If there is more than one such case, with different shares of the flow, the
+    case with the most runs is used and, among equals, the case with the smallest mean deviation.
+    Deviations are compared for seasons. Volumes are compared if both cases ran in the same years.
     """
     (level,) = (known.default for known in OnOff.parameters if known.name == "level")
     plain = [

@@ -1,12 +1,12 @@
-"""How certain a difference between two controllers is: all statistics of a report.
+"""The statistics of a report: the uncertainty of the difference between two controllers.
 
 Years are the sample. Hours within a year depend on each other, and forecasts with several seeds
-depend on the same weather. So a year has one value, the mean over its seeds, and whole years are
-resampled. Seeds are not resampled within years: that would count their variance twice, because the
-mean over them already contains it.
+depend on the same weather. Therefore, a year has one value, the mean over its seeds, and whole
+years are resampled. Seeds are not resampled within years, because this would count their variance
+twice: the mean over the seeds already contains it.
 
-Every interval is for one comparison alone. If a table has many, some exclude 1 by chance: even if
-there are no differences at all, one in twenty does.
+Every interval is valid for a single comparison. If a table contains many intervals, some exclude 1
+by chance: even if there are no differences at all, one interval in twenty does.
 """
 
 from __future__ import annotations
@@ -43,17 +43,18 @@ class Deviations:
         totals: total deviation of every seed (m3), shape (seeds,), by year; the year is 0 for a run
             that does not belong to a season.
         weeks: deviation in every whole week of every seed (m3), shape (seeds, weeks), by year;
-            empty if it is not a season.
+            empty for any other window than a season.
     """
 
     totals: dict[int, Array]
     weeks: dict[int, Array] = field(default_factory=dict)
 
     def worst_tenth(self) -> float:
-        """Mean of the worst tenth of weeks (a year's seeds share its weight), or of runs (m3).
+        """Return the mean of the worst tenth of the weeks of a season, or of the runs (m3).
 
-        The value at the edge of the tenth counts in part. A tenth is at least one whole value: with
-        fewer than ten values, it is the largest one.
+        The seeds of a year share the weight of the year. The value at the edge of the tenth counts
+        in part. A tenth is at least one whole value: with fewer than ten values, it is the largest
+        value.
         """
         years = self.weeks or {year: runs[None, :] for year, runs in self.totals.items()}
         values = np.concatenate([seeds.ravel() for seeds in years.values()])
@@ -80,7 +81,8 @@ class SeasonComparison(NamedTuple):
 
 
 def compare(own: Deviations, other: Deviations) -> SeasonComparison | None:
-    """Compare two controllers; None if they share fewer than two years, or a divisor is 0."""
+    """Compare two controllers; return None if they share fewer than two years, or a divisor is 0.
+    """
     years = [year for year in own.totals if year in other.totals]
     means, others = (
         np.array([deviations.totals[year].mean() for year in years]) for deviations in (own, other)
@@ -98,9 +100,9 @@ def compare(own: Deviations, other: Deviations) -> SeasonComparison | None:
 
 @cache
 def _draws(years: int) -> Array:
-    """Return how often each year is in each resample: as many years, drawn with replacement.
+    """Return how often each year occurs in each resample of the years with replacement.
 
-    The seed is fixed, so a report is the same every time it is made.
+    The seed is fixed, so the same runs always yield the same report.
     """
     drawn = np.random.default_rng(_SEED).integers(years, size=(years, _RESAMPLES))
     counts: Array = (drawn[:, :, None] == np.arange(years)).sum(axis=0).astype(np.float64)
@@ -108,19 +110,20 @@ def _draws(years: int) -> Array:
 
 
 def _ratio(ratios: Array, years: int) -> Ratio:
-    """Return an estimate with its 95 % interval: the percentiles of its resamples, widened.
+    """Return an estimate with its 95 % interval, the widened percentiles of its resamples.
 
-    With few years, the percentiles are too close to the estimate: the years' spread is measured
-    about their own mean, and treated as known. With eleven years, nine of a hundred intervals
-    missed a normal mean. So the distance of the percentiles from the estimate is multiplied by the
-    ratio of Student's interval of a mean to the percentile interval,
+    With few years, the percentiles are too close to the estimate, because the spread of the years
+    is measured about their own mean, and treated as known. With eleven years, nine of a hundred
+    intervals missed the mean of a normal distribution. Therefore, the distance of the percentiles
+    from the estimate is multiplied by the ratio of Student's interval of a mean to the percentile
+    interval,
 
         t(0.975, n - 1) / z(0.975) sqrt(n / (n - 1))
 
     This is the correction of the expanded percentile interval: Hesterberg (2015), What Teachers
-    Should Know About the Bootstrap, The American Statistician 69(4), 371-386. He uses percentiles
-    further out instead, which do not exist for four years. A ratio cannot be negative: a lower end
-    below 0 becomes 0.
+    Should Know About the Bootstrap, The American Statistician 69(4), 371-386. Hesterberg uses more
+    extreme percentiles instead, which do not exist for four years. A ratio cannot be negative: a
+    lower end below 0 becomes 0.
 
     Args:
         ratios: ratio of the original years, followed by those of the resamples.

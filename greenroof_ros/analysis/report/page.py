@@ -18,9 +18,9 @@ from greenroof_ros.model.site import Site, site_parameters
 
 
 def make_page(package: str, figures: Sequence[Figure], **values: object) -> str:
-    """Return a package's ``page.html``, which can extend this package's templates.
+    """Render a package's ``page.html``, which can extend this package's templates.
 
-    A missing value that a template uses is an error.
+    It is an error if a value that a template uses is missing.
 
     Args:
         package: name of the package.
@@ -80,7 +80,7 @@ def _library() -> Markup:
 
 
 def payload(figures: Sequence[Figure]) -> Markup:
-    """Return the figures of a page and their data as JSON."""
+    """Return the figures of a page, with their data, as JSON."""
     panels = [
         {
             "id": f"{figure.name}-panel-{number}", "figure": figure.name,

@@ -32,12 +32,12 @@ class ReportedRun:
 
     Attributes:
         site: site of the run.
-        row: its results: the columns of a study's ``results.csv``. ``case`` is its label; for an
-            unfinished run, ``ended`` states how it ended.
-        notes: what a reader should know about it.
+        row: results of the run, as the columns of a study's ``results.csv``. ``case`` is the label
+            of the run; for an unfinished run, ``ended`` states how it ended.
+        notes: notes about the run for the reader.
         alarms: recorded alarms, each a row for a table.
-        kept: its trajectory, or the file that contains it; None if none was kept.
-        kept_events: its rain events, or the file that contains them.
+        kept: trajectory of the run, or the file that contains it; None if it was not kept.
+        kept_events: rain events of the run, or the file that contains them.
     """
 
     site: Site
@@ -53,7 +53,7 @@ class ReportedRun:
         return str(self.row["run"])
 
     def trajectory(self) -> Trajectory | None:
-        """Return its trajectory, if there is one.
+        """Return the trajectory of the run, if there is one.
 
         Raises:
             ConfigurationError: if the file is damaged.
@@ -61,7 +61,7 @@ class ReportedRun:
         return load_trajectory(self.kept) if isinstance(self.kept, Path) else self.kept
 
     def events(self) -> Sequence[EventRow]:
-        """Return its rain events.
+        """Return the rain events of the run.
 
         Raises:
             ConfigurationError: if the file is damaged.
@@ -74,7 +74,7 @@ def load_trajectory(path: Path) -> Trajectory:
     """Read the trajectory of a simulation in one process."""
     trajectory = read_trajectory(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
-        raise ConfigurationError("must have two or more samples, in order of time", file=path)
+        raise ConfigurationError("must contain at least two samples, in order of time", file=path)
     return trajectory
 
 
@@ -87,15 +87,15 @@ _NOT_DONE = {
 
 @dataclass(frozen=True, kw_only=True)
 class About:
-    """A run as its summary describes it; the defaults stand for a bag without a summary.
+    """A run as described by its summary; the defaults are for a bag without a summary.
 
     Attributes:
-        row: what was requested and, for a finished run, its results.
-        own: whether it is a simulation by this package.
+        row: settings of the run and, if it is finished, its results.
+        own: whether the run is a simulation by this package.
         external_pump: whether a pump driver reported the pump flow.
         ending: how an unfinished run ended, as a sentence without subject and full stop.
-        notes: what a reader should know about it.
-        events: its rain events; None if it has no results.
+        notes: notes about the run for the reader.
+        events: rain events of the run; None if it has no results.
     """
 
     row: Row = field(default_factory=lambda: {
@@ -110,21 +110,23 @@ class About:
 
 
 def read_about(run: Path) -> About:
-    """Read the summary of a run directory; the notes state whether it is damaged or foreign."""
+    """Read the summary of a run directory; a note states if it cannot be used."""
     file = run / summary.SUMMARY
     if not file.is_file():
         return About()
     try:
         return _understood(json.loads(read_text(file)), run)
     except Exception:  # a foreign file can be wrong in any way
-        return About(notes=(f"{file.name} next to the bag is damaged or foreign, and is not used",))
+        return About(notes=(
+            f"{file.name} next to the bag is damaged or from another program, and was not used",
+        ))
 
 
 def _understood(content: Mapping[str, Any], run: Path) -> About:
     """Return the run that a summary describes.
 
     Raises:
-        Exception: of any kind, if the content is not a summary.
+        Exception: if the content is not a summary; the exception can be of any type.
     """
     controller, live = content["controller"], "drive_at" in content
     if not isinstance(controller, str):
@@ -167,7 +169,7 @@ def _understood(content: Mapping[str, Any], run: Path) -> About:
 
 
 def _external_pump(run: Path) -> bool:
-    """Whether a run's node parameters state that the pump flow came from a pump driver."""
+    """Return whether a run's node parameters state that a pump driver provided the pump flow."""
     try:
         nodes = read_yaml(run / "configuration" / "parameters.yaml")
         return bool(nodes["/**/plant"]["ros__parameters"]["pump"] == "external")

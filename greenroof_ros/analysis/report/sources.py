@@ -1,4 +1,4 @@
-"""Where a report's runs come from: studies with a ``results.csv``, run directories, and bags."""
+"""The sources of a report's runs: studies with a ``results.csv``, run directories and bags."""
 
 from __future__ import annotations
 
@@ -75,22 +75,23 @@ def find_runs(
     paths: Sequence[Path], site_file: Path | None = None,
     show: Callable[[str, float], None] = lambda text, share: None,
 ) -> Sources:
-    """Find the runs under some paths, and read the bags.
+    """Find the runs in studies, run directories and bags, and read them.
 
     Args:
         paths: study directories, run directories and bags.
-        site_file: the site of all bags, instead of the site file next to each.
-        show: shows the progress: a text, and the share of the paths that have been read.
+        site_file: site file for all bags; None to use the site file next to each bag.
+        show: callback for the progress, which receives a text and the share of the paths that have
+            been read.
 
     Raises:
-        ConfigurationError: if a path is none of these, its content is wrong, two have the same
-            name, or no run has results.
+        ConfigurationError: if a path is none of these, if its content is wrong, if two paths have
+            the same name, or if no run has results.
     """
     named: dict[str, Path] = {}
     for path in paths:
         if not path.is_dir() and not (path.is_file() and path.suffix.lower() == ".mcap"):
             raise ConfigurationError(
-                "must be a directory (of a study, of a run, or a bag), or an .mcap file"
+                "must be the directory of a study, a run or a bag, or an .mcap file"
                 if path.exists() else "does not exist", file=path,
             )
         name = run_directory(path).resolve().name
@@ -107,7 +108,8 @@ def find_runs(
         if (path / "results.csv").is_file():
             if site_file is not None:
                 raise ConfigurationError(
-                    f"is for bags; {path} is a study, which has its own sites", key="--site"
+                    f"applies only to bags, but {path} is a study, which has its own "
+                    "sites", key="--site"
                 )
             _read_study(path, f"{name}/" if len(paths) > 1 else "", sources)
             continue
@@ -117,15 +119,15 @@ def find_runs(
             if not read_about(run_directory(path)).ending:
                 raise
             sources.failed.append(
-                {"run": name, "case": "", "from": "", "window": "", "error": str(error)}
+                {"run": name, "case": "", "from": "", "window": "", "errorf": str(error)}
             )
     _name_by_difference(single)
     sources.runs += single.values()
     if not sources.runs:
         first = sources.failed[0]
         raise ConfigurationError(
-            f"contains no finished run; {len(sources.failed)} failed or did not run, the first: "
-            f"{first['run']} {first['error']}"
+            f"there is no finished run; {len(sources.failed)} failed or did not run. The first is "
+            f"{first['run']}: {first['error']}"
         )
     return sources
 
@@ -133,7 +135,7 @@ def find_runs(
 def _name_by_difference(runs: Mapping[Path, ReportedRun]) -> None:
     """Name the cases of runs that do not belong to a study by the parameters that differ.
 
-    Windows with the same name share it, unless the files of two such runs differ.
+    Runs whose windows have the same name share the window, unless their files differ.
     """
     windows = dict[str, tuple[object, ...]]()
     apart = find_differing_keys([row_parameters(run.row) for run in runs.values()])
@@ -183,17 +185,18 @@ def _read_study(path: Path, prefix: str, sources: Sources) -> None:
 
 
 def _read_results(file: Path) -> list[Row]:
-    """Return the rows of a study's table; an empty cell of a number becomes None.
+    """Return the rows of a study's table; an empty cell of a numeric column becomes None.
 
     Raises:
-        ConfigurationError: if it is not a study's table, was cut short, or has a wrong value.
+        ConfigurationError: if the file is not a study's table, was cut short, or contains a wrong
+            value.
     """
     text = read_text(file)
     table = csv.DictReader(io.StringIO(text), restkey="", restval=None)
     missing = _NEEDED - set(table.fieldnames or ())
     if missing:
         raise ConfigurationError(
-            f"has no column {', '.join(sorted(missing))}; is it the results.csv of a study? Then "
+            f"has no column {', '.join(sorted(missing))}; if it is the results.csv of a study, "
             "repeat the command greenroof study, which writes the table again", file=file, line=1,
         )
     if not text.endswith("\n"):
@@ -210,7 +213,7 @@ def _read_results(file: Path) -> list[Row]:
                 cells[column] = _READ.get(column, str)(cell)
             except ValueError as error:
                 raise ConfigurationError(
-                    "is not a possible value; copy the table again", file=file, line=table.line_num,
+                    "is not a valid value; copy the table again", file=file, line=table.line_num,
                     key=column, value=cell,
                 ) from error
         for column, damage in _find_damage(cells, rows):
@@ -220,12 +223,14 @@ def _read_results(file: Path) -> list[Row]:
             )
         rows[cells["run"]] = cells
     if not rows:
-        raise ConfigurationError("has a header but no runs", file=file)
+        raise ConfigurationError("contains a header but no runs", file=file)
     return list(rows.values())
 
 
 def _find_damage(row: Row, earlier: Container[str]) -> Iterable[tuple[str, str]]:
-    """Yield the columns in which a row is not as a study writes it, each with what is wrong."""
+    """Yield the columns with values that a study does not write, each with a description of the
+    damage.
+    """
     if not row["run"].strip(".") or "/" in row["run"] or row["run"] in earlier:
         yield "run", "must be the name of a directory under runs/, and must appear in one row only"
     if row["status"] not in ("done", "failed", "not run"):

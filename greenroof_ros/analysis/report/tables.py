@@ -1,4 +1,4 @@
-"""The tables of the report's page: each is a list of rows, which are texts by their headers."""
+"""The tables of the report's page, each as a list of rows, which map headers to texts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Table = list[dict[str, str]]
 
 
 class _Result(NamedTuple):
-    """How a result is shown: header, format of its numbers, and maximum without a mark."""
+    """The presentation of a result: header, format of numbers, and maximum value without a mark."""
 
     header: str
     form: str = ".4g"
@@ -31,16 +31,18 @@ _RESULTS = {
         )
         for metric in METRICS
     },
-    "ratio": _Result("over the minimum possible (1)", ".4f"),
-    "mains_below_onoff_m3": _Result("mains water below on/off's (m³)"),
-    "wet_discharge_below_onoff_m3": _Result("discharge in wet weather below on/off's (m³)"),
+    "ratio": _Result("relative to the minimum possible (1)", ".4f"),
+    "mains_below_onoff_m3": _Result("mains water saved compared with on/off (m³)"),
+    "wet_discharge_below_onoff_m3": _Result(
+        "wet-weather discharge avoided compared with on/off (m³)"
+    ),
     "drainage_kept_m3": _Result("drainage from the roof (m³)"),
     "frost_hours": _Result("frost (h)", ".2f"),
     "frost_pumped_m3": _Result("pumped in frost (m³)", max_possible=0),
     "cistern_change_m3": _Result("change in the cistern (m³)"),
-    "cistern_residual_m3": _Result("unexplained in the cistern (m³)", ".1e"),
+    "cistern_residual_m3": _Result("unexplained change in the cistern (m³)", ".1e"),
     "roof_change_m3": _Result("change on the roof (m³)"),
-    "roof_residual_m3": _Result("unexplained on the roof (m³)", ".1e"),
+    "roof_residual_m3": _Result("unexplained change on the roof (m³)", ".1e"),
 }
 # The results in every table; a page has room for a dozen columns.
 _TABLES = {
@@ -106,7 +108,7 @@ def make_tables(report: Report) -> dict[str, Table]:
 
 
 def _named(report: Report, case: CaseRuns) -> dict[str, str]:
-    """Return the cells that name a case, and how its run ended if one of the runs is unfinished."""
+    """Return the cells that name a case and, if any run is unfinished, the way its run ended."""
     ended = any(run.row.get("ended") for run in report.runs)
     window, initial = case.place
     return {
@@ -125,7 +127,7 @@ def _text(value: float | None, result: _Result) -> str:
 
 
 def _spread(report: Report, case: CaseRuns) -> dict[str, str]:
-    """Return the cells on how a case's runs differ, marked if some of them failed."""
+    """Return the cells about the spread of a case's runs, marked if some runs failed."""
     lacking = sum(
         (run["window"], run["from"], run["case"]) == (*case.place, case.label)
         for run in report.failed
@@ -146,35 +148,34 @@ def _spread(report: Report, case: CaseRuns) -> dict[str, str]:
 
 
 def _relative(relative: SeasonComparison) -> dict[str, str]:
-    """Return the cells of a comparison with on/off."""
+    """Return the cells of a comparison with on/off control."""
     return {
-        "deviation of a season, over on/off's (1)": f"{relative.mean.value:.3f}",
+        "deviation of a season, relative to on/off (1)": f"{relative.mean.value:.3f}",
         "95 % interval": f"{relative.mean.low:.3f} to {relative.mean.high:.3f}",
-        "years with less": f"{relative.better} of {relative.years}",
-        "more or less (m³)": f"{relative.difference:+.0f}",
+        "years with a smaller deviation": f"{relative.better} of {relative.years}",
+        "change in the deviation (m³)": f"{relative.difference:+.0f}",
     }
 
 
 # What is worth a note if a column of a run's row is neither empty nor 0.
 _NOTED = {
-    "filled_hours": "hours of the weather were missing and filled in",
+    "filled_hours": "hours of missing weather that were filled",
     "weather_notes": "changes to the weather",
-    "suspicious": "suspicious weather, not changed",
-    "forecast_repeats_from": "a forecast ends here; later values are assumed",
+    "suspicious": "suspicious weather, which was not changed",
+    "forecast_repeats_from": "time at which a forecast ends; later values are assumed",
     "fallbacks": "ticks in which the controller's solver found no solution",
     "limited_steps": "ticks in which a tank ran empty, so its outflow was limited",
-    "beyond_hours": "hours with a command above 1, more than the pumps' maximum flow: no real pump "
+    "beyond_hours": "hours with a command above 1, which exceeds the pumps' maximum flow: no real pump "
     "can follow it",
-    "excess_starts": "pump starts beyond starts_per_hour of the site",
+    "excess_starts": "pump starts that exceed starts_per_hour of the site",
     "frost_pumped_m3": "m³ of water pumped during frost",
-    "roof_noise": "m of noise in the roof's level sensor: the level shown is the sensor's reading",
-    "roof_offset": "m of offset in the roof's level sensor: the level shown is the sensor's "
-    "reading",
+    "roof_noise": "noise of the roof's level sensor (m): the level shown is the sensor's reading",
+    "roof_offset": "offset of the roof's level sensor (m): the level shown is the sensor's reading",
 }
 
 
 def make_notes(report: Report) -> dict[str, list[str]]:
-    """Return what a reader should know: for every note, the runs that it is about."""
+    """Return the notes for the reader, each with the runs to which it applies."""
     notes: dict[str, list[str]] = {}
     for run in report.runs:
         ended = run.row.get("ended")
@@ -188,7 +189,7 @@ def make_notes(report: Report) -> dict[str, list[str]]:
                 notes.setdefault(text, []).append(f"{run.name}: {shown}")
     few = [case for case in report.cases if 0 < len(case.deviations.weeks) < _FEW_YEARS]
     if few:
-        notes[f"with fewer than {_FEW_YEARS} years, a lead in all of them may be due to chance"] = [
+        notes[f"with fewer than {_FEW_YEARS} years, a lead in all years may be due to chance"] = [
             f"{case.label}: {len(case.deviations.weeks)}" for case in few
         ]
     return notes

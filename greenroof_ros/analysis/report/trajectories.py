@@ -1,4 +1,4 @@
-"""Figures over time: water, commands and flows; and the chart of simulations."""
+"""The figures over time (water, commands and flows), and the chart of simulations."""
 
 from __future__ import annotations
 
@@ -76,7 +76,8 @@ def select_samples(values: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return the samples to draw: the first, the last, and the minimum and maximum of every bucket.
 
     Args:
-        values: values, shape (n,); all are kept if there are no more than :data:`MAX_POINTS`.
+        values: values, shape (n,); all values are kept if there are no more than
+            :data:`MAX_POINTS`.
     """
     count = len(values)
     if count <= MAX_POINTS:
@@ -135,9 +136,9 @@ def _lines(
 
     Args:
         quantity: quantity to draw.
-        runs: runs by the names of their lines; the time axis is in the first one's zone.
+        runs: runs by the names of their lines; the time axis is in the time zone of the first run.
         x: time axis.
-        data: name of the points' data set; without it the chart contains them.
+        data: name of the data set with the points; if it is empty, the chart contains the points.
     """
     known, (first, *others) = _QUANTITIES[quantity], runs.values()
     rows: Rows = [
@@ -155,16 +156,16 @@ def _lines(
 
 
 def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> alt.VConcatChart:
-    """Return the chart of simulations: rain, roof level, cistern and pump, with a line for each.
+    """Return a chart of rain, roof level, cistern level and pump flow, with a line per simulation.
 
-    If any water reaches the sewer, there is a panel for it, too.
+    If any water reaches the sewer, the chart has a panel for this flow, too.
 
     Args:
         simulations: sites and trajectories, by the names of the lines. The rain is that of the
-            longest.
+            longest simulation.
 
     Raises:
-        ConfigurationError: if they begin at different times.
+        ConfigurationError: if the simulations begin at different times.
     """
     runs = {name: select_curves(*simulation) for name, simulation in simulations.items()}
     first, start = next((name, run.start) for name, run in runs.items())
@@ -206,7 +207,7 @@ def figures_over_time(
     Args:
         runs: runs of one window, by the names of their lines.
         name: end of the figures' names.
-        title: end of their titles.
+        title: end of the figures' titles.
     """
     first = next(iter(runs.values()))
     x = _time(first.start, max(run.hours for run in runs.values()))
@@ -231,9 +232,9 @@ _WHEN = alt.Tooltip(
 
 
 def _origin(start: datetime) -> float:
-    """Return a time for an axis in UTC that shows the same clock in every browser (ms)."""
+    """Return a time (ms) for a UTC axis, so that every browser shows the clock of the run."""
     offset = start.utcoffset()
-    assert offset is not None, "a run's start has its offset"
+    assert offset is not None, "the start of a run must have an offset from UTC"
     return (start.timestamp() + offset.total_seconds()) * 1000
 
 
@@ -244,7 +245,7 @@ def _points(run: Drawn, start: datetime, quantity: str, factor: float) -> Rows:
         run: run with the curve.
         start: start of the axis; the run can begin at another time.
         quantity: quantity of the curve.
-        factor: factor from its unit to the axis'.
+        factor: factor from the unit of the curve to that of the axis.
     """
     origin = _origin(run.start.astimezone(start.tzinfo))
     return [
@@ -254,7 +255,7 @@ def _points(run: Drawn, start: datetime, quantity: str, factor: float) -> Rows:
 
 
 def _time(start: datetime, hours: float) -> alt.X:
-    """Return an axis with dates; at six of its ticks, the texts must differ."""
+    """Return a time axis; the labels at its six ticks must differ."""
     day = "utcFormat(datum.value, '%-d %b')"
     midnight = "utchours(datum.value) + utcminutes(datum.value) + utcseconds(datum.value) == 0"
     clock = f"utcFormat(datum.value, '{'%H:%M:%S' if hours < 0.2 else '%H:%M'}')"
@@ -276,12 +277,12 @@ def _axis(
 ) -> tuple[alt.Y, list[alt.Chart]]:
     """Return a quantity's axis, the same in all panels, and its reference levels with their names.
 
-    A reference level far from the values is left out: it would make all lines flat.
+    A reference level far from the values is left out, because it would make all lines flat.
 
     Args:
         quantity: quantity of the curves.
-        site: site with the reference levels; None for none.
-        values: all drawn values, in the axis' unit; there may be none.
+        site: site with the reference levels; None for no levels.
+        values: all drawn values, in the unit of the axis; the list may be empty.
     """
     low, high = min(values, default=0.0), max(values, default=0.0)
     span = max(high - low, 1e-3 * high) or 1.0
@@ -322,7 +323,7 @@ def _axis(
 
 
 def _rained(run: Drawn, x: alt.X) -> alt.Chart:
-    """Return the area of a run's rain, hanging from above as in hydrology."""
+    """Return the rain of a run as an area that hangs from the top, as is usual in hydrology."""
     rows = _points(run, run.start, "precipitation", 3.6e6)
     top = 1.05 * max((row["v"] for row in rows if row["v"] is not None), default=0.0) or 1.0
     chart: alt.Chart = alt.Chart(alt.InlineData(rows)).mark_area(

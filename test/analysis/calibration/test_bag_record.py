@@ -113,4 +113,4 @@ def test_a_bag_that_tells_nothing_is_refused(tmp_path: Path) -> None:
     dry = write_bag(tmp_path / "dry", evapotranspiration=lambda now: 0.0)
     refusal(read_bag_record, dry, TWIN, match="/weather/evapotranspiration: is not in the bag")
     short = write_bag(tmp_path / "short", range(0, 500, 10))
-    refusal(read_bag_record, short, TWIN, match="is 490 s long; it must have at least two steps")
+    refusal(read_bag_record, short, TWIN, match="is 490 s long; it must cover at least two steps")

@@ -68,7 +68,7 @@ def test_the_command_writes_a_site_that_can_be_used(fitted: Path) -> None:
     assert site.a_hat == pytest.approx(-1e6, rel=1e-5)
     lines = {line.split(":")[0]: line for line in text.splitlines()}
     assert lines["a_hat"].endswith(
-        "unchanged: the data cannot tell it apart from c_hat"
+        "unchanged: the data cannot distinguish this parameter from c_hat"
     )
     low, high = map(float, re.search(r"fitted, (\S+) to (\S+) \(95 %\)", lines["c_hat"]).groups())
     assert low <= 45.0 <= high
@@ -106,7 +106,7 @@ def test_volumes_follow_in_a_site_file_of_any_form(tmp_path: Path) -> None:
 def test_an_invalid_site_is_not_written() -> None:
     steep = {"a_hat": (-4.1e22, "steep")}
     assert refusal(format_fitted_site, PAPER, steep, []).startswith(
-        f"{PAPER}: the fitted values do not form a valid site; nothing is written: "
+        f"{PAPER}: the fitted values do not form a valid site, so no file was written: "
         "a_hat = -4.1e+22: must be a number of at least -1e+21 and less than 0 s2/m5"
     )
 

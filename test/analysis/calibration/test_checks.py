@@ -16,9 +16,10 @@ def test_too_little_for_a_fit() -> None:
     """Less than 100 values, or than 20 mm of water, as of rain in metres."""
     rain = np.where(np.arange(3000) % 100 == 0, 1.0, 0.0)
     nothing = np.full(3000, np.nan)
-    refusal(check_record, a_record(rain, level=nothing), TWIN, match="level: has 0 values; it must")
+    empty = a_record(rain, level=nothing)
+    refusal(check_record, empty, TWIN, match="level: has 0 values; a fit needs")
     wet = a_record(rain / 1000, level=np.linspace(0, 0.02, 3000))
-    refusal(check_record, wet, TWIN, match="rain: is 0.03 mm, .* is the unit of the column")
+    refusal(check_record, wet, TWIN, match="rain: is 0.03 mm, .* Is the unit of the column")
 
 
 FILE = Path("roof.csv")

@@ -71,7 +71,8 @@ def test_runoff_alone_tells_only_what_the_soil_holds_between() -> None:
     fitted = fit(ELSEWHERE, record, record.complete)
     by_name = {parameter.name: parameter for parameter in fitted.parameters}
     assert not by_name["wilting_point"].interval
-    assert "cannot tell it apart from field_capacity" in by_name["wilting_point"].reason
+    reason = by_name["wilting_point"].reason
+    assert "cannot distinguish this parameter from field_capacity" in reason
     assert by_name["wilting_point"].value == pytest.approx(0.02)
     true = TWIN.field_capacity - TWIN.wilting_point
     capacity = by_name["field_capacity"]
@@ -85,7 +86,7 @@ def test_runoff_alone_tells_only_what_the_soil_holds_between() -> None:
 def test_levels_alone_tell_nothing_of_the_drainage_layer() -> None:
     record = replace(twin(1, 100), runoff=None)
     by_name = {row.name: row for row in fit(ELSEWHERE, record, record.complete).parameters}
-    assert by_name["drainage_time"].reason == "the data do not depend on it"
+    assert by_name["drainage_time"].reason == "the data do not depend on this parameter"
     assert by_name["drainage_time"].value == pytest.approx(300.0)
     assert by_name["field_capacity"].value == pytest.approx(TWIN.field_capacity, rel=0.03)
 
@@ -128,7 +129,7 @@ def test_of_daily_sums_the_soil_is_found() -> None:
     assert values["crop_coefficient"] == pytest.approx(TWIN.crop_coefficient, rel=0.15)
     drainage = next(row for row in fitted.parameters if row.name == "drainage_time")
     assert not drainage.interval
-    assert drainage.reason == "steps of 1 day are too long to identify it"
+    assert drainage.reason == "steps of 1 day are too long to identify this parameter"
     assert drainage.value == fitted.site.drainage_time == ELSEWHERE.drainage_time
     # Twelve days of runoff give at most four sums of four days, but the roof has five parameters
     # that could be fitted.

@@ -75,7 +75,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
         "results.csv, line 1: has no column season.* repeat the command greenroof study",
     ),
     "no-finished-run": (replaced(",done,", ",failed,"), "no finished run; 1 failed or did not run"),
-    "row-too-short": (study(lambda text: text[:-20] + "\n"), "line 2: .*not a possible value"),
+    "row-too-short": (study(lambda text: text[:-20] + "\n"), "line 2: .*not a valid value"),
     "row-cut": (study(lambda text: text[:-2]), "results.csv, line 2: ends in the middle of a line"),
     "a-row-twice": (
         study(lambda text: text + text.splitlines()[1] + "\n"), "results.csv, line 3: run = '001'"
@@ -84,7 +84,7 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "status": (replaced(",done,", ",lost,"), "line 2: status = 'lost': must be done, failed or"),
     "no-total": (with_cells(total_deviation_m3=""), "total_deviation_m3: must not be empty"),
     "total-nan": (with_cells(total_deviation_m3="nan"), "total_deviation_m3 = 'nan': is not a"),
-    "bound-below-0": (with_cells(bound_m3="-1"), "bound_m3 = '-1': is not a possible value"),
+    "bound-below-0": (with_cells(bound_m3="-1"), "bound_m3 = '-1': is not a valid value"),
     "a-week": (with_cells(weekly_deviation_m3="1 inf"), "weekly_deviation_m3 = '1 inf': is not a"),
     "a-season-without-weeks": (
         with_cells(hours=384.0, season="May", weekly_deviation_m3="1.5"),

@@ -52,7 +52,7 @@ def test_what_follows_from_results(tmp_path: Path) -> None:
     assert judged["ratio"] == 1.5
     # A single run has a row for each quantity; what no real pump achieves is marked.
     shown = {cell[""]: cell["value"] for rows in make_tables(report).values() for cell in rows}
-    assert shown["over the minimum possible (1)"] == "1.5000"
+    assert shown["relative to the minimum possible (1)"] == "1.5000"
     assert shown["maximum command (1)"] == "2 ⚠"
     assert {"001: 3", "001: 11"} <= {
         listed for runs in make_notes(report).values() for listed in runs
@@ -110,7 +110,7 @@ def test_seeds_belong_together(tmp_path: Path) -> None:
     assert list(cells.values())[3:] == ["25", "1013.00", "1024.20", "1025.00"]
     assert tables["Over seeds and years"][0]["runs"] == "24, 1 failed ⚠"
     shown = next(row for row in tables["Results"] if row["case"] == cells["case"])
-    assert shown["over the minimum possible (1)"] == "2.0260"
+    assert shown["relative to the minimum possible (1)"] == "2.0260"
     figure = figures_of(report)["deviation-1"]
     assert {
         (row["v"], row["low"], row["high"])

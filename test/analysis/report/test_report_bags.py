@@ -288,7 +288,8 @@ def test_events_of_a_run_directory(tmp_path: Path) -> None:
     content = json.loads(file.read_text())
     for wrong in ("rain", None, [{"rain_mm": 1.0}], [{**rain, "rain_mm": None}]):
         file.write_text(json.dumps({**content, "events": wrong}))
-        assert any("damaged or foreign" in note for note in read_run(tmp_path / "done").notes)
+        notes = read_run(tmp_path / "done").notes
+        assert any("damaged or from another program" in note for note in notes)
 
 
 def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
@@ -330,7 +331,7 @@ def test_a_foreign_summary_leaves_the_numbers(tmp_path: Path) -> None:
         (run,) = find_runs([tmp_path / "run"]).runs
         labels = [run.row[key] for key in ("run", "controller", "initial")]
         assert labels == ["run", "unknown", "the recorded volumes"]
-        reason = "summary.json next to the bag is damaged or foreign"
+        reason = "summary.json next to the bag is damaged or from another program"
         assert any(note.startswith(reason) for note in run.notes), text
         assert run.row["pumped_m3"] == pytest.approx(0.002)
 
@@ -506,7 +507,7 @@ def test_a_live_site(tmp_path: Path) -> None:
     ]
     assert "2026-11-20 21:25:20-05:00" in page_of(path)
     (path / "alarms.jsonl").write_text(f"{{}}\n{json.dumps(loss)}\n")
-    assert "alarms next to the bag is damaged and is not used" in page_of(path)
+    assert "alarms next to the bag is damaged and was not used" in page_of(path)
 
 
 # --- damaged bags --------------------------------------------------------------------------------
@@ -531,7 +532,7 @@ def test_what_recover_makes_of_a_damaged_bag_is_reported(tmp_path: Path, recorde
     advice = f"remove {run}/bag-recovered, and greenroof recover {run} recovers a"
     refusal(report_of, run, match=f"run/bag: cannot be read as a bag.*{advice}")
     (run / "bag" / "metadata.yaml").unlink()
-    assert f"more has been recorded since: {advice}" in page_of(report_of(run))
+    assert f"more data have been recorded since: {advice}" in page_of(report_of(run))
     os.utime(file, (1.0, 1.0))
     (run / "bag-recovered" / "bag-recovered_0.mcap").write_bytes(b"")
     reason = refusal(report_of, run, match="bag-recovered: cannot be read as a bag")

@@ -157,7 +157,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
     assert (spread["runs"], spread["years"]) == ("22", "11")
     assert spread["worst year"] == "2025: 190.00 m³"
     (compared,) = tables["Deviation relative to on/off"]
-    assert compared["years with less"] == "11 of 11"
+    assert compared["years with a smaller deviation"] == "11 of 11"
     # The mean is over years with a storm; without one there is no number.
     kept = "rain kept in 24 h above 10 mm"
     assert [row[kept] for row in tables["Plants, rain and frost"]] == ["62.5%", "none"]
@@ -213,7 +213,7 @@ def test_storm_water_is_compared_with_a_closed_valve(tmp_path: Path) -> None:
         case.label: tuple(case.row.get(name) for name in below) for case in report.cases
     } == {"onoff closed": (None, None), "onoff drain": (20.0, -5.0), "mpc drain": (18.0, -2.0)}
     assert [
-        row["discharge in wet weather below on/off's (m³)"]
+        row["wet-weather discharge avoided compared with on/off (m³)"]
         for row in make_tables(report)["Storm water"]
     ] == ["none", "20", "18"]
     report = study_of(tmp_path / "b", *drain, *mpc)
