@@ -196,9 +196,7 @@ class Environment:
         return tick
 
     def _observe(self) -> None:
-        """Set the state at the beginning of the present tick; after the last tick, it is the final
-        state.
-        """
+        """Set the state at the beginning of the present tick, or the final state of the run."""
         site = self._simulation.site
         time = self._run.start + timedelta(seconds=site.tick * self.site.tau)
         self.state = SiteState(time, *site.observe(), self.site)

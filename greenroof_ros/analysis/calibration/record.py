@@ -1,5 +1,4 @@
-"""Preparation of a roof's record for a fit: sums over time, storms that count, months and halves.
-"""
+"""A roof's record, prepared for a fit: sums over time, storms that count, months and halves."""
 
 from __future__ import annotations
 

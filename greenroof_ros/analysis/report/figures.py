@@ -230,9 +230,7 @@ def draw_deviation(cases: Sequence[CaseRuns], name: str) -> Figure:
 
 
 def _make_row(case: CaseRuns) -> dict[str, Any]:
-    """Return the row of a case: the mean ``v``, minimum ``low`` and maximum ``high`` of its runs
-    (m3).
-    """
+    """Return the row of a case: mean ``v``, minimum ``low`` and maximum ``high`` (m3)."""
     totals = np.concatenate([*case.deviations.totals.values()])
     return {
         "case": case.label, "controller": case.row["controller"],

@@ -81,8 +81,7 @@ class SeasonComparison(NamedTuple):
 
 
 def compare(own: Deviations, other: Deviations) -> SeasonComparison | None:
-    """Compare two controllers; return None if they share fewer than two years, or a divisor is 0.
-    """
+    """Compare two controllers; None if fewer than two years are common, or a divisor is 0."""
     years = [year for year in own.totals if year in other.totals]
     means, others = (
         np.array([deviations.totals[year].mean() for year in years]) for deviations in (own, other)

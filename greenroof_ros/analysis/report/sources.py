@@ -228,9 +228,7 @@ def _read_results(file: Path) -> list[Row]:
 
 
 def _find_damage(row: Row, earlier: Container[str]) -> Iterable[tuple[str, str]]:
-    """Yield the columns with values that a study does not write, each with a description of the
-    damage.
-    """
+    """Yield the columns with values that no study writes, each with the correct value."""
     if not row["run"].strip(".") or "/" in row["run"] or row["run"] in earlier:
         yield "run", "must be the name of a directory under runs/, and must appear in one row only"
     if row["status"] not in ("done", "failed", "not run"):

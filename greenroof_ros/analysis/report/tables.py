@@ -165,8 +165,8 @@ _NOTED = {
     "forecast_repeats_from": "time at which a forecast ends; later values are assumed",
     "fallbacks": "ticks in which the controller's solver found no solution",
     "limited_steps": "ticks in which a tank ran empty, so its outflow was limited",
-    "beyond_hours": "hours with a command above 1, which exceeds the pumps' maximum flow: no real pump "
-    "can follow it",
+    "beyond_hours": "hours with a command above 1, which exceeds the pumps' maximum flow: no real "
+    "pump can follow it",
     "excess_starts": "pump starts that exceed starts_per_hour of the site",
     "frost_pumped_m3": "m³ of water pumped during frost",
     "roof_noise": "noise of the roof's level sensor (m): the level shown is the sensor's reading",
