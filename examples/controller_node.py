@@ -1,8 +1,8 @@
 """A controller as a separate node, which needs only rclpy.
 
-Start it before every ``greenroof run --controller external``. It decides in the same way as the
-class in ``examples/proportional.py``. At a site with a valve on the cistern's low outlet, start it
-with ``--ros-args -p valve:=true``, and it also commands the valve.
+Start the node before every ``greenroof run --controller external``. It follows the same rule as the
+class in ``examples/proportional.py``. At a site with a valve on the low outlet of the cistern,
+start the node with ``--ros-args -p valve:=true`` to command the valve as well.
 """
 
 import math
@@ -14,8 +14,8 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64, Float64MultiArray
 
-TARGET, SUCTION = 0.0457, 0.75  # target of the roof; cistern level below which pumps run dry (m)
-GAIN = 20.0  # command for a metre below the target (1/m)
+TARGET, SUCTION = 0.0457, 0.75  # target of the roof, suction level of the pumps (m)
+GAIN = 20.0  # command for each metre below the target (1/m)
 FULL = 2.0  # cistern level above which the valve is open (m)
 INPUTS = {
     "cistern/level": Float64, "roof/level": Float64, "weather/frost": Float64,
@@ -45,13 +45,13 @@ def command():
 
 
 def opening():
-    """Return the share to which the valve is open: 1 while the cistern is full, even in frost."""
+    """Return the opening of the valve: 1 while the cistern is full, even in frost."""
     finite = all(map(math.isfinite, (tick["roof/level"], tick["weather/frost"])))
     return 1.0 if finite and FULL < tick["cistern/level"] < math.inf else 0.0
 
 
 def end_with_plant():
-    """End when the plant has ended; its clock is the first of its topics."""
+    """Exit when the plant has ended; the clock is the first topic of the plant."""
     node.seen = node.seen or node.count_publishers("clock") > 0
     if node.seen and not node.count_publishers("clock"):
         raise SystemExit
@@ -63,7 +63,7 @@ node.seen = False
 qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # and reliable
 for name, kind in INPUTS.items():
     node.create_subscription(kind, name, lambda message, name=name: on_message(name, message), qos)
-qos.liveliness_lease_duration = Duration(seconds=1)  # tells a pump driver if this node dies
+qos.liveliness_lease_duration = Duration(seconds=1)  # lets a pump driver detect that this node died
 publisher = node.create_publisher(Float64, "pump/command", qos)
 has_valve = node.declare_parameter("valve", False).value
 valve = node.create_publisher(Float64, "outlet/command", qos) if has_valve else None

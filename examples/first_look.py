@@ -12,7 +12,7 @@ import polars
 
 import greenroof_ros as gr
 
-_ = altair.renderers.enable("png", ppi=110)  # pictures that GitHub shows, too
+_ = altair.renderers.enable("png", ppi=110)  # pictures that GitHub also shows
 
 # %% [markdown]
 # ## Run
@@ -64,7 +64,7 @@ compared.plot()
 # %% [markdown]
 # ## Sweep the target
 #
-# How much water does a higher target take?
+# How much more water does a higher target need?
 
 # %%
 sweep = polars.DataFrame([
@@ -78,7 +78,7 @@ sweep.plot.line(x="target (mm)", y="pumped (m³)").properties(width=400, height=
 # ## Read a recording
 #
 # `read_bag` reads the recording of a node graph or of a real site, and a saved run.
-# `greenroof report` reads all of these, too.
+# `greenroof report` also reads all of these.
 
 # %%
 with tempfile.TemporaryDirectory() as directory:

@@ -1,4 +1,4 @@
-"""How much storm water a valve keeps out of the sewer in one season, and what it costs."""
+"""Storm water that a valve keeps out of the sewer in one season, and its cost in mains water."""
 
 import greenroof_ros as gr
 

@@ -17,12 +17,12 @@ class Proportional:
     """Command gain x (target - level), between 0 and 1, while the cistern contains enough water.
 
     Attributes:
-        gain: command for a metre below the target (1/m).
+        gain: command for each metre below the target (1/m).
     """
 
     parameters = (
         Parameter(
-            "gain", 20.0, "1/m", 0.0, 1e4, "command for a metre below the target", may_change=True
+            "gain", 20.0, "1/m", 0.0, 1e4, "command per metre below the target", may_change=True
         ),
     )
 
@@ -44,7 +44,7 @@ class Proportional:
         return min(command, 1.0) if command > 0 else 0.0
 
     def skip(self) -> None:
-        """Do nothing, since there is no state."""
+        """Do nothing, since the controller has no state."""
 
     def statistics(self) -> None:
-        """Return nothing, since there is no solver."""
+        """Return nothing, since the controller has no solver."""

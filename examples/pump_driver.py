@@ -1,4 +1,4 @@
-"""A pump driver, which needs only rclpy. Start it before every run with ``--pump external``."""
+"""A pump driver that needs only rclpy. Start it before every run with ``--pump external``."""
 
 import math
 
@@ -10,14 +10,14 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64
 
-MAX_FLOW, LAG, TICK = 0.008, 30.0, 1.0  # maximum flow (m3/s), its first-order lag (s), tau (s)
+MAX_FLOW, LAG, TICK = 0.008, 30.0, 1.0  # maximum flow (m3/s), first-order lag (s), tick (s)
 SILENCE = 3.0  # time without a command after which the pump stops (s)
 SUCTION = 0.75  # cistern level at or below which the pump runs dry (m)
 state = dict.fromkeys(("cistern/level", "roof/level", "weather/frost"), math.nan)  # by topic
 
 
 def on_command(message):
-    """Follow a command, and publish the flow, which is simulated here; use your pump's."""
+    """Follow a command, and publish the simulated flow; publish that of your pump instead."""
     watchdog.reset()
     command = min(message.data, 1.0) if 0.0 <= message.data < math.inf else 0.0  # not a NaN
     dry = not state["cistern/level"] > SUCTION  # an unknown level, NaN, counts as dry
@@ -28,12 +28,12 @@ def on_command(message):
 
 
 def on_silence():
-    """Stop the pump, since no command has arrived; send 0 to yours."""
+    """Stop the pump, since no command has arrived. Here, send 0 to your own pump."""
     flow.data = 0.0
 
 
 def on_liveliness(event):
-    """Count controllers; when the last one has ended, died or hangs, send 0 to your pump."""
+    """Count the controllers. If the last one has ended, died or hung, send 0 to your pump."""
     node.commanders = event.alive_count
     if event.alive_count == 0:
         print("stopped: no controller")
@@ -44,7 +44,7 @@ rclpy.init()
 node, flow = rclpy.create_node("pump"), Float64()
 node.commanders = 0
 qos = QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # and reliable
-for key in state:  # subscribed before the command, which is the last message of a tick
+for key in state:  # before the command, which is the last message of a tick
     node.create_subscription(Float64, key, lambda msg, key=key: state.update({key: msg.data}), qos)
 qos.liveliness_lease_duration = Duration(seconds=1)
 publisher = node.create_publisher(Float64, "pump/flow", qos)

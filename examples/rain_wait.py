@@ -1,4 +1,4 @@
-"""An example of a controller, which fills the roof unless enough rain is forecast.
+"""An example of a controller that fills the roof unless enough rain is forecast.
 
 greenroof simulate --controller examples.rain_wait:RainWait
 greenroof check-controller examples.rain_wait:RainWait
@@ -16,25 +16,25 @@ class RainWait:
     """Pump while the roof lacks more water than is forecast to fall within the horizon."""
 
     parameters = (
-        Parameter("horizon", 3.0, "h", 0.1, 240.0, "how long it waits for rain"),
-        Parameter("command_on", 1.0, "1", 0.0, 1.0, "command when it pumps", may_change=True),
+        Parameter("horizon", 3.0, "h", 0.1, 240.0, "period for which it waits for rain"),
+        Parameter("command_on", 1.0, "1", 0.0, 1.0, "command while the pump runs", may_change=True),
     )
-    needs_forecast = False  # without a forecast it fills the roof as on/off does
-    forecast_ends = np.empty(0)  # set from outside: ends of the forecast's steps (s), the first 0
+    needs_forecast = False  # without a forecast, it works like on/off control
+    forecast_ends = np.empty(0)  # boundaries of the forecast's steps (s from now), set from outside
 
     def __init__(self, site: Site, horizon: float, command_on: float) -> None:
         self._site, self.command_on = site, command_on
 
     def command(self, cistern_level, roof_level, precipitation, evapotranspiration) -> float:
-        """Return the command, from the levels (m) and the mean rain of each step (m/s)."""
+        """Return the command for the levels (m) and the mean rain of each forecast step (m/s)."""
         missing = self._site.z_veg - roof_level
         known = len(precipitation) == len(self.forecast_ends) - 1
         coming = precipitation @ np.diff(self.forecast_ends) if known else 0.0  # m
-        short = missing > 0 and not coming >= missing  # NaN is not enough
+        short = missing > 0 and not coming >= missing  # NaN does not count as enough
         return self.command_on if short and cistern_level >= self._site.suction_level else 0.0
 
     def skip(self) -> None:
-        """Do nothing, since there is no state."""
+        """Do nothing, since the controller has no state."""
 
     def statistics(self) -> None:
-        """Return nothing, since there is no solver."""
+        """Return nothing, since the controller has no solver."""
