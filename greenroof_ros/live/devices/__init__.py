@@ -1,1 +1,1 @@
-"""Drives and sensors on Modbus and MQTT; without ROS."""
+"""Drivers for drives and sensors on Modbus and MQTT, independent of ROS."""

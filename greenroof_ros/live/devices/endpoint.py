@@ -1,4 +1,4 @@
-"""A drive of either kind, a drive on Modbus or a relay on MQTT, and its address."""
+"""The choice of a drive on Modbus or a relay on MQTT, and of its address."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ CHOICE = (
     Parameter(
         "address", "", meaning="address of the drive: tcp://HOST:PORT if it has its own Ethernet "
         "port, gateway://HOST:PORT for a gateway to its serial port, or a serial line such as "
-        "/dev/ttyUSB0; append a comma and its device id if that differs from its file's, such as "
-        "gateway://HOST:PORT,17; for a relay mqtt://HOST[:PORT]/DEVICE (its topic at a broker), "
+        "/dev/ttyUSB0; append a comma and the device id if it differs from that in the drive "
+        "file, such as "
+        "" "gateway://HOST:PORT,17; for a relay mqtt://HOST[:PORT]/DEVICE (its topic at a broker), "
         "mqtts:// for TLS",
     ),
     Parameter("broker_login", "", meaning="for a relay: YAML file with username and password"),
     Parameter(
         "broker_authority", "", meaning="for a relay: file of trusted certificates (PEM), if the "
-        "system does not know the broker's",
+        "system does not trust the broker's certificate",
     ),
 )
 
@@ -41,24 +42,26 @@ Connection: TypeAlias = Drive | Relay
 def read_endpoint(
     file: Path, at: str, key: str, login: str = "", authority: str = ""
 ) -> Endpoint:
-    """Read a drive file, or a relay file (which has the key ``protocol``), and add its address.
+    """Read a drive file, or a relay file with its key ``protocol``, and combine it with an address.
 
     Args:
         file: the drive file or relay file.
-        at: its address. For a relay, this is ``mqtt://HOST[:PORT]/DEVICE``, or ``mqtts`` over TLS;
-            otherwise see :func:`greenroof_ros.live.devices.modbus_line.parse_drive_address`.
-        key: name of the address in error messages.
-        login: for a relay's broker: file with ``username`` and ``password``; empty for none.
-        authority: for a relay's broker: file of trusted certificates (PEM); empty for the system's.
+        at: address of the drive or relay. For a relay, this is ``mqtt://HOST[:PORT]/DEVICE``, or
+            ``mqtts`` over TLS; for a drive, see
+            :func:`greenroof_ros.live.devices.modbus_line.parse_drive_address`.
+        key: name of the option or parameter with the address, for messages.
+        login: file with ``username`` and ``password`` for a relay's broker; empty for none.
+        authority: file of trusted certificates (PEM) for a relay's broker; empty for those of the
+            system.
 
     Raises:
-        ConfigurationError: if the file or the address is wrong.
+        ConfigurationError: if the file or the address is invalid.
     """
     if "protocol" in read_yaml(file):
         return RelayEndpoint(read_relay_file(file), *parse_topic(at, key, login, authority))
     if login or authority:
         raise ConfigurationError(
-            "has no broker to log in to: login and certificates are for a relay on MQTT",
+            "has no broker to log in to: login and certificates are only for a relay on MQTT",
             key=key, value=at,
         )
     return DriveEndpoint(read_drive_file(file), parse_drive_address(at, key))

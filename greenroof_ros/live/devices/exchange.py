@@ -1,4 +1,4 @@
-"""Controls a drive from its own thread, which stops the drive when requests cease."""
+"""Control of a drive from a separate thread, which stops the drive when requests cease."""
 
 from __future__ import annotations
 
@@ -69,25 +69,26 @@ class ExchangeState(enum.Enum):
 
 @dataclass(frozen=True)
 class DriveSnapshot(DeviceSnapshot):
-    """What is known about a drive at one moment.
+    """The state of knowledge about a drive at one moment.
 
     Attributes:
-        read_at: time of its last answer (s, `boot_time`, so an answer from before a suspension is
-            old).
-        state: state of the exchange; after `close` there is no connection any more.
-        status: its last report; None without a connection. After `close`, it is the report at its
-            release, when it may not have been stopped; None if it could not be read.
-        identity: its nameplate; empty until read.
-        timeout_s: its own communication timeout (s); None for off.
+        read_at: time of the drive's last answer (s, `boot_time`, which continues during a
+            suspension of the machine).
+        state: state of the exchange; after `close`, there is no longer a connection.
+        status: last status of the drive; None without a connection. After `close`, it is the status
+            at the release of the drive, which may not have been at rest; None if it could not be
+            read.
+        identity: nameplate of the drive; empty until it has been read.
+        timeout_s: communication timeout of the drive (s); None for off.
         timeout_known: whether the timeout could be read.
-        timeout_note: why the timeout is treated as off or could not be read.
-        unguarded: diagnosis that the connected drive is kept off because its own timeout may not
-            guard it yet; None if it does.
-        second_master: diagnosis that someone else writes to the drive, which is therefore kept off;
-            None if no one does.
-        start_failed: why it was stopped although it was supposed to run; None once *off* is
-            requested.
-        errors: number of failures so far.
+        timeout_note: reason why the timeout is treated as off or could not be read.
+        unguarded: diagnosis that the connected drive is kept off because its own timeout may not be
+            effective yet; None if the timeout is effective.
+        second_master: diagnosis that another program or person controls the drive, which is
+            therefore kept off; None if there is no other.
+        start_failed: reason why the drive was stopped although a speed was requested; None once
+            *off* is requested.
+        errors: number of failures since the start.
     """
 
     state: ExchangeState = ExchangeState.CONNECTING
@@ -103,15 +104,15 @@ class DriveSnapshot(DeviceSnapshot):
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection over which the drive answers."""
+        """Whether there is a connection, and the drive answers."""
         return self.state in (ExchangeState.STOPPED, ExchangeState.RUNNING, ExchangeState.STOPPING)
 
     def status_at(self, now: float) -> DriveStatus | None:
-        """Return the drive's last status; None if it is too old at this time."""
+        """Return the drive's last status; None if the status is too old at the given time."""
         return self.status if now - self.read_at < STATUS_AGE_S else None
 
     def absence_at(self, now: float) -> Diagnosis | None:
-        """Return why there is no status at this time; None if there is one."""
+        """Return the reason why there is no status at the given time; None if there is a status."""
         if self.status_at(now) is not None:
             return None
         if self.problem:
@@ -120,39 +121,39 @@ class DriveSnapshot(DeviceSnapshot):
 
 
 class DriveExchange(DeviceThread[DriveSnapshot]):
-    """Keeps a drive at the last requested speed, or off, from its own thread.
+    """A thread that keeps a drive at the last requested speed, or off.
 
-    Every period, it writes the control word and reads the status, which keeps the drive's own
-    communication timeout from expiring. If this thread dies, that timeout stops the drive:
+    In every period, it writes the control word and reads the status, so the drive's own
+    communication timeout does not expire. If this thread dies, that timeout stops the drive:
 
     .. code-block:: text
 
-        CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; it turns, or is stopped
+        CONNECTING ---> STOPPING <----> STOPPED     *stop* is written; the pump turns, or is at rest
           ^    ^         |    ^            |
           |    |         v    |            |
-          |    |         RUNNING <---------+        a speed is requested; its timeout guards
+          |    |         RUNNING <---------+        a speed is requested; the timeout is in effect
           |    |            |
           |    |            |                       from each of these three:
           |    +------------+                       two rounds without a valid answer, or closed
           |                 v                       and from these and CONNECTING:
-          +-------------- SILENT                    *stop* is refused on two connections, or the
+          +-------------- SILENT                    *stop* is rejected on two connections, or the
                                                     speed does not fall, or is unknown
 
     From CONNECTING, a stopped drive becomes STOPPED directly.
 
-    Every connection begins with *stop*. RUNNING ends if off is requested, `request_speed` is late,
-    the drive fails to start, or someone else writes to it. After a failed start, or if the
-    connection is lost while a speed is requested, the drive stays off until `request_speed`
-    requests off: the caller, which counts starts and waits between them, decides on the next one.
-    During a silence, nothing is sent for longer than the drive's own timeout, which then stops the
-    drive; any order might count as a sign of life and restart that timeout. A timeout above the
-    limit is not relied on, and `stop` ends a silence early. `close` works in every state and leaves
-    the drive stopped. From the first connection to `close` no other program on this machine can use
-    the drive.
+    Every connection begins with *stop*. RUNNING ends if off is requested, a call of `request_speed`
+    is late, the drive fails to start, or another program controls it. After a failed start, or if
+    the connection is lost while a speed is requested, the drive stays off until `request_speed`
+    requests off. The caller, which limits the number of starts, decides on the next start. During a
+    silence, nothing is sent for longer than the drive's own timeout, which then stops the drive;
+    any message might restart that timeout. A timeout above the limit is treated as unknown. `stop`
+    ends a silence early. `close` works in every state and leaves the drive stopped. From the first
+    connection until `close`, no other program on this machine can use the drive.
 
     Attributes:
         endpoint: the drive.
-        disbelieved: whether the caller knows that the pump runs although the drive reports rest.
+        disbelieved: whether the caller knows that the pump runs although the drive reports that it
+            is at rest.
     """
 
     def __init__(
@@ -169,18 +170,18 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
         Args:
             endpoint: the drive.
-            period_s: time between two rounds of requests (s); a relay's file may set a longer one.
+            period_s: time between two rounds of requests (s); a relay file may set a longer time.
             dead_man_s: time without a call of `request_speed` after which the drive is stopped (s).
             timeout_s: maximum wait for each answer (s).
-            timeout_limit_s: longest usable communication timeout of the drive (s). A silence lasts
-                for this long if the timeout is longer, unknown or off.
-            stops_locally: whether someone has confirmed that the drive's own settings stop the
-                pump, if they cannot be read.
+            timeout_limit_s: maximum usable communication timeout of the drive (s), which is also
+                the length of a silence if the timeout is longer, unknown or off.
+            stops_locally: whether a person has confirmed that local settings of the drive, which
+                cannot be read, stop the pump.
 
         Raises:
-            ConfigurationError: if its library is not installed or a file for the login is wrong.
+            ConfigurationError: if a library is not installed or a file for the login is wrong.
         """
-        super().__init__("talking to the drive", DriveSnapshot())
+        super().__init__("communication with the drive", DriveSnapshot())
         self.endpoint, self.disbelieved = endpoint, False
         self._drive: Connection = endpoint.connection(timeout_s)
         self._drive_lock: socket.socket | None = None
@@ -207,10 +208,10 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._guarded_from = -math.inf
 
     def close(self) -> None:
-        """Stop the drive, read that it is stopped, and release it; `snapshot` contains the result.
+        """Stop the drive, check that it is at rest, and release it; `snapshot` contains the result.
 
-        It waits while the speed falls, but for `REST_LIMIT_S` at most. If the speed does not fall,
-        or the drive does not answer, it is released after a few seconds.
+        The call waits while the speed falls, for `REST_LIMIT_S` at most. If the speed does not
+        fall, or the drive does not answer, the drive is released after a few seconds.
         """
         self._requested = (None, -math.inf)
         self._rest_deadline = time.monotonic() + REST_LIMIT_S
@@ -219,10 +220,10 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._fail("could not confirm that the pump is stopped: the connection hangs")
 
     def outcome(self) -> str:
-        """Return, after `close`, how the drive was released.
+        """Return a message about the release of the drive, after `close`.
 
         Raises:
-            OSError: if it did not answer at the end or is not stopped.
+            OSError: if the drive did not answer at the end or is not at rest.
         """
         snapshot = self.snapshot
         status = snapshot.status
@@ -234,13 +235,13 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         elif status.at_rest:
             return f"released the drive: {status}"
         timeout = "off" if snapshot.timeout_known else "unknown"
-        ending = f"only its own panel can stop it now: its communication timeout is {timeout}"
+        ending = f"only its own panel can stop it now; its communication timeout is {timeout}"
         if snapshot.timeout_s is not None:
             ending = f"its own timeout of {snapshot.timeout_s:g} s must stop it"
         raise OSError(f"{problem}; {ending}")
 
     def timeout_problem(self, snapshot: DriveSnapshot) -> Diagnosis | None:
-        """Return what is wrong with the drive's own communication timeout, or None."""
+        """Return a diagnosis if the drive's own communication timeout is unusable, or None."""
         guard, seconds, limit_s = self.endpoint.guard, snapshot.timeout_s, self._timeout_limit_s
         values: dict[str, float | str] = {}
         if not snapshot.timeout_known:
@@ -258,12 +259,12 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         return Diagnosis.of("drive_timeout", case, *cases, **values, **more)
 
     def request_speed(self, speed: float | None) -> None:
-        """Request a speed (share of the rated speed), or off (None); it is valid for `dead_man_s`.
+        """Request a speed (share of the rated speed), or off (None); valid for `dead_man_s`.
 
-        Anything but a number from 0 to 1 is rejected, reported as a problem, and treated as off.
+        A value that is not from 0 to 1 is reported as a problem, and treated as off.
         """
         if speed is not None and not 0 <= speed <= 1:
-            self._fail(f"rejected: {speed} is not a share of the rated speed (0 to 1)")
+            self._fail(f"request rejected: {speed} is not a share of the rated speed (0 to 1)")
             speed = None
         before = self._requested[0]
         self._requested = (speed, boot_time())
@@ -273,17 +274,17 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     def stop(self) -> None:
         """Try to stop the drive now, even during a silence, when `request_speed` has no effect.
 
-        This is for a person's request to stop; off must also be requested. An attempt that fails
-        during a silence begins another silence.
+        This method is for a person's request to stop; the caller must also request off. If the
+        attempt fails during a silence, another silence begins.
         """
         self._stop_requested = True
         self._wake.set()
 
     def reset(self) -> None:
-        """Have a fault acknowledged, which stops the drive first.
+        """Request that the thread stops the drive and acknowledges its fault.
 
-        Only a present fault is acknowledged: the request is dropped if there is no connection, or
-        if it could not be carried out within `RESET_S`.
+        Only a fault that is present now is acknowledged: the request expires if there is no
+        connection, or if it cannot be carried out within `RESET_S`.
         """
         self._reset_until = time.monotonic() + RESET_S
         self._wake.set()
@@ -304,9 +305,9 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         return speed if fresh and not self._closing and self._unguarded() is None else None
 
     def _unguarded(self) -> Diagnosis | None:
-        """Return why the drive must not run although it is connected; None if it may.
+        """Return the reason why the connected drive must not run yet; None if it may run.
 
-        It may have lost power since the last connection; a cut cable looks the same.
+        The drive may have lost power since the last connection, which looks like a cut cable.
         """
         if time.monotonic() >= self._guarded_from:
             return None
@@ -324,7 +325,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._run_cycle()
 
     def _handle_failure(self, error: Exception, problem: str) -> None:
-        """Close the connection; then stay silent, connect again after a while, or finish."""
+        """Close the connection, and decide between a silence, another connection and the end."""
         now, drive = time.monotonic(), self._drive
         if self._requested[0] is not None:
             self._update(start_failed=Diagnosis.of("start_failed", "lost", problem=problem))
@@ -352,20 +353,20 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._disconnect()
 
     def _silence(self) -> tuple[float, str]:
-        """Return the length of a silence (s), and the drive's own timeout in words.
+        """Return the length of a silence (s), and a description of the drive's own timeout.
 
-        A timeout above the limit is not waited for, since it was misread or the drive would run on.
-        It is treated like an unknown timeout. No silence is longer than the limit.
+        A timeout above the limit is treated as unknown, since it may have been misread. No silence
+        is longer than the limit.
         """
         limit_s, own_s = self._timeout_limit_s, self._snapshot.timeout_s
         if own_s is None:
             return limit_s, f"assumed to be at most {limit_s:g} s"
         if own_s > limit_s:
-            return limit_s, f"read as {own_s:g} s, which is above {limit_s:g} s and not relied on"
+            return limit_s, f"read as {own_s:g} s, which is above {limit_s:g} s and is not trusted"
         return min(own_s + SILENCE_MARGIN_S, limit_s), f"{own_s:g} s"
 
     def _disconnect(self) -> None:
-        """Close the connection; at the end, release the lock, too."""
+        """Close the connection; if the thread is about to end, also release the lock."""
         try:
             self._drive.line.close()
         finally:
@@ -373,7 +374,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
                 self._drive_lock.close()
 
     def _connect(self) -> None:
-        """Stop the drive; then read what it is and whether its own timeout would stop it."""
+        """Connect and stop the drive; then read its nameplate and its own timeout."""
         self._pause_until(self._connect_at)
         self._stop_requested = False
         if self._drive_lock is None:
@@ -410,7 +411,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         )
 
     def _acquire_lock(self) -> None:
-        """Try to acquire the drive's lock; set the time of the next attempt, or end if closing."""
+        """Try to acquire the drive's lock; after a failure, set the time of the next attempt."""
         self._done = self._closing
         if not self._done:
             try:
@@ -423,7 +424,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
                 self._connect_at = time.monotonic() + LOCK_WAIT_S
 
     def _read_settings(self) -> None:
-        """Read the safety-relevant settings, which someone may change at the panel."""
+        """Read the safety-relevant settings again, since they may be changed at the panel."""
         try:
             (seconds, note), timeout_known = self._drive.timeout(), True
         except DriveError as error:
@@ -434,7 +435,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         self._update(timeout_s=seconds, timeout_known=timeout_known, timeout_note=note)
 
     def _run_cycle(self) -> None:
-        """Write what is requested, and read the drive's report."""
+        """Write the requested speed or *stop*, and read the drive's status."""
         started = time.monotonic()
         self._stop_requested = False
         try:
@@ -463,17 +464,17 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._pause(self._period_s - (time.monotonic() - started))
 
     def _stop_and_release(self) -> None:
-        """Stop the drive; release it when it is stopped, or when its speed does not fall."""
+        """Stop the drive; release it when it is at rest, or when its speed does not fall."""
         status = _stop_until_at_rest(self._drive, self._rest_deadline)
         self._done = True
         self._update(state=ExchangeState.CONNECTING, status=status, read_at=boot_time())
         self._disconnect()
 
     def _read(self) -> DriveStatus:
-        """Return the drive's report; first acknowledge a trip of its communication timeout.
+        """Return the drive's status; first acknowledge a trip of its communication timeout.
 
-        That trip results from a lost connection, and is no longer relevant when the connection is
-        back.
+        The lost connection that caused the trip has been restored, so the trip is no longer
+        relevant.
         """
         drive = self._drive
         try:
@@ -485,7 +486,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             raise
         self._stop_monitor.speed_read()
         if status.timed_out:
-            self._fail(f"the drive had stopped on its own: {status.fault}")
+            self._fail(f"the drive had stopped by itself: {status.fault}")
             try:
                 drive.reset()
             except DriveError as error:
@@ -495,7 +496,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         return status
 
     def _write_order(self) -> tuple[bool, str]:
-        """Write the present request; return whether the drive runs, and why it does not."""
+        """Write the present request; return whether the drive runs, or the reason why not."""
         pause_s = PAUSE_S
         try:
             other = self._drive.second_master()
@@ -546,9 +547,9 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
 
 
 def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
-    """Stop a drive; return its report when it is stopped, or when its speed does not fall.
+    """Stop a drive; return its status once it is at rest, or once its speed does not fall.
 
-    Drive files do not state the length of the ramp, so it waits while the speed falls.
+    Drive files do not state the length of the ramp, so the call waits while the speed falls.
     """
     fall = Deceleration()
     while True:
@@ -562,20 +563,20 @@ def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
 def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
     """Stop a drive after its driver has died; this blocks for `REST_LIMIT_S` at most.
 
-    The lock keeps other drivers away meanwhile. It is not required, since a hung driver still holds
-    it, and stopping is safe even if it cannot be acquired or its holder is unknown.
+    The lock keeps other drivers away during the call. If the lock cannot be acquired because the
+    hung driver or an unknown process holds it, the drive is stopped nevertheless, which is always
+    safe.
 
     Args:
         endpoint: the drive.
-        driver: process id of that driver, which may hold the lock; None if there is none.
+        driver: process id of the dead or hung driver, which may hold the lock; None for none.
 
     Returns:
-        The drive's report after *stop*; it may not be stopped.
+        The drive's status after *stop*; the drive may not be at rest.
 
     Raises:
-        DriveInUseError: if another process runs the drive; nothing was sent.
-        DriveError: if three attempts to write *stop* and read the drive failed; the message states
-            why.
+        DriveInUseError: if another process runs the drive; in this case, nothing was sent.
+        DriveError: if three attempts to write *stop* and read the status failed.
     """
     with ExitStack() as lock:
         try:

@@ -1,4 +1,4 @@
-"""A lock, so that only one program at a time on this machine controls a drive."""
+"""A lock that lets only one program on this machine control a drive at a time."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from greenroof_ros.live.devices.modbus_line import DriveError
 
 
 class DriveInUseError(DriveError):
-    """Another process holds the lock.
+    """Error for a drive that another process controls.
 
     Attributes:
-        holder: its process id; None if it is unknown.
+        holder: id of the process that holds the lock; None if it is unknown.
     """
 
     def __init__(self, message: str, holder: int | None) -> None:
@@ -22,15 +22,15 @@ class DriveInUseError(DriveError):
 
 
 def acquire_drive_lock(drive: Endpoint) -> socket.socket:
-    """Return the lock of a drive, which is held until it is closed; this may resolve a host name.
+    """Acquire the lock of a drive, and return it; closing the socket releases the lock.
 
-    Only one process at a time can hold it, among those of all users of this machine. A serial line
+    Only one process on this machine, of any user, can hold the lock at a time. A serial line
     is locked as a whole, with all devices on it. The lock does not keep away a driver on another
     computer, or in a container with its own network.
 
     Raises:
-        DriveInUseError: if another process holds it.
-        DriveError: if the system refuses the lock or the host is unknown.
+        DriveInUseError: if another process holds the lock.
+        DriveError: if the system denies the lock or the host is unknown.
     """
     try:
         name = drive.lock_name()

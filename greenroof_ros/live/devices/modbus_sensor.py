@@ -1,4 +1,4 @@
-"""Reads sensors on Modbus: one thread per serial line or TCP port reads its sensors in turn."""
+"""Sensors on Modbus: one thread per serial line or TCP port reads its sensors in turn."""
 
 from __future__ import annotations
 
@@ -24,23 +24,24 @@ _TIMEOUTS = 3
 
 
 class SensorLine(DeviceThread[DeviceSnapshot]):
-    """Reads the sensors on one line once per period; the one that has waited longest comes first.
+    """A thread that reads the sensors on one line once per period, the most overdue sensor first.
 
-    It connects if needed, and again after every failure. If the line has several sensors, it waits
-    until three timeouts after the failed reading began, because a gateway may label a late answer
-    with the number of the next request, and that answer would be taken for the value of the next
-    register. A sensor that is absent, hangs or sends nonsense delays each of the others by three
-    timeouts per reading. The timeout is 0.5 s, or shorter if needed so that reading all n sensors
-    of the line takes at most half of the maximum age A of a value: 3 n timeouts <= A / 2. A period
-    is at most A / 2. The readings of a good sensor are therefore never further apart than A,
-    whatever the others do. At A = 5 s, two sensors have 0.42 s each to answer.
+    The thread connects if needed, and again after every failure. If the line has several sensors,
+    the thread then waits until three timeouts after the beginning of the failed reading, because a
+    gateway may label a late answer with the number of the next request, and that answer would be
+    taken for the value of the next register. A sensor that is absent, hangs or sends invalid
+    answers delays the others by three timeouts per reading. The timeout is 0.5 s, or shorter if
+    needed so that reading all n sensors of the line takes at most half of the maximum age A of a
+    value: 3 n timeouts <= A / 2. A period is at most A / 2. The readings of a good sensor are
+    therefore never further apart than A, whatever the other sensors do. At A = 5 s, each of two
+    sensors has 0.42 s to answer.
     """
 
     def __init__(self, name: str) -> None:
         """Prepare a line without sensors; see :class:`ModbusReader`.
 
         Args:
-            name: its address, for messages.
+            name: address of the line, for messages.
         """
         super().__init__(f"{name}: reading", DeviceSnapshot())
         self.readers: list[ModbusReader] = []
@@ -89,12 +90,12 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
 
 
 class ModbusReader(SensorReader):
-    """A sensor on a line and what is known about its quantity.
+    """A sensor on a line, with the present knowledge about its quantity.
 
     Attributes:
         sensor: the sensor to read.
-        max_age: age beyond which its quantity is not used (s).
-        due: when it is read next (s, `time.monotonic`).
+        max_age: maximum age of the quantity (s).
+        due: time of the next reading (s, `time.monotonic`).
     """
 
     def __init__(
@@ -106,8 +107,8 @@ class ModbusReader(SensorReader):
         Args:
             sensor: the sensor to read.
             unit: unit of the quantity, for messages.
-            line: the line that reads it.
-            max_age: age beyond which its quantity is not used (s).
+            line: the line that reads the sensor.
+            max_age: maximum age of the quantity (s).
             spread_s: maximum time over which a rise of a total is spread (s).
         """
         self.sensor, self.max_age, self.due = sensor, max_age, time.monotonic()
@@ -116,20 +117,20 @@ class ModbusReader(SensorReader):
         line.readers.append(self)
 
     def start(self) -> None:
-        """Start its line; see :meth:`SensorLine.start`."""
+        """Start the sensor's line; see :meth:`SensorLine.start`."""
         self._line.start()
 
     def close(self) -> None:
-        """Close its line, which also ends the reading of the other sensors on it."""
+        """Close the sensor's line, which also ends the reading of other sensors on that line."""
         self._line.close()
 
     # --- in the line's thread ---------------------------------------------------------------------
 
     def read(self, line: ModbusLine) -> None:
-        """Read once more.
+        """Read the sensor once.
 
         Raises:
-            DriveError: if there is no answer, a wrong one, or a value out of range.
+            DriveError: if no valid answer arrives, or the value is out of range.
         """
         self._readings.clear_after_suspend()
         value = self._read_quantity(line)
@@ -137,7 +138,7 @@ class ModbusReader(SensorReader):
             self._reading = Reading(time.monotonic(), "", value)
 
     def _read_quantity(self, line: ModbusLine) -> float | None:
-        """Return the filtered quantity after another reading."""
+        """Read the sensor, and return the filtered quantity."""
         sensor = self.sensor
         try:
             if not line.connected:

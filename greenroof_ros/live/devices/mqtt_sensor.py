@@ -1,4 +1,4 @@
-"""Receives the readings of a sensor on MQTT."""
+"""Receiver of the readings of a sensor on MQTT."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _WHOLE = re.compile(r"\s*[+-]?\d+\s*", re.ASCII)
 
 
 def read_number(payload: bytes, sensor: MqttSensor) -> float:
-    """Return the number in a message; a whole number stays one, however long.
+    """Return the number in a message; a whole number of any length remains an integer.
 
     Args:
-        payload: the message, which is JSON or a plain number.
-        sensor: its description, which states where the number is.
+        payload: content of the message, which is JSON or a plain number.
+        sensor: the sensor's section of the sensor file, which contains the path of the number.
 
     Raises:
-        ValueError: if there is no number.
+        ValueError: if the message contains no number at the path.
     """
     if len(payload) > _MAX_BYTES:
         raise ValueError(f"a message has {len(payload)} bytes, which is more than {_MAX_BYTES}")
@@ -43,7 +43,9 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
     try:
         value = value_at(value, sensor.value)
     except LookupError as error:
-        raise ValueError(f"reports {payload[:80]!r}, without {sensor.value}") from error
+        raise ValueError(
+            f"reports {payload[:80]!r}, which does not contain {sensor.value}"
+        ) from error
     text = str(value)
     if isinstance(value, bool) or not (isinstance(value, float) or _NUMBER.fullmatch(text)):
         raise ValueError(f"reports {text[:40]!r}, which is not a number")
@@ -54,10 +56,10 @@ def read_number(payload: bytes, sensor: MqttSensor) -> float:
 
 
 class MqttReader(SensorReader):
-    """Receives what a sensor publishes. The client reconnects automatically after every failure.
+    """A receiver of a sensor's messages, which reconnects automatically after every failure.
 
     A message counts as a reading at the moment of its arrival. A retained message is not a reading,
-    nor are the first ones after a silence or a loss, since they may be of any age.
+    nor are the first messages after a silence or a lost connection, since they may be of any age.
     """
 
     def __init__(
@@ -67,7 +69,7 @@ class MqttReader(SensorReader):
 
         Args:
             name: name of the quantity, for the client id.
-            sensor: the sensor to receive from.
+            sensor: the sensor whose messages are received.
             unit: unit of the quantity, for messages.
             spread_s: maximum time over which a rise of a total is spread (s).
 
@@ -87,7 +89,7 @@ class MqttReader(SensorReader):
 
     @property
     def snapshot(self) -> Reading:
-        """What is known now."""
+        """The present knowledge about the quantity."""
         with self._lock:
             age = time.monotonic() - self._reading.read_at
             if not self._reading.problem and age > self._sensor.max_age:

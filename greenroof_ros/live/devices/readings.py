@@ -1,4 +1,4 @@
-"""Turns the readings of a sensor into the quantity that it measures: scaled, checked, filtered."""
+"""Conversion of a sensor's readings to the measured quantity: scaling, checks and filter."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _WINDOW_S, _MIN_REFUSED, _MAX_SHARE = 60.0, 5, 0.1
 
 @dataclass(frozen=True)
 class Reading(DeviceSnapshot):
-    """What is known about a quantity.
+    """The state of knowledge about a quantity.
 
     Attributes:
-        read_at: when the last attempt ended or the sensor was lost (s, `time.monotonic`).
-        value: value in the unit of its topic; None after a failure or until there is a second
-            total, except that a rise of a total is still published to its end.
+        read_at: time at which the last attempt ended or the sensor was lost (s, `time.monotonic`).
+        value: value in the unit of the quantity's topic. It is None after a failure, or before the
+            second total; the rise of a total, however, is still published to its end.
         code: condition code of the problem.
     """
 
@@ -38,13 +38,13 @@ class Reading(DeviceSnapshot):
 
 
 class RefusedShare:
-    """Counts the rejected readings of each minute, which are too brief to be alarms themselves.
+    """Counter of the readings in each minute that are rejected too briefly to raise an alarm.
 
-    A failure that lasts until it is an alarm of its own does not count.
+    Readings that are rejected for so long that they raise an alarm do not count.
     """
 
     def __init__(self) -> None:
-        """Begin the first minute."""
+        """Start counting the first minute."""
         self._all = self._refused = 0
         self._why = ""  # the reason for the last rejection
         self._began, self._refused_since = time.monotonic(), math.inf
@@ -52,7 +52,7 @@ class RefusedShare:
         self._diagnosis: Diagnosis | None = None
 
     def count(self, why: str = "") -> None:
-        """Count a reading and why it was rejected; the reason is empty for a good one."""
+        """Count a reading, with the reason for its rejection; empty for a good reading."""
         now = time.monotonic()
         if why:
             self._refused_since, self._why = min(self._refused_since, now), why
@@ -77,7 +77,7 @@ class RefusedShare:
 
     @property
     def diagnosis(self) -> Diagnosis | None:
-        """A diagnosis if too many readings were rejected between good ones, otherwise None."""
+        """A diagnosis if too many readings were rejected between good readings; otherwise None."""
         lost = time.monotonic() - self._refused_since > self._lasts
         return None if lost else self._diagnosis
 
@@ -85,9 +85,10 @@ class RefusedShare:
 class Readings:
     """The last readings of a sensor; the quantity is their median.
 
-    A median leaves out single wrong readings, which a first-order filter would spread over many
-    readings. It follows a steady movement of the level with a delay of half its readings, and keeps
-    the start of the movement sharp. The levels of tanks are slow enough for that delay.
+    A median removes single wrong readings, which a first-order filter would spread over many
+    readings. The median follows a steady rise or fall of the level with a delay of half its
+    readings, and does not blur the beginning of a rise. The levels of tanks are slow enough for
+    that delay.
 
     Attributes:
         share: counter of the rejected readings.
@@ -97,7 +98,7 @@ class Readings:
         """Start without readings.
 
         Args:
-            sensor: description of how its readings are scaled, checked and filtered.
+            sensor: the sensor's section of the sensor file, with scale, range and filter.
             unit: unit of the quantity, for messages.
             spread_s: maximum time over which a rise of a total is spread (s).
         """
@@ -108,10 +109,10 @@ class Readings:
         self.share = RefusedShare()
 
     def clear(self, why: str) -> None:
-        """Forget all readings for a reason, so that the next value comes from new ones only.
+        """Discard all readings for a reason, so that the next value comes from new readings only.
 
-        This does not apply to a total: its growth since then fell from the sky or went through the
-        pipe.
+        This does not apply to a total, because its growth in the meantime is water that has really
+        fallen or flowed.
         """
         self.share.count(why)
         self._values.clear()
@@ -119,7 +120,10 @@ class Readings:
             self._total.sensor_lost()
 
     def clear_after_suspend(self) -> bool:
-        """Forget all if the machine was suspended since the last call; return whether it was."""
+        """Discard all readings if the machine was suspended; return whether it was.
+
+        The call considers the time since the last call.
+        """
         before, self._suspended = self._suspended, suspended_time()
         if self._suspended - before <= _SUSPEND_S:
             return False
@@ -130,8 +134,8 @@ class Readings:
         """Add a reading; return the quantity, filtered with the earlier readings.
 
         Returns:
-            The quantity; None for the first total, or for one below the last, as the sensor has
-            restarted.
+            The quantity; None for the first total, or for a total below the last, which means that
+            the sensor has restarted.
 
         Raises:
             ValueError: if the reading is not a number or is out of range.
@@ -154,17 +158,17 @@ class Readings:
         return statistics.median_low(self._values)
 
     def current(self, reading: Reading) -> Reading:
-        """Return a reading with its present value: a total's changes even between readings."""
+        """Return a reading with its present value; the rate of a total changes between readings."""
         if self._total is None or (rate := self._total.rate()) == reading.value:
             return reading
         return replace(reading, value=rate)
 
 
 class SensorReader:
-    """Keeps what is known about a sensor's quantity; a subclass reads the sensor.
+    """Base class for the reader of a sensor, which keeps the knowledge about its quantity.
 
     A rejected value, a failure or a suspension of the machine empties the filter, so the next value
-    comes from new readings only. The rise of a total remains.
+    comes from new readings only. The rise of a total is not affected.
     """
 
     def __init__(self, sensor: Sensor, unit: str, spread_s: float, first: Reading) -> None:
@@ -174,25 +178,25 @@ class SensorReader:
             sensor: see :class:`Readings`.
             unit: see :class:`Readings`.
             spread_s: see :class:`Readings`.
-            first: what is known until a reading has arrived or failed.
+            first: snapshot until the first reading has arrived or failed.
         """
         self._readings, self._reading = Readings(sensor, unit, spread_s), first
         self._lock = threading.RLock()
 
     @property
     def snapshot(self) -> Reading:
-        """What is known now."""
+        """The present knowledge about the quantity."""
         with self._lock:
             self._reading = self._readings.current(self._reading)
             return self._reading
 
     @property
     def share(self) -> RefusedShare:
-        """Counter of its rejected readings."""
+        """The counter of the sensor's rejected readings."""
         return self._readings.share
 
     def report_failure(self, problem: str, code: str = "sensor_lost") -> None:
-        """Report that a reading failed, and why."""
+        """Record a failed reading with its problem and condition code."""
         with self._lock:
             self._readings.clear(problem)
             self._reading = Reading(time.monotonic(), problem, code=code)

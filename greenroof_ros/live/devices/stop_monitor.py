@@ -1,4 +1,4 @@
-"""Monitors whether a drive obeys *stop*: its speed must fall, whatever it answers."""
+"""Monitor of whether a drive obeys *stop*: its speed must fall, whatever the drive answers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RUNS_ON_AGAIN_S = 60.0
 
 
 class RunsOnError(DriveError):
-    """A drive runs on after *stop*, and must now be left in silence."""
+    """Error for a drive that runs on after *stop*, and must now be left in silence."""
 
 
 class Deceleration:
@@ -31,24 +31,24 @@ class Deceleration:
         self._lowest, self._fell_at = math.inf, -math.inf
 
     def update(self, status: DriveStatus, now: float) -> float:
-        """Update with a drive's report, and return for how long its speed has not fallen (s)."""
+        """Process a drive's status, and return how long its speed has not fallen (s)."""
         if abs(status.speed) < self._lowest - SLOWER:
             self._lowest, self._fell_at = abs(status.speed), now
         return now - self._fell_at
 
 
 class StopMonitor:
-    """Monitors whether a drive obeys *stop*, across connections that break.
+    """Monitor of whether a drive obeys *stop*, even if connections break.
 
     A drive obeys if its speed falls, however slowly. A drive in local control is left to the person
     at its panel. All times are those of `time.monotonic` (s).
     """
 
     def __init__(self, where: str) -> None:
-        """Start without any knowledge of the drive.
+        """Initialize the monitor without any knowledge of the drive.
 
         Args:
-            where: the place of the drive, for messages.
+            where: address of the drive, for messages.
         """
         self._where = where
         # The fall since *stop* became the last order; None if the drive runs or is stopped.
@@ -65,12 +65,12 @@ class StopMonitor:
         self._silent_until = -math.inf
 
     def stop_written(self, now: float) -> None:
-        """Record that *stop* was written, and is the last order."""
+        """Record that *stop* was written, and is the last command."""
         self._fall = self._fall or Deceleration()
         self._unread_from = min(self._unread_from, now)
 
     def order_changed(self) -> None:
-        """Record that the last order is not *stop*, or may be someone else's."""
+        """Record that the last command was not *stop*, or may be that of another program."""
         self._fall = None
 
     def speed_read(self) -> None:
@@ -80,10 +80,10 @@ class StopMonitor:
     def check(
         self, status: DriveStatus, now: float, disbelieved: bool = False
     ) -> DriveStatus:
-        """Return a drive's report, with a fault added if it runs on after *stop*.
+        """Return a drive's status, with a fault added if the drive runs on after *stop*.
 
         Args:
-            status: the report.
+            status: the status.
             now: the time.
             disbelieved: whether the pump runs although the drive reports that it is at rest.
 
@@ -92,7 +92,9 @@ class StopMonitor:
         """
         fall, reported_at, self._reported_at = self._fall, self._reported_at, math.inf
         if disbelieved and fall is not None and status.at_rest:
-            raise RunsOnError("drive", f"{self._where}: it reports rest, but water flows")
+            raise RunsOnError(
+                "drive", f"{self._where}: the drive reports that it is at rest, but water flows"
+            )
         if fall is None or status.at_rest or not status.remote:
             self._fall, self._silent_until = None, -math.inf
             return status
@@ -101,9 +103,11 @@ class StopMonitor:
             self._visible_s = 0.0
             return status
         self._reported_at, self._visible_s = now, self._visible_s + max(0.0, now - reported_at)
-        problem = f"it acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
+        problem = f"the drive acknowledges *stop*, but its speed has not fallen for {RUNS_ON_S:g} s"
         if self._visible_s > VISIBLE_S and now - self._silent_until > RUNS_ON_AGAIN_S:
-            raise RunsOnError("drive", f"{self._where}: {problem} (it is {status.speed:.1%})")
+            raise RunsOnError(
+                "drive", f"{self._where}: {problem} (the speed is {status.speed:.1%})"
+            )
         fault = "; ".join(filter(None, (status.fault, problem)))
         return replace(status, fault=fault, timed_out=False, runs_on=True)
 
@@ -111,12 +115,12 @@ class StopMonitor:
         """Record that the connection was lost.
 
         Args:
-            stopped: whether the last *stop* was written; None if none was attempted.
+            stopped: whether the last *stop* was written; None if no *stop* was attempted.
             now: the time.
 
         Returns:
-            Why the drive must be left in silence, to be added to the problem; None if it need not
-            be.
+            The reason why the drive must be left in silence, as an addition to the problem; None if
+            a silence is not needed.
         """
         self._reported_at = math.inf
         if stopped is not None:
@@ -132,6 +136,6 @@ class StopMonitor:
         return None
 
     def silence_started(self, until: float) -> None:
-        """Record that a silence has started, and when it ends."""
+        """Record the start of a silence, and the time of its end."""
         if not self._refusals:
             self._silent_until = until

@@ -1,4 +1,4 @@
-"""Turns a running total, as from a tipping bucket or a water meter, into its rate of growth."""
+"""Conversion of a running total, from a tipping bucket or a water meter, to a rate."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ _BITS = (16, 32, 64)
 
 
 class Total:
-    """Spreads each rise of a total over as long as it took, never faster than the maximum rate.
+    """The rate of a total; each rise is spread over the time it took, within the maximum rate.
 
     The integral of `rate` over time, with each value held until the next call, is the rise of the
-    total. Each call counts what the previous value has added; what is still due stays due through a
-    lost connection or a suspension of the machine. Neither a copy of a message nor a delay
-    therefore changes anything.
+    total. Each call subtracts the volume that the previous value has added. The remaining volume is
+    not affected by a lost connection or a suspension of the machine. A repeated or delayed message
+    therefore changes nothing.
     """
 
     def __init__(self, sensor: Sensor, unit: str, spread_s: float) -> None:
-        """Start without a total.
+        """Initialize the rate without a total.
 
         Args:
-            sensor: description of the sensor, with its scale and maximum rate.
+            sensor: the sensor's section of the sensor file, with scale and maximum rate.
             unit: unit of the rate, for messages.
-            spread_s: longest time over which a rise is spread (s).
+            spread_s: maximum time over which a rise is spread (s).
         """
         self._sensor, self._unit, self._spread_s = sensor, unit, spread_s
         self._burst_s = min(_BURST_S, spread_s)
@@ -50,12 +50,12 @@ class Total:
         self._updated_at = time.monotonic()
 
     def sensor_lost(self) -> None:
-        """Record that the sensor is lost: beyond the last total, only what is due is known."""
+        """Record that the sensor is lost, so that only the remainder of the last rise is known."""
         with self._lock:
             self._growing = False
 
     def rate(self) -> float | None:
-        """Return the present rate; None if nothing is due and no growth is known."""
+        """Return the present rate; None if no rise remains and the growth is unknown."""
         with self._lock:
             now = time.monotonic()
             self._due -= self._rate * (now - self._updated_at)
@@ -81,7 +81,7 @@ class Total:
             raw: total as the sensor reports it; differences of whole numbers are exact.
 
         Raises:
-            ValueError: if it rose faster than the maximum rate allows; it then changes nothing.
+            ValueError: if the total rose faster than the maximum rate allows; it is then ignored.
         """
         with self._lock:
             now = boot_time()
@@ -147,7 +147,7 @@ class Total:
         """Reject a rise, unless a later total confirms it, in which case the sensor has restarted.
 
         Raises:
-            ValueError: if it is rejected.
+            ValueError: if the rise is rejected.
         """
         odd = self._odd
         confirms = odd is not None and self._is_growth(odd[0], raw, now - odd[1])

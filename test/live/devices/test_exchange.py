@@ -423,7 +423,7 @@ def test_its_own_timeout_is_read_though_no_stop_was_ever_taken(bench: Bench) -> 
     ("raw", "limit", "silence", "words"),
     [
         # Above the limit: another master wrote it, or a bit of the answer flipped.
-        (16434, 1.2, "1.2", "read as 1643.4 s, which is above 1.2 s and not relied on"),
+        (16434, 1.2, "1.2", "read as 1643.4 s, which is above 1.2 s and is not trusted"),
         # Not even longer by the margin of 1 s that is added to the drive's own timeout.
         (5, 1.2, "1.2", ""),
     ],
@@ -492,7 +492,7 @@ def test_a_drive_that_does_not_show_that_it_stops_is_left_in_silence(
     bench.until_reported(lambda status: status.runs_on and "acknowledges *stop*" in status.fault)
     assert bench.now.state is ExchangeState.STOPPING  # the fault is seen before the silence
     wait(lambda: re.search(
-        r"its speed has not fallen .* \(it is 50.0%\).*so nothing is sent for 1.2 s",
+        r"its speed has not fallen .* \(the speed is 50.0%\).*so nothing is sent for 1.2 s",
         bench.now.problem,
     ))
     assert "two successive connections" not in bench.now.problem
@@ -556,7 +556,7 @@ class Stopping:
         # A ramp of 1 % in 9 s, which is slow but falls; then noise at standstill.
         (lambda now: max(0.019, 1.0 - 0.01 * (now // 9)), [], ""),
         # Has not fallen for 10 s, observed for 2 s; left for 6 s; and again after a minute.
-        (lambda _now: 0.5, [12.3, 78.4, 144.5], "has not fallen for 10 s (it is 50.0%)"),
+        (lambda _now: 0.5, [12.3, 78.4, 144.5], "has not fallen for 10 s (the speed is 50.0%)"),
         # From 5.1 s on a connection is lost every 1.1 s: at 16.1 s that is over 10 s, noticed 1 s
         # later; after the silence until 23.1 s, again a minute later, at 83.7 s.
         (lambda now: 0.0 if now < 5 else None, [17.1, 84.7, 152.3], "; its speed cannot be read"),
@@ -602,7 +602,7 @@ def test_one_that_is_known_to_run_although_it_reports_rest_is_left() -> None:
     monitor, rest = StopMonitor("there"), DriveStatus(True, False, "", "", 0.0, None, True)
     assert monitor.check(rest, 1.0, disbelieved=True) == rest
     monitor.stop_written(1.1)
-    with pytest.raises(RunsOnError, match="there: it reports rest, but water flows"):
+    with pytest.raises(RunsOnError, match="there: the drive reports that it is at rest, but"):
         monitor.check(rest, 1.1, disbelieved=True)
 
 
@@ -732,7 +732,7 @@ def test_after_any_failure_the_next_step_begins_again(
     bench.wire.drop()
     wait(lambda: not errors and bench.now.connected)
     bench.until_half()
-    assert "talking to the drive failed: OSError('torn out')" in problems
+    assert "communication with the drive failed: OSError('torn out')" in problems
 
 
 # --- leaving a drive ------------------------------------------------------------------------------
