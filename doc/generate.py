@@ -409,14 +409,14 @@ def relays() -> str:
         relay = relay_file.read_relay_file(path)
         parts += [
             f"### {path.stem}\n\n{cell(relay.make)}: {cell(relay.model)}.\n",
-            "**Its timer**\n",
+            "**Timer of the relay**\n",
             _advice(("Set it", relay.timer.how_to_set), ("Beware", relay.timer.traps)),
             "Also set in the relay:\n",
             "\n".join(f"- {cell(text)}" for text in relay.set_up) + "\n",
         ]
         if relay.unverified:
             names = ", ".join(f"**`{key}`**" for key in relay.unverified)
-            parts.append(f"Not verified (reported at the start): {names}.\n")
+            parts.append(f"Keys that are not verified, and reported at the start: {names}.\n")
     return "\n".join(parts)
 
 
@@ -435,13 +435,16 @@ def drives() -> str:
             where = "own Ethernet port" if interface == "tcp" else "serial port"
             ports.setdefault(rows, []).append(where)
         for rows, where in ports.items():
-            parts.append(f"**Communication timeout of its {' and its '.join(where)}**\n")
+            parts.append(f"**Communication timeout of the {' and the '.join(where)}**\n")
             parts.append(_advice(*rows))
         parts.append("Also set in the drive:\n")
         parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
         vital = set(drive.unverified_and_vital)
         names = [f"**`{key}`**" if key in vital else f"`{key}`" for key in drive.unverified]
-        parts.append(f"Not verified (bold: reported at the start): {', '.join(names)}.\n")
+        parts.append(
+            "Keys that are not verified (those in bold are reported at the start): "
+            f"{', '.join(names)}.\n"
+        )
     return "\n".join(parts)
 
 

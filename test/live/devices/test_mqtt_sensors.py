@@ -103,9 +103,9 @@ MESSAGES: list[tuple[str, str, float | str]] = [
     ("9" * 400, "", "reports a number that is too large"),
     # Malformed, or of another form.
     ("2,31", "", "reports b'2,31', which is not JSON"),
-    ('{"level": 2.3}', "depth", "reports b'{\"level\": 2.3}', without depth"),
-    ('{"level": 2.3}', "level.m", "reports b'{\"level\": 2.3}', without level.m"),
-    ('{"level": []}', "level[0]", "reports b'{\"level\": []}', without level[0]"),
+    ('{"level": 2.3}', "depth", "reports b'{\"level\": 2.3}', which does not contain depth"),
+    ('{"level": 2.3}', "level.m", "reports b'{\"level\": 2.3}', which does not contain level.m"),
+    ('{"level": []}', "level[0]", "reports b'{\"level\": []}', which does not contain level[0]"),
     ("[" * 60_000, "", f"reports {b'[' * 40!r}, which is not JSON"),
     ("1" + " " * 65_536, "", "a message has 65537 bytes, which is more than 65536"),
 ]
