@@ -1,6 +1,6 @@
-"""Water a green roof from its rainwater cistern: in simulations without ROS, and as a ROS 2 graph.
+"""Watering of a green roof from a rainwater cistern, simulated without ROS or as a ROS 2 graph.
 
-The names of ``__all__`` are loaded on first use, so that ``import greenroof_ros`` takes no time.
+The names in ``__all__`` are loaded on first use, so that ``import greenroof_ros`` is fast.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _MODULES = {
 if not TYPE_CHECKING:  # or every name would be right
 
     def __getattr__(name: str) -> Any:
-        """Load a name of ``__all__``."""
+        """Load an object whose name is in ``__all__``."""
         import importlib
 
         api = f"{__name__}.analysis.api"
@@ -51,7 +51,7 @@ if not TYPE_CHECKING:  # or every name would be right
 
 
 def __dir__() -> list[str]:
-    """Return the names that can be loaded, and the others."""
+    """Return the names of all attributes, including the names that are loaded on first use."""
     return sorted({*globals(), *__all__})
 
 
@@ -63,19 +63,20 @@ SIGNALS = tuple(  # Windows has no SIGHUP
 
 
 def end_interrupted(*_: Any) -> None:
-    """Handle a signal while a command is imported, for seconds, or has ended: end at once.
+    """Handle a signal during a command's imports, which take seconds, or after its end: exit.
 
-    A KeyboardInterrupt would be a traceback, or another error if a compiled module is imported.
-    :func:`greenroof_ros.common.command_line.command` replaces this handler.
+    A KeyboardInterrupt would print a traceback, or would raise another error in the import of a
+    compiled module. :func:`greenroof_ros.common.command_line.command` replaces this handler.
     """
     os.write(2, b"interrupted\n")
     os._exit(INTERRUPTED)
 
 
 def end_on_interrupt() -> None:
-    """Let Ctrl-C, SIGTERM and SIGHUP end this process, a command, while it is imported.
+    """Make Ctrl-C, SIGTERM and SIGHUP stop this process, a command, during its imports.
 
-    It goes on ignoring what the shell has it ignore, such as Ctrl-C in the background.
+    The process continues to ignore the signals that the shell makes it ignore, such as Ctrl-C in
+    the background.
     """
     for number in SIGNALS:
         if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):

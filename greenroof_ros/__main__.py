@@ -1,4 +1,4 @@
-"""The entry point of all commands: ``greenroof``, or ``python -m greenroof_ros``."""
+"""The entry point of all commands, for ``greenroof`` and ``python -m greenroof_ros``."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Command:
     """A command, whose module is imported only when the command is chosen.
 
     Attributes:
-        module: name of a module in ``greenroof_ros.commands``, or with its folder; it provides
-            ``main`` and ``make_parser``.
+        module: name of a module in ``greenroof_ros.commands``, or its name including another
+            folder; the module provides ``main`` and ``make_parser``.
         about: description of the command in one line, for the help.
-        part: name of the object in the module that provides these two, if the module has several
-            commands.
+        part: name of the object in the module that provides ``main`` and ``make_parser``, if the
+            module has more than one command; otherwise empty.
     """
 
     module: str
@@ -54,14 +54,15 @@ GROUPS = {
     "see what it does, or did": {
         "watch": Command("watch", "show a run or a site on a page in a browser"),
         "status": Command("status", "print the current state, with an exit code for scripts"),
-        "bridge": Command("bridge", "publish on MQTT for Home Assistant; it can stop the pump"),
-        "report": Command("report", "make figures and tables of runs, studies and bags"),
+        "bridge": Command("bridge", "publish a graph on MQTT, with a stop switch for the pump"),
+        "report": Command("report", "create figures and tables of runs, studies and bags"),
         "recover": Command("recover", "restore a bag after a crash or a full disk"),
     },
     "compare controllers, without ROS": {
-        "simulate": Command("simulate", "run once in one process, with the graph's numbers"),
+        "simulate": Command("simulate", "run once in one process, with the same results as the "
+        "graph"),
         "study": Command("study", "run a grid of runs: the paper's 30, or your own"),
-        "district": Command("district", "add up what many buildings send to one sewer"),
+        "district": Command("district", "compute the total discharge of many buildings to a sewer"),
         "bound": Command("bound", "compute the minimum possible deviation"),
     },
     "fit it to your site": {
@@ -75,7 +76,8 @@ GROUPS = {
     "connect your own parts": {
         "check-controller": Command("check_controller", "check a controller: a class or a node"),
         "check-pump": Command("check_pump", "check whether a pump driver follows the interface"),
-        "simulators site": Command("simulators", "simulate a site's sensors and drive or relay"),
+        "simulators site": Command("simulators", "simulate a site's sensors, and its drive or "
+        "relay"),
     },
 }
 COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
@@ -116,14 +118,14 @@ def main() -> None:
 
 
 def _name(words: list[str]) -> str:
-    """Return the name of the command with which these words begin, whether or not it exists."""
+    """Return the name of the command at the beginning of the words, even if it does not exist."""
     two = any(name.startswith(f"{word} ") for name in COMMANDS for word in words[:1])
     return " ".join(word for word in words[:2 if two else 1] if word not in ("-h", "--help"))
 
 
 @command
 def _explain() -> int:
-    """Print the commands or the version, or state that there is no command with this name."""
+    """Print the commands or the version, or an error message about an unknown command."""
     parser = make_parser()
     name = _name(sys.argv[1:])
     if name.startswith("-"):

@@ -1,1 +1,1 @@
-"""The ways to run a graph: simulated and live."""
+"""Starting a graph, either of a simulated site or of a live site."""

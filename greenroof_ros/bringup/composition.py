@@ -1,4 +1,4 @@
-"""The nodes of a simulated run, composed in this process."""
+"""Composition of the nodes of a simulated run in one process."""
 
 from __future__ import annotations
 
@@ -30,24 +30,25 @@ _SHOWN_EVERY = 4
 class Composition:
     """Plant, weather, controller and recorder of one run, as nodes of this process.
 
-    It is used in a ``with`` statement, in which :meth:`end` must be called however the run ends.
+    The object is used in a ``with`` statement, in which :meth:`end` must be called regardless of
+    how the run ends.
 
     Attributes:
         refused: number of values that the nodes rejected, by topic.
-        tick: the tick that the plant has reached; -1 before the first.
+        tick: number of the tick that the plant has reached; -1 before the first tick.
     """
 
     def __init__(
         self, run: Run, arguments: Sequence[str], *, record: bool, external: bool,
         progress: RunProgress,
     ) -> None:
-        """Set the run; no node is made yet.
+        """Store the run, without creating nodes.
 
         Args:
             run: the run to simulate.
             arguments: ROS arguments for all nodes.
-            record: whether there is a recorder.
-            external: whether a node of the run is not composed here.
+            record: True to include a recorder.
+            external: True if a node of the run is in another process.
             progress: progress bar that shows the run.
         """
         self._run, self._record = run, record
@@ -65,31 +66,32 @@ class Composition:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Let the nodes leave the graph, and shut ROS down; the process must end soon."""
+        """Let the nodes leave the graph, and shut ROS down; the process must then exit soon."""
         with self._ends:
             destroy_nodes(list(self._nodes.values()))
 
     def end(self, failure: str | None) -> str | None:
-        """End the nodes, and close the bag.
+        """Stop the nodes, and close the bag.
 
         Args:
-            failure: why the run failed; None if it did not.
+            failure: reason why the run failed; None if it did not fail.
 
         Returns:
-            The first error, including errors while ending; None if there was none.
+            The description of the first error, either the given one or an error while a node stops;
+            None if there was none.
         """
         return end_nodes(list(self._nodes.values()), failure)
 
     def spin(self, check: Callable[[], None]) -> None:
-        """Make the nodes, and run them to the end of the run.
+        """Create the nodes, and run them to the end of the run.
 
         Args:
-            check: called 20 times a second; it can raise an error to end the run.
+            check: callback that is called 20 times a second; it can raise an error to end the run.
 
         Raises:
-            LockstepError: if the graph cannot go on.
-            ConfigurationError: if a parameter is wrong.
-            OSError: if a node cannot go on, for instance on a full disk.
+            LockstepError: if the graph cannot continue.
+            ConfigurationError: if a parameter is invalid.
+            OSError: if a node cannot continue, for instance because the disk is full.
         """
         run = self._run
         plant = self._nodes["plant"] = PlantNode()
@@ -109,7 +111,7 @@ class Composition:
             spin(list(self._nodes.values()), may_end)
 
     def _finished(self) -> bool:
-        """Whether the run is over for all nodes, and nothing more has arrived."""
+        """Return True if the run is over for all nodes and late messages have been awaited."""
         now = time.monotonic()
         if not all(node.finished for node in self._nodes.values()):
             self._finished_at = now
@@ -136,7 +138,7 @@ class Composition:
 
     @property
     def tick(self) -> int:
-        """The tick that the plant has reached; -1 before the first."""
+        """The number of the tick that the plant has reached; -1 before the first tick."""
         plant = self._nodes.get("plant")
         return plant.progress()["tick"] if plant is not None and plant.acted else -1
 
@@ -158,7 +160,7 @@ class Composition:
 
     @property
     def results(self) -> dict[str, Any]:
-        """The numbers of a finished run, for its summary."""
+        """The results of a finished run, for its summary."""
         controller = self._nodes.get(self._run.controller.name)
         solver = {"solver": None} if controller is None else controller.result
         recorder = self._nodes[RECORDER].result if self._record else {"messages": None}

@@ -1,4 +1,4 @@
-"""Keeps a live site running: ``greenroof live``; see :mod:`greenroof_ros.live.site_run`."""
+"""The command ``greenroof live``, which keeps a live site running."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from greenroof_ros.live.site_run import run_live
 
 @command
 def main() -> int:
-    """Start the site, and keep it running until it is stopped."""
+    """Start the site, and keep it running until a signal stops it."""
     arguments = make_parser().parse_args()
     site = LiveSite(arguments)
     return bring_up(arguments, partial(run_live, site, arguments), EXIT_DONE)

@@ -1,4 +1,4 @@
-"""Runs a simulated site as a ROS 2 graph: ``greenroof run``."""
+"""The command ``greenroof run``, which runs a simulated site as a ROS 2 graph."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ _NODES = "greenroof_ros.nodes"
 
 
 def make_parser() -> Parser:
-    """Return the parser for the command line."""
+    """Return the parser of the command line."""
     parser = Parser(
         prog="greenroof run",
         usage="%(prog)s [options] [--ros-args ...]",
         description="Run plant, weather, controller and recorder as ROS 2 nodes in one process, "
-        "in lockstep on simulated time. While it runs, "
-        "'ros2 topic echo --qos-durability volatile /roof/level' shows the roof.\n\n"
-        "For a site with sensors, where nothing is simulated, use 'greenroof live'.",
+        "in lockstep on simulated time. During the run, 'ros2 topic echo --qos-durability "
+        "volatile /roof/level' shows the level on the roof.\n\n"
+        "For a real site with sensors, use 'greenroof live'.",
         epilog="examples:\n"
         "  greenroof run --controller lookahead --initial high-low --horizon 12\n"
         "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
@@ -67,10 +67,10 @@ def make_parser() -> Parser:
         "are in\n"
         "                                         # greenroof check-controller --help\n"
         "  greenroof run --ros-args -r plant:/roof/level:=/raw\n\n"
-        "ROS arguments: -r FROM:=TO remaps a topic in all nodes of the run, -r NODE:FROM:=TO in "
-        "one of them; -r __ns:=/NAME is the same as --namespace; -p NAME:=VALUE sets a parameter "
-        "of the controller. Nodes cannot be renamed. Other commands, such as watch, do not know "
-        "about a remapped topic.\n\n"
+        "ROS arguments: -r FROM:=TO remaps a topic in all nodes of the run, and -r NODE:FROM:=TO "
+        "in one node; -r __ns:=/NAME is the same as --namespace; -p NAME:=VALUE sets a parameter "
+        "of the controller. Nodes cannot be renamed. Other commands, such as watch, do not "
+        "recognize a remapped topic.\n\n"
         "exit codes: 0 done, 1 a node failed, 2 bad usage, configuration or code of "
         "a controller, 3 a graph is already running, 130 interrupted",
     )
@@ -82,10 +82,10 @@ def make_parser() -> Parser:
 
 
 def simulated_run(arguments: argparse.Namespace) -> Run:
-    """Build and check the run that the command line describes.
+    """Create the run that the command line describes, and check it.
 
     Raises:
-        ConfigurationError: if an option or a file that it names is wrong.
+        ConfigurationError: if an option, or a file given by an option, is invalid.
     """
     run = build_run(arguments)
     if arguments.pump == EXTERNAL:
@@ -94,11 +94,11 @@ def simulated_run(arguments: argparse.Namespace) -> Run:
 
 
 def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
-    """Create the run's directory, run the nodes and write the summary; return the exit code.
+    """Create the run's directory, run the nodes, write the summary, and return the exit code.
 
     Raises:
-        ConfigurationError: if an option is wrong, a graph is already running, ROS 2 is missing, or
-            the directory cannot be created.
+        ConfigurationError: if an option is invalid, a graph is already running, ROS 2 is missing,
+            or the directory cannot be created.
         OSError: if the summary cannot be written.
     """
     with require_ros():
@@ -152,7 +152,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
 def _end(
     run: Run, directory: Path, graph: Composition, status: str, reason: str, *, as_json: bool,
 ) -> None:
-    """Write the summary; print it if the run is done, otherwise print how to open the bag."""
+    """Write the summary; print it if the run is done, or else the commands to open the bag."""
     notes: dict[str, Any] = {"refused": graph.refused, **graph.parameter_changes}
     if status == summary.DONE:
         result = summary.make_summary(run, **graph.results, **notes)
@@ -168,7 +168,7 @@ def _end(
 
 
 def _print_bag_contents(directory: Path, ticks: int | None) -> None:
-    """Print what is in the bag of an unfinished run, and how to open it.
+    """Print the contents of the bag of an unfinished run, and the commands to open it.
 
     Args:
         directory: the run's directory.
@@ -179,10 +179,10 @@ def _print_bag_contents(directory: Path, ticks: int | None) -> None:
     lines = ["no tick was recorded"]
     if ticks:
         info = f"  ros2 bag info {shlex.quote(str(bag))}"
-        lines = [f"ticks in {bag}: {ticks}; to look at them:", report, info]
+        lines = [f"ticks in {bag}: {ticks}; to view them:", report, info]
     elif ticks is None and bag.is_dir():
         lines = [
-            f"{bag} was not closed; to restore its ticks and look at them:",
+            f"{bag} was not closed; to restore its ticks and view them:",
             f"  greenroof recover {run}", report,
         ]
     print_line("\n".join(lines))
@@ -190,7 +190,7 @@ def _print_bag_contents(directory: Path, ticks: int | None) -> None:
 
 @command
 def main() -> int:
-    """Start the graph, watch it, and end it."""
+    """Start the graph, supervise it until the run is over, and stop it."""
     words, ros = split_ros_arguments(sys.argv[1:])
     parser = make_parser()
     arguments = parser.parse_args(words)

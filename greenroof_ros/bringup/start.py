@@ -1,4 +1,4 @@
-"""Starts a graph of any kind, with its watchers if options ask for them.
+"""Starting a graph of any kind, with the watchers that options request.
 
 A watcher is a separate process; a run neither waits for it nor fails with it.
 """
@@ -24,15 +24,15 @@ _ENDING_S = 3.0
 def bring_up(
     arguments: argparse.Namespace, start: Callable[[Signals], int], stopped: int = EXIT_INTERRUPTED
 ) -> int:
-    """Start a graph, and its watchers with ``--watch`` and ``--foxglove``; return the exit code.
+    """Start a graph with the watchers for ``--watch`` and ``--foxglove``; return the exit code.
 
     Args:
-        arguments: the command line.
-        start: runs the graph and returns the exit code.
-        stopped: the exit code if a signal arrives before any node was started, or after the run.
+        arguments: the parsed command line.
+        start: function that runs the graph and returns the exit code.
+        stopped: exit code if a signal arrives before the first node is started, or after the run.
 
     Raises:
-        ConfigurationError: if Foxglove cannot be served at the port.
+        ConfigurationError: if the server for Foxglove cannot use the port.
     """
     watchers: dict[str, tuple[str, ...]] = {"watch": ()} if arguments.watch else {}
     if arguments.foxglove is not None:
@@ -56,15 +56,15 @@ def bring_up(
 
 @contextmanager
 def _watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
-    """Run ``greenroof watch`` during a run; print its output, which begins with its address.
+    """Run ``greenroof watch`` during a run, and print its output, which includes its address.
 
-    The watcher ends with the run, however the run ends. If it cannot start or ends early, a line
-    reports this, and the run continues.
+    The watcher stops at the end of the run, regardless of how the run ends. If the watcher cannot
+    start or exits early, a line reports the failure, and the run continues.
 
     Args:
-        name: name of the watcher, for its lines.
+        name: name of the watcher, printed at the beginning of its lines.
         namespace: namespace of the graph.
-        options: options of the command.
+        options: options of ``greenroof watch``.
     """
     process = subprocess.Popen(
         [
@@ -94,7 +94,7 @@ def _watcher(name: str, namespace: str, *options: str) -> Iterator[None]:
 def _print_output(
     name: str, process: subprocess.Popen[str], ending: threading.Event
 ) -> None:
-    """Print a watcher's output, and a line if it ended without being asked to."""
+    """Print a watcher's output, and a line if the watcher exits before it is stopped."""
     assert process.stdout is not None
     for line in process.stdout:
         if not ending.is_set():
@@ -102,4 +102,4 @@ def _print_output(
     code = process.wait()
     if not ending.is_set():
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        print_line(f"{name}: the watcher has ended ({how}); the run goes on")
+        print_line(f"{name}: the watcher has exited ({how}); the run continues")

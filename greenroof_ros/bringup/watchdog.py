@@ -1,4 +1,4 @@
-"""Ends a run in which a callback does not return: a user's controller that hangs, or a disk."""
+"""Watchdog that ends a run if a callback does not return, as in a hanging user's controller."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _LAST_S = 5.0
 
 
 class Watchdog:
-    """Watches the main thread, which must report between its callbacks; used in a ``with``.
+    """Watchdog of the main thread, which must report between callbacks; a context manager.
 
-    The nodes of a process share its thread. So a callback that does not return would stop them all,
-    and Ctrl-C, too. After the limit, a :class:`HangError` is raised in it, which ends the run with
-    its bag closed; if that does not help, the process ends, and the bag must be recovered. A pause
-    of the whole process does not count.
+    The nodes of a process share its main thread. A callback that does not return would therefore
+    block all nodes, and Ctrl-C as well. After the limit, a :class:`HangError` is raised in the
+    callback; it ends the run and closes the bag. If the error has no effect, the process exits, and
+    the bag must be recovered. A pause of the whole process does not count as a hang.
     """
 
     def __init__(self, limit: Callable[[], float]) -> None:
-        """Watch nothing yet.
+        """Create the watchdog without starting it.
 
         Args:
-            limit: returns how long a callback may take at present (s).
+            limit: function that returns the current maximum duration of a callback (s).
         """
         self._limit = limit
         self._returned = threading.Event()
@@ -57,7 +57,7 @@ class Watchdog:
 
     def _end_callback(self, _: int, frame: FrameType | None) -> None:
         place = "" if frame is None else f"{frame.f_code.co_filename}, line {frame.f_lineno}"
-        raise HangError(f"did not return within {self._limit():g} s; it was at {place}")
+        raise HangError(f"did not return within {self._limit():g} s; it was executing {place}")
 
     def _watch(self) -> None:
         silent, ended = 0.0, False
@@ -72,7 +72,7 @@ class Watchdog:
                 signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGALRM)
             if silent > limit + _LAST_S:
                 print(
-                    f"error: a node or the disk has hung for {silent:g} s; 'greenroof recover' "
-                    "restores the bag", file=sys.stderr, flush=True,
+                    f"error: a node or the disk has not responded for {silent:g} s; 'greenroof "
+                    "recover' restores the bag", file=sys.stderr, flush=True,
                 )
                 os._exit(EXIT_FAILED)

@@ -1,1 +1,1 @@
-"""Code that all parts share: errors, files, the command line, times and the interface."""
+"""Code shared by all parts of the package: errors, files, command line, times and interface."""

@@ -1,4 +1,4 @@
-"""The record of a site's alarms, ``alarms.jsonl``, and the code that reads it."""
+"""Writing and reading the record of a site's alarms, ``alarms.jsonl``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _TIMES = "since", "ended"
 
 
 def to_record(alarm: Alarm) -> dict[str, Any]:
-    """Return an alarm as it is written to the file and to a summary."""
+    """Return the record of an alarm for the file and for a summary."""
     record = {**asdict(alarm), "about": list(alarm.about)}
     for key in _TIMES:
         if record[key] is not None:
@@ -37,11 +37,11 @@ def to_record(alarm: Alarm) -> dict[str, Any]:
 
 
 def _read_record(record: Mapping[str, Any]) -> Alarm:
-    """Return the alarm that a record describes.
+    """Return the alarm described by a record.
 
     Raises:
-        ValueError: if the record is not an alarm's.
-        TypeError: in the same case.
+        ValueError: if a value of the record is not valid for an alarm. TypeError: if the record's
+            keys or types are not valid for an alarm.
     """
     times = {
         key: None if record.get(key) is None else datetime.fromisoformat(record[key]).timestamp()
@@ -53,17 +53,17 @@ def _read_record(record: Mapping[str, Any]) -> Alarm:
 def read_alarms(directory: Path) -> list[Alarm]:
     """Return the newest recorded alarms of a live site, ordered by number.
 
-    Each line of the file is an alarm as it was known when the line was written; the last line with
-    a given number is the valid one. If there is no file, because a full disk prevented it, the
+    Each line of the file contains the state of an alarm at the time of writing; the last line with
+    a given number is the valid one. If there is no file, for example because the disk was full, the
     alarms in the summary are returned.
 
     Args:
-        directory: directory of the site.
+        directory: the site's directory.
 
     Raises:
         OSError: if a file cannot be read.
-        ValueError: if something in it is not an alarm. An incomplete last line, cut off by a crash,
-            is ignored, and so is a summary that is not valid.
+        ValueError: if a line or an entry is not an alarm. An incomplete last line after a crash is
+            ignored, and so is an invalid summary.
     """
     alarms: dict[int, Alarm] = {}
     for path in (directory / _OLDER, directory / ALARMS):
@@ -77,12 +77,13 @@ def read_alarms(directory: Path) -> list[Alarm]:
         try:
             alarms = {alarm.number: alarm for alarm in map(_read_record, records)}
         except (AttributeError, TypeError, ValueError) as error:
-            raise ValueError(f"{directory / _SUMMARY}: not all are alarms ({error})") from error
+            raise ValueError(f"{directory / _SUMMARY}: an entry of alarms is not an alarm "
+            f"({error})") from error
     return sorted(alarms.values(), key=lambda alarm: alarm.number)
 
 
 def _read_file(path: Path) -> Iterator[Alarm]:
-    """Yield the alarm of each complete line of a file."""
+    """Yield the alarm in each complete line of a file."""
     *lines, _cut = path.read_bytes().split(b"\n")
     for index, line in enumerate(lines, start=1):
         try:
@@ -92,20 +93,21 @@ def _read_file(path: Path) -> Iterator[Alarm]:
 
 
 class AlarmLog:
-    """Prints every change of an alarm and stores it immediately.
+    """Log that prints every change of an alarm and stores it immediately.
 
     Attributes:
-        last_number: number of the last alarm before this start.
-        count: number of alarms since this start, not counting warnings and consequences of others.
-        changes: number of changes so far.
+        last_number: number of the last alarm before the current start of the site.
+        count: number of alarms since the current start, without warnings and without alarms that
+            follow from other alarms.
+        changes: number of changes since the current start.
     """
 
     def __init__(self, print_line: Callable[[str], None], file: Path) -> None:
-        """Continue the file of earlier starts; alarms that were still active then end now.
+        """Continue the file of earlier starts; alarms that are still active in it end now.
 
         Args:
-            print_line: prints a line for people to read.
-            file: file in which the disk thread stores every change.
+            print_line: function that prints a line for people to read.
+            file: file to which the disk thread writes every change.
         """
         self.last_number = self.count = self.changes = 0
         self._print_line, self._file = print_line, file
@@ -114,7 +116,7 @@ class AlarmLog:
         try:
             self._resume()
         except (OSError, ValueError) as error:
-            print_line(f"warning: {error}; the alarms of earlier starts are not shown")
+            print_line(f"warning: {error}; the alarms of earlier starts will not be shown")
 
     def _resume(self) -> None:
         if self._file.is_file():  # a crash may have cut off its last line
@@ -126,7 +128,7 @@ class AlarmLog:
                 self._store(replace(alarm, ended=began))
 
     def as_records(self) -> list[dict[str, Any]]:
-        """Return the newest alarms for a summary."""
+        """Return the records of the latest alarms for a summary."""
         return [to_record(alarm) for alarm in self._newest.values()]
 
     def add(self, changes: Iterable[Change]) -> None:
@@ -155,10 +157,10 @@ class AlarmLog:
         DISK.do(partial(self._write, alarm, tuple(self._lasting.values())))
 
     def _write(self, alarm: Alarm, lasting: Sequence[Alarm]) -> None:
-        """Write an alarm (on the disk thread); if the file is full, begin a new one.
+        """Write an alarm (in the disk thread); if the file is full, begin a new file.
 
         A new file begins with the alarms that are still active, so that none of them is lost. A
-        full disk stops nothing: the alarm is also in the summary.
+        write error has no other effect than a warning, since the alarm is also in the summary.
         """
         written = [alarm]
         try:
@@ -172,7 +174,7 @@ class AlarmLog:
 
 
 def add_alarm_count(text: str, count: int) -> str:
-    """Return the sentence about how a site ended, with the number of alarms, if any."""
+    """Return the text about the end of a site's run with the number of alarms, if any, appended."""
     if count == 0:
         return text
     return f"{text}, with {count} alarm{'s' if count > 1 else ''}"

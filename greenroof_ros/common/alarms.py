@@ -1,14 +1,15 @@
-"""The judge of what nodes report: it makes alarms, each with a beginning, an end and a cause.
+"""Derivation of alarms, each with a beginning, an end and a cause, from the reports of nodes.
 
-This module alone decides what is an alarm, using the table of conditions. It receives reports and
-returns alarms. The supervisor of a live site passes it the reports from its sockets; the page, the
-status command and the bridge pass it those from /diagnostics. A node sends the same report both
-ways, with the code of what is wrong, when that began and how long it has lasted. So everyone sees
-the same alarms: the same node, part and code since the same time. A node that died counts as lost
-since its last report on /diagnostics, even if it is back before its silence alone would have been
-noticed. The supervisor prints the alarms and records them next to the bag
-(:mod:`greenroof_ros.common.alarm_log`), and the bag contains the reports themselves: nothing needs
-to publish alarms, and a dead supervisor hides none.
+Only this module decides which diagnoses are alarms, according to the table of conditions. The
+module receives reports and returns alarms. The supervisor of a live site passes the reports from
+its sockets to this module; the page, the status command and the bridge pass the reports from
+/diagnostics. A node sends the same report both ways, with the code, the beginning and the duration
+of each fault. Therefore all observers see the same alarms, with the same node, part, code and
+beginning. A node that died counts as lost since its last report on /diagnostics, even if it is
+restarted before its silence alone would have been noticed. The supervisor prints the alarms and
+records them next to the bag (:mod:`greenroof_ros.common.alarm_log`), and the bag contains the
+reports themselves. Therefore alarms need not be published, and no alarm is hidden if the supervisor
+dies.
 """
 
 from __future__ import annotations
@@ -46,30 +47,30 @@ _AHEAD_S = 60.0
 # How many alarms that are over are kept, and how many names a diagnosis may be about.
 _MAX_OVER, _MAX_ABOUT = 20, 10
 # What has to be done in a terminal on the site's machine, for a person at the pump.
-_RESET = "greenroof reset, in a terminal on its machine"
+_RESET = "greenroof reset, in a terminal on the site's machine"
 
 # Endings of the names of statuses about what a node receives: they explain nothing elsewhere.
 _OF_INPUTS = ": inputs", ": refused"
 
-OTHER = "There is no advice for this; read the log of the node that reports it."
-FOREIGN = "Reported by another device or program, not by the green roof: see its instructions."
+OTHER = "There is no advice for this code; read the log of the node that reports it."
+FOREIGN = "Reported by another device or program, not by the green roof: see its own instructions."
 """Advice for unknown codes, and for other devices, about which nothing is known here."""
 
 
 @dataclass(frozen=True)
 class StatusDiagnosis:
-    """What is wrong now, according to one status.
+    """A fault that a status currently reports.
 
     Attributes:
         level: WARN, ERROR or STALE.
-        sentence: the diagnosis in words.
-        code: code of the condition; another device may have none.
-        role: role of the node in the interface; empty for another device.
-        about: the topics that it is about, or the nodes that are being waited for.
-        fault: a device's own fault or warning; a different one makes a different alarm.
-        since: when it began (s since 1970); None if that is not reported.
-        age_s: how long it had lasted when it was reported (steady clock, s).
-        was_good: for a part, whether it was ever good.
+        sentence: sentence that describes the fault.
+        code: code of the condition; empty for another device without codes.
+        role: the node's role in the interface; empty for another device.
+        about: the topics concerned, or the nodes that are being waited for.
+        fault: a device's own fault or warning; a change of it begins a new alarm.
+        since: beginning of the fault (s since 1970); None if the status does not report it.
+        age_s: duration of the fault when it was reported (steady clock, s).
+        was_good: for a part, True if its status was OK at any time.
     """
 
     level: int
@@ -84,22 +85,25 @@ class StatusDiagnosis:
 
     @property
     def identity(self) -> tuple[str, str]:
-        """Code and fault, whose change makes another alarm; numbers in the sentence may change."""
+        """Code and fault.
+
+        If they change, a new alarm begins; numbers in the sentence may change.
+        """
         return self.code, self.fault
 
     @property
     def condition(self) -> Condition | None:
-        """The matching row of the table; None for another device or an unknown code."""
+        """The condition with the code; None for another device or an unknown code."""
         return read_conditions().get(self.code) if self.role else None
 
     @property
     def has_lasted(self) -> bool:
-        """Whether, when reported, it had lasted long enough to be an alarm."""
+        """Whether the fault had lasted long enough to be an alarm when it was reported."""
         return self.condition is None or self.age_s >= self.condition.lasts
 
     @property
     def stops_pump(self) -> bool:
-        """Whether no pump starts while it lasts."""
+        """Whether the pump cannot start while the fault lasts."""
         condition = self.condition
         return condition is not None and self.level != WARN and (
             condition.stops_pump or condition.interlock is not None
@@ -109,17 +113,17 @@ class StatusDiagnosis:
 def make_diagnosis(
     level: int, role: str, code: str, *cases: str, **values: Value
 ) -> StatusDiagnosis:
-    """Return a diagnosis made by the receiver of the reports itself."""
+    """Return a diagnosis that the receiver of the reports makes itself."""
     return StatusDiagnosis(level, Diagnosis.of(code, *cases, **values).sentence, code, role)
 
 
 def advise(code: str, role: str, node: str) -> str:
-    """Return what to do about a condition.
+    """Return the advice about a condition.
 
     Args:
         code: code of the condition.
-        role: role of the node in the interface; empty for another device.
-        node: full name of the node, for the commands that the advice names.
+        role: the node's role in the interface; empty for another device.
+        node: fully qualified name of the node, for the commands in the advice.
     """
     if not role:
         return FOREIGN
@@ -129,21 +133,23 @@ def advise(code: str, role: str, node: str) -> str:
 
 @dataclass(frozen=True)
 class Alarm:
-    """Something that was wrong, as people are told and as it is stored in ``alarms.jsonl``.
+    """A fault, as it is shown to people and stored in ``alarms.jsonl``.
 
     Attributes:
-        number: 1, 2, ... in the order in which the alarms began.
-        node: full name of the node that reports it, or that does not respond.
+        number: number of the alarm: 1, 2, ... in the order in which the alarms began.
+        node: fully qualified name of the node that reports the fault or does not respond.
         part: part of the node; empty for the node itself.
-        role: role of the node in the interface; empty for another device.
+        role: the node's role in the interface; empty for another device.
         code: code of the condition.
-        level: ``error``, ``stale`` (no report) or, for a warning, ``warn``.
-        sentence: in words, as last reported.
-        since: when it began, as its node reports it (s since 1970; in the file UTC, ISO 8601).
-        ended: when it ended, in the same form; None while it lasts.
-        seconds: how long it lasted by the steady clock; None while it lasts or if this is unknown.
-        follows: node and part of the alarm that causes it; empty if there is none.
-        about: the topics that it is about, or the nodes that are being waited for.
+        level: ``error``, ``stale`` (no report), or ``warn`` for a warning.
+        sentence: sentence that describes the fault, as last reported.
+        since: beginning of the fault, as reported by the node (s since 1970; in the file, UTC in
+            ISO 8601 format).
+        ended: end of the fault, in the same format as its beginning; None while the fault lasts.
+        seconds: duration of the fault by the steady clock (s); None while the fault lasts or if the
+            duration is unknown.
+        follows: node and part of the alarm that causes this alarm; empty if there is no such alarm.
+        about: the topics concerned, or the nodes that are being waited for.
         fault: a device's own fault or warning.
     """
 
@@ -163,33 +169,33 @@ class Alarm:
 
     @property
     def name(self) -> str:
-        """The name of its status on /diagnostics."""
+        """The name of the alarm's status on /diagnostics."""
         return f"{self.node}: {self.part}" if self.part else self.node
 
     @property
     def is_serious(self) -> bool:
-        """Whether it is an alarm rather than a warning; other devices cause only warnings."""
+        """Whether this is an alarm, not a warning; other devices cause only warnings."""
         return bool(self.role) and self.level != LEVELS[WARN]
 
     @property
     def is_known(self) -> bool:
-        """Whether there is advice for its code."""
+        """Whether there is advice for the alarm's code."""
         return bool(self.role) and self.code in read_conditions()
 
     @property
     def advice(self) -> str:
-        """What to do about it."""
+        """The advice about the alarm."""
         return advise(self.code, self.role, self.node)
 
 
 @dataclass
 class PartReport:
-    """A part of a node, or another device, as last received.
+    """The last report received about a part of a node, or about another device.
 
     Attributes:
-        diagnosis: what it reports, even if that is OK.
-        received_at: time of receipt (steady clock, s).
-        again: whether it was received more than once.
+        diagnosis: content of the report, even if the level is OK.
+        received_at: time at which the report was received (steady clock, s).
+        again: True if an earlier report about the part was received.
     """
 
     diagnosis: StatusDiagnosis
@@ -201,16 +207,16 @@ class PartReport:
         cls, before: PartReport | None, wall: float, level: int, sentence: str,
         values: Mapping[str, str], role: str = "", namespace: str = "",
     ) -> PartReport:
-        """Return the report that follows another; the namespace is removed from its topics.
+        """Return the report that follows another report, without the namespace in its topics.
 
         Args:
             before: the previous report; None for the first.
-            wall: now (steady clock, s).
+            wall: current time (steady clock, s).
             level: OK, WARN, ERROR or STALE.
-            sentence: the report in words.
-            values: the code, its beginning and its age, and the values from which the sentence is
-                made.
-            role: role of the node in the interface; empty for another device.
+            sentence: sentence of the report.
+            values: the code with its beginning and age, and the values that are inserted in the
+                sentence.
+            role: the node's role in the interface; empty for another device.
             namespace: namespace of the node.
         """
         about = (values.get("topics") or values.get("topic", "")).split()[:_MAX_ABOUT]
@@ -224,23 +230,24 @@ class PartReport:
 
 @dataclass
 class NodeReport:
-    """A process of this package, as last received.
+    """The last reports received from a process of this package.
 
     Attributes:
-        name: full name of the node.
-        role: role of the node in the interface.
-        process: the operating-system process: its machine and number.
+        name: fully qualified name of the node.
+        role: the node's role in the interface.
+        process: machine and process number of the node's process.
         state: one of the states in :mod:`greenroof_ros.common.states`.
-        values: the other values that it reports.
-        began: when it was first received; like the next two, by the steady clock (s).
-        received_at: when it was last received; at first ``began``.
-        since: when it entered its state; at first ``began``.
-        heard: when it was last received, in the graph's time (s since 1970).
-        parts: its parts, by name.
-        refused_at: when its count of rejected values last grew (steady clock, s).
-        refused: the topics of those values.
-        ended: how its process ended, in words, if this is known from another source.
-        lost: if the previous process died: when that was last heard, and last received.
+        values: all other values in the node's report.
+        began: time at which the first report was received (steady clock, s).
+        received_at: time at which the last report was received (steady clock, s); initially
+            ``began``.
+        since: time at which the node entered its state (steady clock, s); initially ``began``.
+        heard: time at which the last report was received, in the graph's time (s since 1970).
+        parts: reports about the node's parts, by the name of the part.
+        refused_at: time of the last increase of the count of rejected values (steady clock, s).
+        refused: topics of the values that were rejected at that time.
+        ended: description of the end of the process, if known from another source; otherwise empty.
+        lost: ``heard`` and ``received_at`` of the previous process if it died; otherwise None.
     """
 
     name: str
@@ -261,15 +268,15 @@ class NodeReport:
 
     @property
     def has_ended(self) -> bool:
-        """Whether it has reported its end."""
+        """Whether the node has reported that its run is over or that it stops."""
         return self.state in (FINISHED, ENDED)
 
     def is_online(self, wall: float) -> bool:
-        """Return whether its reports are arriving now."""
+        """Return True if the node's reports are currently arriving."""
         return not self.has_ended and not self.ended and wall - self.received_at <= SILENT_S
 
     def receive(self, wall: float, now: float, state: str, values: Mapping[str, Any]) -> None:
-        """Receive its own status; see the attributes."""
+        """Store the status of the node itself; see the attributes."""
         if state != self.state:
             self.since = wall
         known, counts = _read_counts(self.values), _read_counts(values)
@@ -279,7 +286,7 @@ class NodeReport:
         self.ended = ""
 
     def replace_process(self, before: NodeReport | None) -> None:
-        """Take the place of the process that used its name; if that died, it was lost until now."""
+        """Take over from the previous process of this name; if it died, it was lost until now."""
         if before is not None and not before.has_ended and (
             self.began - before.received_at > _DIED_S
         ):
@@ -288,14 +295,14 @@ class NodeReport:
     def receive_part(
         self, part: str, wall: float, level: int, sentence: str, values: Mapping[str, str]
     ) -> None:
-        """Receive the status of a part; see :meth:`PartReport.receive`."""
+        """Store the status of a part; see :meth:`PartReport.receive`."""
         self.parts[part] = PartReport.receive(
             self.parts.get(part), wall, level, sentence, values, self.role,
             self.name.rpartition("/")[0],
         )
 
     def diagnoses(self, wall: float) -> Iterator[tuple[str, StatusDiagnosis]]:
-        """Yield what is wrong with the node and its parts, each with the name of its status."""
+        """Yield the diagnoses of the node and its parts, each with the name of its status."""
         if self.has_ended:
             failure = self.values.get("failure")
             if isinstance(failure, str) and failure:
@@ -334,14 +341,14 @@ class NodeReport:
 
 
 def _read_counts(values: Mapping[str, Any]) -> dict[str, int]:
-    """Return how many values of each topic a node has rejected so far."""
+    """Return the number of values that a node has rejected so far, by topic."""
     refused = values.get("refused")
     counts = refused.items() if isinstance(refused, dict) else ()
     return {topic: count for topic, count in counts if isinstance(count, int)}
 
 
 def _parse_time(text: str) -> float | None:
-    """Return a time in ISO 8601 as s since 1970; None if the text is not such a time."""
+    """Return an ISO 8601 time as s since 1970; None if the text is not an ISO 8601 time."""
     try:
         return datetime.fromisoformat(text).timestamp()
     except (ValueError, OverflowError, OSError):
@@ -349,7 +356,7 @@ def _parse_time(text: str) -> float | None:
 
 
 def _parse_number(text: str) -> float:
-    """Return a number of seconds; 0 if the text is not a number."""
+    """Return the number of seconds in a text; 0 if the text is not a number."""
     try:
         seconds = float(text)
     except ValueError:
@@ -358,7 +365,7 @@ def _parse_number(text: str) -> float:
 
 
 def is_starting(nodes: Sequence[NodeReport], wall: float) -> bool:
-    """Return whether the site is starting: every online node began less than 60 s ago."""
+    """Return True if the site is starting: every online node began less than 60 s ago."""
     up = [node.values.get("up_s") for node in nodes if node.is_online(wall)]
     return bool(up) and all(isinstance(age, (int, float)) and age < _START_S for age in up)
 
@@ -370,7 +377,8 @@ class Change(NamedTuple):
     """A change of an alarm.
 
     Attributes:
-        what: ``begins``, ``changes`` (its level or cause), ``ends`` or ``returns``.
+        what: type of the change: ``begins``, ``changes`` (of the level or the cause), ``ends`` or
+            ``returns``.
         alarm: the alarm after the change.
     """
 
@@ -379,7 +387,7 @@ class Change(NamedTuple):
 
 
 class _Lasting(NamedTuple):
-    """A present diagnosis, with its beginning by the steady clock and in graph time (s)."""
+    """The identity of a current diagnosis, and its beginning by both clocks (s)."""
 
     identity: tuple[str, str]
     began: float
@@ -387,17 +395,19 @@ class _Lasting(NamedTuple):
 
 
 class Judge:
-    """Makes alarms from diagnoses. Times called ``wall`` are from the steady clock (s).
+    """The derivation of alarms from diagnoses. Times called ``wall`` are on the steady clock (s).
 
     Attributes:
-        alarms: the present alarms and the newest past ones, by the names of their statuses.
-        diagnoses: what was wrong at the last update, by the same names.
-        causes: for every diagnosis that follows from another, the name of that other one.
-        missing: what is not there yet while the site is starting, by the same names.
+        alarms: the active alarms and the latest past alarms, by the names of their statuses.
+        diagnoses: the diagnoses at the last update, by the names of their statuses.
+        causes: name of the causing diagnosis for every diagnosis that follows from another
+            diagnosis.
+        missing: diagnoses about nodes and values that may still arrive while the site is starting,
+            by the names of their statuses.
     """
 
     def __init__(self, number: int = 0) -> None:
-        """Start without alarms; the first one has the number after this one."""
+        """Start without alarms; the first alarm will have the number after the given one."""
         self.alarms: dict[str, Alarm] = {}
         self.diagnoses: Mapping[str, StatusDiagnosis] = {}
         self.causes: dict[str, str] = {}
@@ -410,12 +420,12 @@ class Judge:
 
     @property
     def present(self) -> dict[str, Alarm]:
-        """The present alarms, by name."""
+        """The active alarms, by name."""
         return {name: alarm for name, alarm in self.alarms.items() if alarm.ended is None}
 
     @property
     def over(self) -> list[Alarm]:
-        """The alarms that are over, the newest first."""
+        """The alarms that are over, the latest first."""
         ended = sorted(self._ended, key=lambda name: -self._ended[name])
         return [self.alarms[name] for name in ended]
 
@@ -423,13 +433,14 @@ class Judge:
         self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis], *,
         starting: bool = False,
     ) -> list[Change]:
-        """Update the alarms and return what has changed.
+        """Update the alarms and return their changes.
 
         Args:
-            wall: steady clock (s).
-            now: the graph's time (s since 1970).
-            diagnoses: everything that is wrong now, by the names of the statuses.
-            starting: whether the site is starting: then what is merely late is not an alarm.
+            wall: current time on the steady clock (s).
+            now: current time of the graph (s since 1970).
+            diagnoses: all current diagnoses, by the names of their statuses.
+            starting: True while the site is starting; nodes and values that are only late are then
+                no alarm.
         """
         before, self._lasting = self._lasting, {}
         for name, diagnosis in diagnoses.items():
@@ -469,7 +480,7 @@ class Judge:
     def _end(
         self, wall: float, now: float, diagnoses: Mapping[str, StatusDiagnosis]
     ) -> Iterator[Change]:
-        """End the alarms whose diagnosis is gone or has been replaced by another one."""
+        """End the alarms whose diagnosis has ended or been replaced by another diagnosis."""
         for name, alarm in self.present.items():
             diagnosis = diagnoses.get(name)
             if diagnosis is None or diagnosis.identity != (alarm.code, alarm.fault):
@@ -483,7 +494,7 @@ class Judge:
     def _judge(
         self, wall: float, name: str, diagnosis: StatusDiagnosis, cause: str
     ) -> Iterator[Change]:
-        """Begin or continue the alarm of a diagnosis, if it is one by now."""
+        """Begin or continue the alarm of a diagnosis, if the diagnosis is an alarm by now."""
         lasting, before = self._lasting[name], self.alarms.get(name)
         news: dict[str, Any] = {
             "level": LEVELS[diagnosis.level], "sentence": diagnosis.sentence,
@@ -519,15 +530,15 @@ class Judge:
 
 
 def find_causes(diagnoses: Mapping[str, StatusDiagnosis]) -> dict[str, str]:
-    """Return the name of the root cause for every diagnosis that follows from another one.
+    """Return the name of the root cause of every diagnosis that follows from another diagnosis.
 
-    The pump's state follows from the part that reports more about its reason. A node's missing
-    input follows from what is wrong with the publisher. An error does not follow from a warning. A
-    state of the pump that needs a person at the pump follows from nothing: advice about its cause
-    would hide that.
+    The pump's state follows from the diagnosis of the part that reports more about the reason. A
+    node's missing input follows from the diagnosis of the publisher. An error does not follow from
+    a warning. A state of the pump that requires a person at the pump does not follow from any other
+    diagnosis, because advice about a cause would hide the need for a person.
 
     Args:
-        diagnoses: those of the graph's own nodes, by the names of their statuses, oldest first.
+        diagnoses: diagnoses of the graph's own nodes, by the names of their statuses, oldest first.
     """
     causes: dict[str, str] = {}
     for name, diagnosis in diagnoses.items():
@@ -546,7 +557,7 @@ def find_causes(diagnoses: Mapping[str, StatusDiagnosis]) -> dict[str, str]:
 def _find_candidates(
     name: str, diagnosis: StatusDiagnosis, diagnoses: Mapping[str, StatusDiagnosis]
 ) -> Iterator[str]:
-    """Yield the diagnoses that may cause this one, the most likely first."""
+    """Yield the names of diagnoses that may be the cause of a diagnosis, the most likely first."""
     node, _, part = name.partition(": ")
     condition = diagnosis.condition
     if condition is not None and condition.needs_operator and part == PUMP:
@@ -578,14 +589,14 @@ def _find_candidates(
 def find_publishers(
     topics: Iterable[str], reader: str, diagnoses: Mapping[str, StatusDiagnosis]
 ) -> Iterator[str]:
-    """Yield the names of the diagnoses of the nodes that publish some topics.
+    """Yield the names of the diagnoses of the nodes that publish the given topics.
 
-    Nodes that are wrong as a whole come before parts of nodes.
+    Diagnoses of whole nodes come before diagnoses of parts of nodes.
 
     Args:
-        topics: names in the interface.
-        reader: role of a node that reads them, which is left out; empty if there is none.
-        diagnoses: those of the graph's own nodes, by the names of their statuses.
+        topics: names of topics in the interface.
+        reader: role of the node that reads the topics, which is left out; empty for none.
+        diagnoses: diagnoses of the graph's own nodes, by the names of their statuses.
     """
     interface, roles = read_topics(), set[str]()
     for topic in interface.keys() & {*topics}:

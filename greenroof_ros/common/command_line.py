@@ -1,4 +1,4 @@
-"""What all commands share: exit codes, error reports, and the option parser."""
+"""Code shared by all commands: exit codes, error reports, and the option parser."""
 
 from __future__ import annotations
 
@@ -36,23 +36,24 @@ _HAS_TIMER = hasattr(signal, "setitimer")  # Windows has none
 
 
 def exit_code(error: Exception) -> int:
-    """Return the exit code for a wrong set-up: 3 if another graph is in the way, otherwise 2."""
+    """Return the exit code of a configuration error: 3 if another graph is running, or else 2."""
     return EXIT_OCCUPIED if isinstance(error, OccupiedError) else EXIT_USAGE
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal asks the command to end; the message names the signal.
+    """Raised if a signal asks the command to stop; the message names the signal.
 
-    After a plain KeyboardInterrupt, Python may end itself by the signal, with any exit code.
+    After a plain KeyboardInterrupt, Python may kill its own process with the signal, so that the
+    exit code is arbitrary.
     """
 
 
 class _Interrupts:
-    """The handler of signals: raises, and raises again every second until the command has ended.
+    """Signal handler that raises an error, again every second until the command has stopped.
 
-    Compiled code can discard an exception or turn it into another one. A module that is being
-    imported can do so, too, or go on without what it tried to import; so the exception is raised
-    after the import, or during it if that takes long.
+    Compiled code can discard an exception or replace it by another exception. So can a module that
+    is being imported, which may also continue without a module that it tried to import. Therefore
+    the exception is raised after the import, or during the import if it takes long.
     """
 
     _IMPORT_S, _MAX_IMPORTS, _REPEAT_S = 0.05, 40, 1.0
@@ -81,7 +82,7 @@ class _Interrupts:
             raise Interrupted(signal.Signals(number).name)
 
     def end(self) -> None:
-        """From now on, end the process immediately if a signal arrives."""
+        """Make all later signals kill the process immediately."""
         for number in self._numbers:
             signal.signal(number, end_interrupted)
         if self.received:
@@ -89,13 +90,13 @@ class _Interrupts:
 
 
 def end_repeats() -> None:
-    """Stop raising :class:`Interrupted`: the command has begun to end, and is writing how."""
+    """Stop raising :class:`Interrupted`, because the command is stopping and writing its result."""
     if _HAS_TIMER:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def check_interrupts() -> None:
-    """Raise :class:`Interrupted` if a signal was received, even if other code swallowed it.
+    """Raise :class:`Interrupted` if a signal was received, even if other code discarded it.
 
     A user's class can handle signals itself, or discard a KeyboardInterrupt.
     """
@@ -104,7 +105,7 @@ def check_interrupts() -> None:
 
 
 def _discard_what_cannot_be_printed() -> None:
-    """Keep the interpreter from trying to print it again at its end, which would be an error."""
+    """Discard buffered output that cannot be printed, so that Python does not retry at exit."""
     try:
         print(end="", flush=True)
     except OSError:
@@ -114,18 +115,18 @@ def _discard_what_cannot_be_printed() -> None:
 def command(
     main: Callable[[], int | None], *, failed: int | None = None
 ) -> Callable[[], NoReturn]:
-    """Turn a function into a command that exits with the code the function returns, or with 0.
+    """Turn a function into a command that exits with the function's return value, or with 0.
 
-    A :class:`ConfigurationError` becomes one line on standard error and exit code 2, or 3 if
-    another graph is in the way. A file or an output that cannot be written becomes one line and
-    exit code 1; a signal that asks the command to end, such as Ctrl-C, becomes exit code 130. None
-    of them leaves a traceback. If no one reads the output any more, as after ``| head``, nothing is
-    printed and the exit code is 1.
+    A :class:`ConfigurationError` is reported in one line on standard error, with exit code 2, or 3
+    if another graph is running. A file or an output that cannot be written is reported in one line
+    with exit code 1. A signal that asks the command to stop, such as Ctrl-C, results in exit code
+    130. No traceback is printed in any of these cases. If the reader of the output has closed it,
+    as after ``| head``, nothing is printed and the exit code is 1.
 
     Args:
-        main: the function.
-        failed: the exit code used instead of 1, 2 and 3 above, for a command whose own results use
-            these codes; None if it has no such results.
+        main: the function to turn into a command.
+        failed: exit code to use instead of 1, 2 and 3, for a command whose own results use these
+            codes; None for other commands.
     """
 
     def run() -> str | int | None:
@@ -172,7 +173,7 @@ def command(
 
 
 class _HelpFormatter(argparse.HelpFormatter):
-    """Fills the paragraphs of a description to the terminal's width; keeps indented lines as is."""
+    """Formatter that wraps paragraphs at the terminal's width, except for indented lines."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         filled: list[str] = []
@@ -189,9 +190,9 @@ class _HelpFormatter(argparse.HelpFormatter):
 class Parser(argparse.ArgumentParser):
     """The parser of a command's options.
 
-    Options must be written in full: an abbreviation that is clear today would become ambiguous as
-    soon as a later version adds an option that begins the same way. In a description or an epilog,
-    indented lines, such as examples, stay as they are; the others are filled.
+    Options must be written in full, because an abbreviation that is unambiguous now would become
+    ambiguous if a later version added an option that begins with the same letters. In a description
+    or an epilog, indented lines, such as examples, stay unchanged; all other lines are wrapped.
 
     Attributes:
         hint: text added to the message about an unknown option; empty for none.
@@ -202,7 +203,7 @@ class Parser(argparse.ArgumentParser):
         self.hint = ""
 
     def parse_args(self, args: Iterable[str] | None = None, namespace: Any = None) -> Any:
-        """Parse a command line; for an unknown option, name the options that may be meant."""
+        """Parse a command line; for an unknown option, suggest the options that may be meant."""
         parsed, unknown = self.parse_known_args(args, namespace)
         if unknown:
             option = next((word[2:] for word in unknown if word.startswith("--")), "")
@@ -217,7 +218,7 @@ class Parser(argparse.ArgumentParser):
         return parsed
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Reject a value that is not one of the option's choices; name what may be meant."""
+        """Reject a value that is not one of the option's choices; suggest what may be meant."""
         if action.choices is not None and value not in action.choices:
             wrong = f"{value!r} {describe_choices([*action.choices], str(value))}"
             raise argparse.ArgumentError(action, wrong)
@@ -226,13 +227,13 @@ class Parser(argparse.ArgumentParser):
 def make_number_type(
     low: float, high: float, kind: type[float] = float, *, word: str = ""
 ) -> Callable[[str], float]:
-    """Return a parser for an option whose value is a number in a range (whole for ``int``).
+    """Return a parser for an option whose value is a number in a range (an integer for ``int``).
 
     Args:
         low: the minimum value.
         high: the maximum value.
         kind: ``float`` or ``int``.
-        word: a word that the option also accepts; it stands for 0.
+        word: a word that the option also accepts as 0; empty for none.
     """
     allowed = Range(low, high, whole=kind is int, words=(word,) if word else ())
 
@@ -248,10 +249,11 @@ def make_number_type(
 
 
 def refuse(*rules: tuple[object, str, object, str]) -> None:
-    """Reject a command line that breaks a rule; report the first rule that it breaks.
+    """Reject a command line that breaks a rule, and report the first broken rule.
 
     Args:
-        rules: each is (whether it is broken, the option, its value, what is expected).
+        rules: tuples of a value that is true if the rule is broken, the option, the option's value,
+            and the text about the expected value.
 
     Raises:
         ConfigurationError: if a rule is broken.
@@ -262,7 +264,7 @@ def refuse(*rules: tuple[object, str, object, str]) -> None:
 
 
 def parse_namespace(text: str) -> str:
-    """Return a namespace the way ROS writes it, ``/site1``; empty if there is none."""
+    """Return a namespace in ROS notation, such as ``/site1``; empty for no namespace."""
     name = text.strip("/")
     if name and not re.fullmatch(r"([A-Za-z_]\w*/)*[A-Za-z_]\w*", name, re.ASCII):
         raise ValueError
@@ -276,7 +278,7 @@ parse_namespace.__name__ = (
 
 
 def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Add the option that names the graph which a command joins, with more help on it."""
+    """Add the option for the namespace of the graph that a command joins."""
     parser.add_argument(
         "--namespace", type=parse_namespace, default="", metavar="NAME",
         help=f"namespace of the graph, as passed to greenroof run or live{more} (default: none)",
@@ -284,7 +286,7 @@ def add_namespace(parser: argparse.ArgumentParser, more: str = "") -> None:
 
 
 def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> None:
-    """Add the option that names the site file."""
+    """Add the option for the site file."""
     from greenroof_ros.common.files import default_site_file  # reads YAML: not for every --help
 
     parser.add_argument(
@@ -294,11 +296,11 @@ def add_site(parser: argparse._ActionsContainer, about: str = "site file") -> No
 
 
 def add_foxglove(parser: argparse._ActionsContainer, about: str) -> None:
-    """Add the option that serves a graph to Foxglove; viewers suggest the same default port."""
+    """Add the option to serve a graph to Foxglove, with the default port of Foxglove's viewers."""
     parser.add_argument(
         "--foxglove", nargs="?", const=8765, type=make_number_type(0, 65535, int), metavar="PORT",
-        help=f"{about} PORT is 8765 if omitted; 0 selects any free port. This needs the extra "
-            "[foxglove]",
+        help=f"{about} PORT is 8765 if omitted; 0 selects any free port. Requires the extra "
+        "[foxglove]",
     )
 
 
@@ -307,9 +309,9 @@ class CheckResult:
     """The result of one check.
 
     Attributes:
-        check: what the part is required to do.
-        problem: what it does instead; empty if the check passed.
-        result: the result of the check, if it passed and the result is worth showing.
+        check: the requirement that is checked.
+        problem: description of the deviation from the requirement; empty if the check passed.
+        result: result to show for a passed check; empty for none.
     """
 
     check: str
@@ -318,7 +320,7 @@ class CheckResult:
 
 
 def print_check_results(title: str, results: Sequence[CheckResult]) -> int:
-    """Print results as a table; return exit code 0 if every check passed, otherwise 1."""
+    """Print results as a table, and return exit code 0 if every check passed, otherwise 1."""
     from rich.console import Console  # most commands print none
     from rich.table import Table
 
@@ -340,10 +342,10 @@ def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
     Args:
         file: the file to write.
         endings: the allowed endings, such as ``.html``.
-        key: the option that names the file.
+        key: option that specifies the file.
 
     Raises:
-        ConfigurationError: if the file is rejected.
+        ConfigurationError: if the file is rejected for one of these reasons.
     """
     def error(expected: str) -> ConfigurationError:
         return ConfigurationError(expected, key=key, value=str(file))
@@ -351,6 +353,6 @@ def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
     if file.suffix not in endings:
         raise error(f"must be a file name that ends in {' or '.join(endings)}")
     if not (file.parent.is_dir() and os.access(file.parent, os.W_OK)):
-        raise error("must be in a directory that exists and can be written to")
+        raise error("must be in an existing, writable directory")
     if file.exists():
-        raise error("exists; name another file")
+        raise error("exists; choose another file name")

@@ -1,6 +1,6 @@
-"""What can be wrong (``msg_defs/conditions.yaml``): codes, sentences, advice and interlocks.
+"""Conditions of the graph (``msg_defs/conditions.yaml``): codes, sentences, advice and interlocks.
 
-Codes and values travel; the sentence is made from them only where people read it.
+Messages contain codes and values, from which the sentence is composed only where people read it.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ LATCHED, INHIBIT, PERMISSIVE = "latched", "inhibit", "permissive"
 
 @dataclass(frozen=True)
 class Interlock:
-    """Why a condition keeps the pump off, and how that is cleared.
+    """Properties of a condition that keeps the pump off.
 
     Attributes:
-        kind: latched, inhibit or permissive.
-        source: the module that detects it.
-        limit: the parameters that decide when it is active.
-        follows: whether it is left out if an earlier interlock of its kind is active, because it
-            may be a mere consequence of that one.
-        by: what clears it, if this differs from its kind: a person, a service or a transition.
-        on_page: whether it can also be cleared on the page.
-        input: the part of the pump node that reports the unknown input; empty if the interlock is
-            about something else.
-        explained_by: other parts of the pump node that give more detail.
+        kind: type of the interlock: latched, inhibit or permissive.
+        source: module that detects the condition.
+        limit: parameters that determine when the interlock is active.
+        follows: True if the interlock is left out while an earlier interlock of its kind is active,
+            because it may be only a consequence of the earlier interlock.
+        by: the person, service or transition that clears the interlock, if different from the usual
+            one of its kind; otherwise empty.
+        on_page: True if the interlock can also be cleared on the page.
+        input: part of the pump node that reports the unknown input; empty if the interlock is not
+            about an input.
+        explained_by: other parts of the pump node that report more details.
     """
 
     kind: str
@@ -46,13 +47,13 @@ class Interlock:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """The parts of the pump node that give more detail."""
+        """The parts of the pump node that report more details."""
         return (self.input,) if self.input else tuple(self.explained_by)
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What the table states about one code; the file explains every attribute."""
+    """The row of the table for a code; the file explains every attribute."""
 
     meaning: str
     advice: str
@@ -68,16 +69,16 @@ class Condition:
 
     @property
     def needs_operator(self) -> bool:
-        """Whether a person has to go to the pump, regardless of the cause."""
+        """Whether a person has to go to the pump, whatever the cause is."""
         return self.by_hand or (self.interlock is not None and self.interlock.kind == LATCHED)
 
     def advise(self, node: str, role: str = "", reset: str = "") -> str:
-        """Return what to do.
+        """Return the advice about the condition.
 
         Args:
             node: fully qualified name of the node, for the services that the advice names.
-            role: role of that node in the interface.
-            reset: how to clear a fault, in words; empty for the command.
+            role: the node's role in the interface.
+            reset: text about the way to clear a fault; empty for the command.
         """
         return self.by_role.get(role, self.advice).format(
             node=node,
@@ -87,14 +88,14 @@ class Condition:
 
 
 def command_for(node: str, name: str) -> str:
-    """Return how to call a command of ``greenroof`` for the graph of a node."""
+    """Return the command line of a ``greenroof`` command for the graph of a node."""
     namespace = node.rpartition("/")[0].strip("/")
     return f"greenroof {name}" + (f" --namespace {namespace}" if namespace else "")
 
 
 @functools.cache
 def read_conditions() -> dict[str, Condition]:
-    """Return every condition, by its code, in the order of the table."""
+    """Return all conditions by their codes, in the order of the table."""
     table: dict[str, dict[str, Any]] = read_yaml(
         shared_directory() / "msg_defs" / "conditions.yaml"
     )
@@ -106,7 +107,7 @@ def read_conditions() -> dict[str, Condition]:
 
 @functools.cache
 def read_interlocks() -> dict[str, Interlock]:
-    """Return the interlocks by code, in the order in which they are evaluated."""
+    """Return the interlocks by their codes, in the order in which they are evaluated."""
     return {
         code: condition.interlock for code, condition in read_conditions().items()
         if condition.interlock is not None
@@ -115,13 +116,14 @@ def read_interlocks() -> dict[str, Interlock]:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """A condition that is present.
+    """A condition that currently exists, with its values.
 
     Attributes:
         code: code of the condition.
-        text: a sentence from elsewhere, such as a record; empty to use the table's sentence.
-        values: what the table's sentence is made of, for programs: ``case`` holds the names of its
-            sentences, if there are several; a value can be another diagnosis.
+        text: sentence from another source, such as a record; empty for the table's sentence.
+        values: values that are inserted in the table's sentence, which programs can also use.
+            ``case`` contains the names of the sentences if the table has more than one for the
+            code. A value can be another diagnosis.
     """
 
     code: str
@@ -130,18 +132,18 @@ class Diagnosis:
 
     @classmethod
     def of(cls, code: str, *cases: str, **values: Value) -> Diagnosis:
-        """Return a condition.
+        """Return a diagnosis with the table's sentence.
 
         Args:
             code: code of the condition.
-            cases: which of its sentences to use, one after another, if the table has several.
-            values: values for the placeholders.
+            cases: names of the sentences to join, if the table has more than one for the code.
+            values: values for the placeholders in the sentences.
         """
         return cls(code, values={**values, "case": " ".join(cases)} if cases else values)
 
     @functools.cached_property
     def sentence(self) -> str:
-        """The diagnosis as a sentence for people."""
+        """The sentence, for people, that describes the diagnosis."""
         if self.text:
             return self.text
         condition = read_conditions()[self.code]
@@ -154,16 +156,16 @@ class Diagnosis:
         return self.sentence
 
     def change_code(self, code: str) -> Diagnosis:
-        """Return the diagnosis under another code, with the same sentence and values."""
+        """Return a copy of the diagnosis with another code."""
         return replace(self, code=code, text=self.sentence)
 
     def add_case(self, case: str, **values: Value) -> Diagnosis:
-        """Return the diagnosis with one more of its sentences."""
+        """Return a copy of the diagnosis with one more of the code's sentences."""
         return Diagnosis.of(self.code, str(self.values["case"]), case, **{**self.values, **values})
 
     @classmethod
     def if_any(cls, code: str, why: str) -> Diagnosis | None:
-        """Return a condition whose only value is a reason; None if there is no reason."""
+        """Return a diagnosis whose only value is a reason; None if the reason is empty."""
         return cls.of(code, why=why) if why else None
 
 
@@ -171,9 +173,10 @@ Value = float | str | Diagnosis
 
 
 def identity_of(values: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the code in a report's values, and the device's own fault or warning.
+    """Return the code in the values of a report, and the device's own fault or warning.
 
-    If they differ, it is another alarm of the same name; numbers in the sentence may change.
+    If the code or the fault changes, a new alarm of the same name begins; numbers in the sentence
+    may change.
     """
     return values.get("code", ""), values.get("fault") or values.get("warning") or ""
 
@@ -181,11 +184,11 @@ def identity_of(values: Mapping[str, Any]) -> tuple[str, str]:
 def join_diagnoses(
     diagnoses: Sequence[Diagnosis], worst: Diagnosis | None = None
 ) -> Diagnosis | None:
-    """Join diagnoses into one, with the code and values of the worst; None if there are none.
+    """Join diagnoses into one with the code and values of the worst; None if there are none.
 
     Args:
-        diagnoses: in the order of their sentences.
-        worst: the worst of them; by default the first.
+        diagnoses: the diagnoses, in the order of their sentences.
+        worst: the worst of the diagnoses; None for the first.
     """
     if not diagnoses:
         return None
@@ -198,7 +201,7 @@ def join_diagnoses(
 
 
 class _Formatter(Formatter):
-    """Formats as :meth:`str.format` does; ``duration`` writes a time (s) in words."""
+    """Formatter like :meth:`str.format`, whose format ``duration`` writes a time (s) for people."""
 
     def format_field(self, value: Any, spec: str) -> str:
         if spec != "duration":

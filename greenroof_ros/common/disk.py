@@ -1,4 +1,4 @@
-"""Disk access in a thread of its own, so that time-critical code never waits for a disk."""
+"""Disk access in a separate thread, so that time-critical code never waits for a disk."""
 
 from __future__ import annotations
 
@@ -27,16 +27,17 @@ PATIENCE_S = 2.0
 
 
 class DiskThread:
-    """Runs jobs that read or write, one after another. A job that waits too long is late.
+    """A thread that runs jobs for reading and writing files, one after another.
 
-    The thread starts with the first job and ends with the process, which does not wait for it.
+    The thread starts with the first job, and ends when the process exits, without delaying the
+    exit.
 
     Attributes:
-        refused: number of jobs that were not accepted, because there was no room or no thread.
+        refused: number of jobs that were rejected, because there was no room or no thread.
     """
 
     def __init__(self) -> None:
-        """Start without jobs."""
+        """Create the object without jobs; the thread does not start yet."""
         self.refused = 0
         self._room = _ROOM  # free (bytes)
         # Each job with its size (bytes), and when it was requested (steady clock, s).
@@ -45,12 +46,12 @@ class DiskThread:
         self._thread: threading.Thread | None = None
 
     def do(self, job: Callable[[], object], size: int = 0) -> bool:
-        """Queue a job, and return whether it was accepted.
+        """Queue a job, and return True if the job was accepted.
 
         Args:
-            job: handles its own errors. A job that equals a waiting one is not queued again, so a
-                method that writes the newest value waits only once.
-            size: the memory that the job holds (bytes).
+            job: function that handles its own errors. A job that equals a waiting job is not queued
+                again, so a method that writes the latest value is queued only once.
+            size: memory that the job's data occupies (bytes).
         """
         size += _JOB
         with self._changed:
@@ -66,12 +67,12 @@ class DiskThread:
 
     @property
     def late(self) -> bool:
-        """Whether a job was requested more than 2 s ago and is still not done."""
+        """Whether a job was requested more than 2 s ago and is not done yet."""
         with self._changed:
             return bool(self._jobs) and time.monotonic() - self._jobs[0][2] > PATIENCE_S
 
     def wait(self, within: float) -> bool:
-        """Wait at most this long (s) until all jobs are done; return whether they are."""
+        """Wait at most the given time (s) until all jobs are done; return True if they are done."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._jobs, within)
 
@@ -106,18 +107,18 @@ DISK = DiskThread()
 
 
 class LatestWriter(Generic[_T]):
-    """Writes the newest of its values; a newer value replaces one that is still waiting.
+    """Writer of a changing value; a newer value replaces a value that is still waiting.
 
     Attributes:
-        problem: why the last value could not be written, in words; empty if it was written.
+        problem: reason why the last value could not be written; empty if it was written.
     """
 
     def __init__(self, write: Callable[[_T], None], explain: Callable[[Exception], str]) -> None:
-        """Start without a value.
+        """Create the writer without a value.
 
         Args:
-            write: called in the disk thread with one value after another.
-            explain: puts an error into words.
+            write: function that writes a value; it is called in the disk thread.
+            explain: function that returns a description of an error.
         """
         self.problem = ""
         self._write, self._explain = write, explain
@@ -140,13 +141,13 @@ _CLOSE_S = 2.0
 
 
 class NumberFile:
-    """A file of named numbers. The disk thread writes it, because a disk may stop responding.
+    """A file of named numbers, written by the disk thread because a disk may stop responding.
 
-    The file is replaced as a whole: after a power cut it is either the old one or the new one.
+    The file is replaced as a whole, so that a power cut leaves either the old or the new file.
     """
 
     def __init__(self, file: Path) -> None:
-        """Set the file, which need not exist yet."""
+        """Store the path of the file, which need not exist yet."""
         self._file = file
         self._newest = LatestWriter[dict[str, float]](
             lambda values: replace_text(file, json.dumps(values, indent=1), parents=True), str
@@ -154,14 +155,14 @@ class NumberFile:
 
     @property
     def problem(self) -> str:
-        """Why the last value is not written; empty if it is, or soon will be."""
+        """The reason why the latest numbers are not written; empty if they are, or will be soon."""
         return "the disk does not respond" if DISK.late else self._newest.problem
 
     def read(self) -> dict[str, float]:
         """Return the numbers in the file; an empty mapping if there is no file.
 
         Raises:
-            ConfigurationError: if it cannot be read, or is not a mapping of names to finite
+            ConfigurationError: if the file cannot be read, or is not a mapping of names to finite
                 numbers.
         """
         try:
@@ -173,7 +174,8 @@ class NumberFile:
         if not isinstance(content, dict) or not all(
             isinstance(value, float) and math.isfinite(value) for value in content.values()
         ):
-            raise ConfigurationError("must be a mapping of names to numbers", file=self._file)
+            raise ConfigurationError("must be a mapping of names to finite floating-point "
+            "numbers", file=self._file)
         return content
 
     def write(self, values: Mapping[str, float]) -> None:
@@ -181,6 +183,6 @@ class NumberFile:
         self._newest.write(dict(values))
 
     def close(self) -> None:
-        """Wait at most two seconds until everything is written."""
+        """Wait at most two seconds until all numbers are written."""
         DISK.wait(_CLOSE_S)
 

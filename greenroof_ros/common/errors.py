@@ -14,7 +14,7 @@ _MAX_VALUE, _MAX_MESSAGE = 300, 4000
 
 
 class _Repr(reprlib.Repr):
-    """Writes only a few items of a collection, since a file may hold many nested ones."""
+    """Representation of values with only a few items of each collection, for large files."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -22,7 +22,7 @@ class _Repr(reprlib.Repr):
         self.maxlist = self.maxtuple = self.maxdict = 20
 
     def repr1(self, x: Any, level: int) -> str:
-        """Return an item; a subclass of dict counts as one, too."""
+        """Return the representation of a value, treating a subclass of dict like dict."""
         return self.repr_dict(x, level) if isinstance(x, dict) else super().repr1(x, level)
 
 
@@ -30,30 +30,30 @@ _REPR = _Repr()
 
 
 def describe_value(value: object) -> str:
-    """Return a value for a message, as Python writes it, but no more than 300 characters."""
+    """Return Python's representation of a value for a message, cut to 300 characters."""
     try:
         return _shorten(_REPR.repr(value), _MAX_VALUE)
     except ValueError:  # from Python
-        return "a number of thousands of digits"
+        return "a number with thousands of digits"
 
 
 def _shorten(text: str, max_length: int) -> str:
-    """Return a text, with its middle left out if it is too long."""
+    """Return a text without its middle if it is longer than the maximum."""
     half = max_length // 2
     return text if len(text) <= max_length else f"{text[:half]} ... {text[-half:]}"
 
 
 class ConfigurationError(Exception):
-    """A file or an option is wrong; the message names the place, the value, and what is expected.
+    """Raised if a file or an option is invalid; the message names the place and the valid values.
 
-    Commands then end with exit code 2, without a traceback.
+    A command then exits with code 2 and prints no traceback.
 
     Attributes:
-        wrong: the message without file and line.
-        expected: what would be right.
-        file: the wrong file; None if it is another input.
-        key: the key with the wrong value; None if the message names no key.
-        value: the wrong value; None if the message shows none.
+        wrong: the message without the file and the line.
+        expected: the text about the expected value.
+        file: the invalid file; None if the error is in another input.
+        key: key with the invalid value; None if the message names no key.
+        value: the invalid value; None if the message shows no value.
     """
 
     def __init__(
@@ -78,10 +78,10 @@ class ConfigurationError(Exception):
 
 @contextmanager
 def rename_keys(names: Mapping[str, str]) -> Iterator[None]:
-    """In errors, call inputs by the names that the user knows, such as ``--hours`` for ``hours``.
+    """Rename keys in errors to the user's names of inputs, such as ``--hours`` for ``hours``.
 
     Args:
-        names: the user's names, by the keys of errors; other keys, and those of files, stay.
+        names: the user's names, by the keys in errors; other keys and keys in files are unchanged.
     """
     try:
         yield
@@ -93,30 +93,32 @@ def rename_keys(names: Mapping[str, str]) -> Iterator[None]:
 
 
 class HangError(Exception):
-    """A callback does not return; the message states for how long, and where it is."""
+    """Raised if a callback does not return in time; the message states the time and the place."""
 
 
 class OccupiedError(ConfigurationError):
-    """Another graph already runs where this one should run; commands end with exit code 3."""
+    """Raised if another graph is already running in the namespace; a command exits with code 3."""
 
 
 def describe_extra(extra: str) -> str:
-    """Return a clause for a message on how to get the packages of an extra.
+    """Return a clause, for a message, about the installation of an extra.
 
-    It names no command, since the package may come from an index, a wheel or a checkout.
+    The clause names no command, since the package may be installed from an index, a wheel or a
+    checkout.
     """
     return f"install greenroof_ros with its extra [{extra}]"
 
 
 @contextmanager
 def require_extra(extra: str) -> Iterator[None]:
-    """Guard the import of a package that a plain installation does not have.
+    """Turn an import error in the block into a message about the extra that has to be installed.
 
     Args:
-        extra: the extra of this package that installs it, such as ``study``.
+        extra: the extra of this package that installs the imported package, such as ``study``.
 
     Raises:
-        ConfigurationError: if the package is missing; the message states what to install.
+        ConfigurationError: if the imported package is missing; the message names the extra to
+            install.
     """
     try:
         yield
@@ -130,7 +132,7 @@ _ALIKE, _SHORT_ALIKE = 0.6, 0.5
 
 
 def find_similar(name: str, known: Collection[str]) -> list[str]:
-    """Return the known names that a shortened or mistyped name probably means."""
+    """Return the known names most similar to a shortened or mistyped name."""
     alikeness = {
         word: 1.0 if name and word.casefold().startswith(name.casefold())
         else SequenceMatcher(None, name.casefold(), word.casefold()).ratio()
@@ -143,18 +145,19 @@ def find_similar(name: str, known: Collection[str]) -> list[str]:
 
 
 def suggest_names(name: str, known: Collection[str]) -> str:
-    """Return a clause for a message: what a name probably means, or else all known names."""
+    """Return a clause, for a message, with the names that may be meant, or else all known names."""
     meant = find_similar(name, known)
     return f"did you mean {' or '.join(meant)}?" if meant else f"choose from {', '.join(known)}"
 
 
 def describe_choices(known: Collection[str], name: str, otherwise: str = "") -> str:
-    """Return a message about a wrong name: what it probably means, or all that it may be.
+    """Return a message about an unknown name, with the names that may be meant, or all names.
 
     Args:
-        known: the right names.
-        name: the wrong one.
-        otherwise: what else is allowed, at the end of the list, such as ``, or a FILE.yaml``.
+        known: the valid names.
+        name: the unknown name.
+        otherwise: text about other allowed values, for the end of the list, such as ``, or a
+            FILE.yaml``.
     """
     if find_similar(name, known):
         return f"is unknown; {suggest_names(name, known)}"

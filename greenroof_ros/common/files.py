@@ -1,4 +1,4 @@
-"""Finds the package's own config/ and msg_defs/, and reads YAML files."""
+"""Access to the package's own config/ and msg_defs/, and reading and writing of files."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ except ImportError:  # PyYAML without libyaml
 
 
 class _Loader(_LibYaml):
-    """Adds no tags of its own, so that every tag is one written in the file."""
+    """Loader that adds no tags, so that every tag of a node is written in the file."""
 
     def resolve(self, kind: type[yaml.Node], value: Any, implicit: Any) -> str:
         return ""
 
 
 def shared_directory() -> Path:
-    """Return the directory that holds ``config/`` and ``msg_defs/``.
+    """Return the directory that contains ``config/`` and ``msg_defs/``.
 
-    In a checkout, or an editable install of one, that is the checkout itself; otherwise it is
-    ``share/greenroof_ros`` under the prefix to which the package was installed (a virtual
-    environment, ``~/.local``, or a colcon ``install/greenroof_ros``).
+    In a checkout, or an editable installation of a checkout, this directory is the checkout itself.
+    Otherwise it is ``share/greenroof_ros`` in the installation prefix of the package (a virtual
+    environment, ``~/.local``, or colcon's ``install/greenroof_ros``).
     """
     package = Path(__file__).resolve().parent
     for parent in package.parents:
@@ -46,31 +46,31 @@ def shared_directory() -> Path:
             ).is_file():
                 return candidate
     raise ConfigurationError(
-        "greenroof_ros was installed without its share/greenroof_ros (config, msg_defs); "
-        "install it again with pip or colcon",
+        "greenroof_ros was installed without its directory share/greenroof_ros (config, "
+        "msg_defs); reinstall it with pip or colcon",
         file=package,
     )
 
 
 def default_site_file() -> Path:
-    """Return the paper's site file, the default of all commands and nodes."""
+    """Return the path of the paper's site file, the default of all commands and nodes."""
     return shared_directory() / "config" / "site.yaml"
 
 
 def find_shipped(file: Path) -> Path:
-    """Return the file, or if it does not exist (as outside a checkout) the package's own copy."""
+    """Return the file or, if it does not exist (as outside a checkout), the package's own copy."""
     shipped = shared_directory() / file
     return shipped if shipped.is_file() and not file.exists() else file
 
 
 def state_directory() -> Path:
-    """Return the default directory for state files: the user's, following the XDG rules."""
+    """Return the user's default directory for state files according to the XDG specification."""
     directory = os.environ.get("XDG_STATE_HOME")
     return (Path(directory) if directory else Path.home() / ".local" / "state") / "greenroof_ros"
 
 
 def unique_name(file: Path, existing: Container[str]) -> str:
-    """Return a name that no existing file has: the file's own, or one ending in -2, -3, ..."""
+    """Return the file's name, with -2, -3, ... appended to the stem if the name is in use."""
     name, number = file.name, 1
     while name in existing:
         number += 1
@@ -84,9 +84,10 @@ was started with, each under its full path"""
 
 
 def as_started(file: Path) -> Path:
-    """Return where to read a file: a live site's nodes read their copy of it, if there is one.
+    """Return the path to read a file from, which for a live site's node is its copy, if any.
 
-    So a restarted node does not pick up later edits; messages name the original file.
+    With the copy, a restarted node does not use later edits of the file. Messages name the original
+    file.
     """
     copies = os.environ.get(COPIES)
     copy = Path(f"{copies}{file.absolute()}") if copies else file
@@ -94,7 +95,7 @@ def as_started(file: Path) -> Path:
 
 
 def is_there(path: Path) -> bool:
-    """Return whether the path exists; a text may also be too long for a file name."""
+    """Return True if the path exists; False also for a text that is too long for a file name."""
     try:
         return path.exists()
     except OSError:
@@ -102,7 +103,7 @@ def is_there(path: Path) -> bool:
 
 
 def file_digest(path: Path) -> str:
-    """Return a hash of a file's content; empty if there is no such file."""
+    """Return a hash of a file's content; empty if the file does not exist."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
@@ -119,7 +120,7 @@ _OTHER_KINDS = (
         "save the sheet as CSV in UTF-8"),
     (rb"\xd0\xcf\x11\xe0", "is an Excel workbook (.xls): save the sheet as CSV in UTF-8"),
     (rb"\xff\xfe|\xfe\xff", "is text in UTF-16: save it in UTF-8"),
-    (rb"%PDF-", "is a PDF, from which no values can be read"),
+    (rb"%PDF-", "is a PDF file, from which no values can be read"),
     (rb"CDF[\x01\x02\x05]|\x89HDF", "is NetCDF or HDF5: write its values as CSV"),
     (rb"GRIB|BUFR", "is GRIB or BUFR: write its values as CSV"),
     (rb"SQLite format 3", "is an SQLite database: write its values as CSV"),
@@ -130,7 +131,7 @@ _OTHER_KINDS = (
 
 
 def _refuse_other_kinds(path: Path, head: bytes) -> None:
-    """Reject a file that begins like one of another kind, and state which kind it is."""
+    """Reject a file whose first bytes show that it is of another type, and name the type."""
     start = head.removeprefix(codecs.BOM_UTF8)
     for pattern, what in _OTHER_KINDS:
         if re.match(pattern, start, re.IGNORECASE):
@@ -138,7 +139,7 @@ def _refuse_other_kinds(path: Path, head: bytes) -> None:
 
 
 class TextInMemory(PosixPath):
-    """A text in memory that is read as if it were a file of this name; :attr:`text` is set."""
+    """Text in memory that is read like a file of the given name; the caller sets :attr:`text`."""
 
     text = ""
 
@@ -155,10 +156,10 @@ class TextInMemory(PosixPath):
 
 
 def read_lines(path: Path) -> Iterator[str]:
-    """Read a UTF-8 text file line by line; a byte order mark at its start is dropped.
+    """Read a UTF-8 text file line by line, without a byte order mark at its beginning.
 
-    A line is rejected as soon as it is reached, so an error near the start of a large file is
-    reported immediately.
+    An invalid line is rejected as soon as it is read, so an error near the beginning of a large
+    file is reported immediately.
 
     Yields:
         Each line, including its line ending.
@@ -178,9 +179,9 @@ def read_lines(path: Path) -> Iterator[str]:
             stream.seek(0)
             if size > MAX_BYTES:
                 raise ConfigurationError(
-                    f"has {size / 1e6:.0f} MB to read; a file may have at most {MAX_BYTES / 1e6:g} "
-                    "MB: leave out what no run needs, or split it: weather can consist of several "
-                    "files, and forecasts of a directory of files", file=path,
+                    f"has {size / 1e6:.0f} MB, but a file may have at most {MAX_BYTES / 1e6:g} "
+                    "MB: delete what no run needs, or split the file, since weather can consist "
+                    "of several files, and forecasts of a directory of files", file=path,
                 )
             for number, raw in enumerate(stream, start=1):
                 try:
@@ -225,7 +226,7 @@ _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
 class YamlMapping(dict[str, Any]):
-    """A mapping from a YAML file that remembers the line of every key."""
+    """A mapping from a YAML file, with the line number of every key."""
 
     def __init__(
         self, values: Mapping[str, Any] | None = None, lines: Mapping[str, int] | None = None
@@ -235,9 +236,9 @@ class YamlMapping(dict[str, Any]):
 
 
 def _parse_plain(text: str) -> Any:
-    """Return the value of an unquoted text, with numbers as in YAML 1.2.
+    """Return the value of an unquoted text, reading numbers according to YAML 1.2.
 
-    PyYAML follows YAML 1.1, which reads 5.78e5 as text, 016 as 14 and 3:0 as 180.
+    PyYAML follows YAML 1.1, according to which 5.78e5 is text, 016 is 14, and 3:0 is 180.
     """
     if text in _TRUE | _FALSE:
         return text in _TRUE
@@ -251,7 +252,7 @@ def _parse_plain(text: str) -> Any:
 
 
 def _parse_as_rcl(text: str) -> bool | int | float | str | None:
-    """Return a value as rcl reads it (rcl_yaml_param_parser, parse.c): 010 is 8, 1e-5 a number."""
+    """Return a value as rcl reads it (rcl_yaml_param_parser, parse.c), for example 010 as 8."""
     if text in _TRUE | _FALSE | {"Y", "y", "N", "n"}:
         return text in _TRUE | {"Y", "y"}
     of_c = (text.replace(".", "") if _NOT_FINITE.fullmatch(text) else text).encode()
@@ -266,7 +267,7 @@ def _parse_as_rcl(text: str) -> bool | int | float | str | None:
 
 
 def _measure_nesting(text: str) -> int:
-    """Return an upper bound of a YAML text's nesting depth, from its brackets and indentation."""
+    """Return an upper bound of the nesting depth of a YAML text from brackets and indentation."""
     depth = deepest = 0
     for bracket in re.findall(r"[][{}]", text):
         depth = max(0, depth + (1 if bracket in "[{" else -1))
@@ -276,7 +277,7 @@ def _measure_nesting(text: str) -> int:
 
 
 def _compose(text: str) -> yaml.Node | None:
-    """Parse YAML with libyaml; if that finds an error, report PyYAML's more detailed message.
+    """Parse YAML with libyaml; for an invalid text, raise PyYAML's more detailed error.
 
     Every process reads the interface when it starts, and libyaml is ten times as fast as PyYAML.
     """
@@ -289,10 +290,10 @@ def _compose(text: str) -> yaml.Node | None:
 
 
 def read_ros_parameters(path: Path) -> YamlMapping:
-    """Read a ROS 2 parameter file, with every value as rcl would read it for a node.
+    """Read a ROS 2 parameter file, interpreting every value as rcl would for a node.
 
     Raises:
-        ConfigurationError: as for :func:`read_yaml`, or if rcl would reject a value.
+        ConfigurationError: if :func:`read_yaml` raises one, or if rcl would reject a value.
     """
     def check(mapping: YamlMapping) -> None:
         for key, value in mapping.items():
@@ -301,8 +302,9 @@ def read_ros_parameters(path: Path) -> YamlMapping:
                 check(value)
             elif {*map(type, items)} not in ({bool}, {int}, {float}, {str}):
                 raise ConfigurationError(
-                    "must have a value, or a list of values of one type, such as [1.0, 2.0]; ROS "
-                    "rejects this file", file=path, line=mapping.lines[key], key=key, value=value,
+                    "must have a value, or a list of values of the same type, such as [1.0, 2.0]; "
+                    "otherwise ROS rejects this file",
+                    file=path, line=mapping.lines[key], key=key, value=value,
                 )
 
     content = read_yaml(path, _parse_as_rcl)
@@ -311,16 +313,16 @@ def read_ros_parameters(path: Path) -> YamlMapping:
 
 
 def check_private(file: Path) -> None:
-    """Check that only one user can read or change a file with a secret; it need not exist.
+    """Check that only one user can read or change a file with a secret; it may be missing.
 
     Raises:
-        ConfigurationError: if other users can, too.
+        ConfigurationError: if other users can read or change the file.
     """
     with suppress(OSError):  # the error is reported when it is read
         if as_started(file).stat().st_mode & 0o077:
             raise ConfigurationError(
-                "other users may read or change it: protect it with chmod 600, and replace the "
-                "secret in it if someone may have read it", file=file,
+                "can be read or changed by other users: protect the file with chmod 600, and "
+                "replace the secret in it if someone may have read it", file=file,
             )
 
 
@@ -329,30 +331,31 @@ def read_yaml(path: Path, plain: Callable[[str], Any] = _parse_plain) -> YamlMap
 
     Args:
         path: the file.
-        plain: returns the value of an unquoted text; a block such as ``|-`` does not count as
-            quoted.
+        plain: function that returns the value of an unquoted text; a block such as ``|-`` counts as
+            unquoted.
 
     Raises:
-        ConfigurationError: if it cannot be read or holds no mapping, or as for :func:`parse_yaml`.
+        ConfigurationError: if the file cannot be read, if its top level is not a mapping, or if
+            :func:`parse_yaml` raises one.
     """
     content = parse_yaml(read_text(path), path, plain)
     if not isinstance(content, YamlMapping):
-        raise ConfigurationError("must hold 'key: value' lines", file=path)
+        raise ConfigurationError("must contain 'key: value' lines", file=path)
     return content
 
 
 def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain) -> Any:
-    """Return the value of a YAML text; every mapping in it is a :class:`YamlMapping`.
+    """Return the value of a YAML text, with every mapping as a :class:`YamlMapping`.
 
     Args:
         text: the YAML text.
-        path: the file that it is from, for errors.
-        plain: returns the value of an unquoted text; a block such as ``|-`` does not count as
-            quoted.
+        path: the file that contains the text, for errors.
+        plain: function that returns the value of an unquoted text; a block such as ``|-`` counts as
+            unquoted.
 
     Raises:
-        ConfigurationError: if it is not YAML, is too long or nested too deeply, has a tag, contains
-            a key twice, or repeats too much through aliases.
+        ConfigurationError: if the text is not valid YAML, is too long or too deeply nested,
+            contains a tag or a key twice in a mapping, or adds too many values by aliases.
     """
     if len(text) > _MAX_YAML:
         raise ConfigurationError(f"is longer than {_MAX_YAML / 1e6:g} MB", file=path)
@@ -365,7 +368,7 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
 
     @functools.cache
     def size_of(node: yaml.Node) -> int:
-        """Return the number of values in a node, counting each as often as it is repeated."""
+        """Return the number of values in a node, with every repetition by an alias."""
         if isinstance(node, yaml.MappingNode):
             return 1 + sum(size_of(value) for _, value in node.value)
         return 1 + (sum(map(size_of, node.value)) if isinstance(node, yaml.SequenceNode) else 0)
@@ -373,7 +376,7 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
     @functools.cache  # a node with several aliases is built once
     def value_of(node: yaml.Node) -> Any:
         if node.tag:
-            raise refuse(node, f"its values must not have tags such as {node.tag!r}")
+            raise refuse(node, f"values must not have tags such as {node.tag!r}")
         if isinstance(node, yaml.ScalarNode):
             return node.value if node.style in ("'", '"') else plain(node.value)
         if isinstance(node, yaml.SequenceNode):
@@ -385,7 +388,7 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
             key = str(key_node.value)
             if key in mapping:
                 before = mapping.lines[key]
-                raise refuse(key_node, f"{key} appears twice, here and in line {before}")
+                raise refuse(key_node, f"the key {key} appears twice, first in line {before}")
             mapping[key] = value_of(value_node)
             mapping.lines[key] = key_node.start_mark.line + 1
         return mapping
@@ -411,10 +414,10 @@ def parse_yaml(text: str, path: Path, plain: Callable[[str], Any] = _parse_plain
 
 @contextmanager
 def add_path_to_errors(path: Path) -> Iterator[None]:
-    """Add a path to an error that lacks it, such as an error of reading or writing an open file.
+    """Add a path to an OSError without one, such as an error from reading an open file.
 
     Raises:
-        OSError: the error raised inside, with a path.
+        OSError: if the block raises one; the path is added to the message if it has none.
     """
     try:
         yield
@@ -425,22 +428,23 @@ def add_path_to_errors(path: Path) -> Iterator[None]:
 
 
 def replace_text(file: Path, text: str, *, parents: bool = False) -> None:
-    """Write a text the way :func:`replace_file` writes a file."""
+    """Replace a file by a text; see :func:`replace_file`."""
     replace_file(file, lambda stream: stream.write(text.encode()), parents=parents)
 
 
 def replace_file(
     file: Path, write: Callable[[BinaryIO], object], *, parents: bool = False
 ) -> None:
-    """Write a file as a whole: after a power cut it is either the old one or the new one.
+    """Replace a file as a whole, so that a power cut leaves either the old or the new file.
 
     Args:
         file: the file; only one process at a time may replace it.
-        write: writes its content.
-        parents: whether a missing directory is created; not where the file's disk may be gone.
+        write: function that writes the content to the open file.
+        parents: True to create missing directories; use False if the disk of the file may be
+            unmounted.
 
     Raises:
-        OSError: if it cannot be written; the old file is then unchanged.
+        OSError: if the file cannot be written; the old file is then unchanged.
     """
     if parents:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Requests to services on the internet, limited in time and size, and reasons for failures."""
+"""Requests to internet services with limits on time and size, and descriptions of failures."""
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ _PASSING = (408, 429, *range(500, 600))
 
 
 class ServiceError(Exception):
-    """A service sent no usable answer; the message states why, and can be printed anywhere.
+    """Raised if a service sends no usable answer; the message, with the reason, is printable.
 
     Attributes:
-        wait: how long the service asks not to be called again (s); None if it does not state this.
-        is_passing: whether the same request may succeed later.
+        wait: time for which the service asks clients to wait (s); None if the service states no
+            time.
+        is_passing: True if the same request may succeed later.
     """
 
     def __init__(self, why: str, wait: float | None = None, *, is_passing: bool = True) -> None:
@@ -45,7 +46,7 @@ class ServiceError(Exception):
 
 
 class Answer(NamedTuple):
-    """What a service sent."""
+    """The answer of a service."""
 
     body: bytes
     date: str
@@ -53,14 +54,15 @@ class Answer(NamedTuple):
 
 
 def check_url(url: str, parameters: Collection[str]) -> str:
-    """Return a URL after checking it; it must be http or https, and may have a query with a key.
+    """Check a URL and return it; it must use http or https, and may contain a query with a key.
 
     Args:
-        url: URL of an interface.
-        parameters: parameters that requests add to its query.
+        url: URL of a service's interface.
+        parameters: names of the parameters that requests add to the query.
 
     Raises:
-        ConfigurationError: if it is not http or https, or its query has one of the parameters.
+        ConfigurationError: if the URL does not use http or https, or if its query contains one of
+            the parameters.
     """
     if not url.startswith(("http://", "https://")):
         raise ConfigurationError("must begin with http:// or https://", key="url")
@@ -84,20 +86,20 @@ def check_url(url: str, parameters: Collection[str]) -> str:
 
 
 def name_url(url: str) -> str:
-    """Return a URL for people: without its query, in which there can be a key."""
+    """Return a URL without its query, which may contain a key, for display."""
     return urlsplit(url)._replace(query="", fragment="").geturl()
 
 
 def request(url: str, parameters: Mapping[str, str | float]) -> Answer:
-    """Return a service's answer.
+    """Request data from a service, and return the answer.
 
     Args:
-        url: URL of the interface, after :func:`check_url`.
-        parameters: parameters that are added to the URL's own query.
+        url: URL of the interface, checked by :func:`check_url`.
+        parameters: parameters to add to the URL's own query.
 
     Raises:
-        ServiceError: if the service cannot be reached, rejects the request, breaks off, or sends
-            too much or too slowly.
+        ServiceError: if the service cannot be reached, rejects the request, breaks off the answer,
+            or sends too much data or sends it too slowly.
     """
     name, parts = name_url(url), urlsplit(url)
     own = parse_qsl(parts.query, keep_blank_values=True)
@@ -118,14 +120,14 @@ def request(url: str, parameters: Mapping[str, str | float]) -> Answer:
 
 
 def _hide(text: str, keys: Collection[str]) -> str:
-    """Return a text without keys that a service may repeat."""
+    """Remove keys from a text, because a service may repeat them in its answer."""
     for key in keys:
         text = text.replace(key, "***").replace(quote_plus(key), "***")
     return text
 
 
 def _request(name: str, url: str) -> Answer:
-    """Return the answer from a URL; messages call it by a shorter name."""
+    """Return the answer from a URL; messages contain the given name instead of the URL."""
     until = time.monotonic() + ANSWER_S
     try:
         response = urlopen(url, timeout=_SILENCE_S)  # noqa: S310 - http or https, as checked before
@@ -147,7 +149,7 @@ def _request(name: str, url: str) -> Answer:
         )
     length = response.headers.get("Content-Length", "")
     if length.isdecimal() and len(body) < int(length):
-        raise ServiceError(f"{name}: the response broke off after {len(body)} of {length} bytes")
+        raise ServiceError(f"{name}: the answer broke off after {len(body)} of {length} bytes")
     return Answer(body, response.headers.get("Date", ""))
 
 
@@ -156,13 +158,13 @@ def _late(seconds: float) -> TimeoutError:
 
 
 def _within(seconds: float, get: Callable[[], Answer]) -> Answer:
-    """Return what a request returns, or raise what it raises; give up after some time (s).
+    """Run a request in a thread, and return its answer or raise its error within a time (s).
 
-    The library's timeout applies to each part of an answer, and even the header may come byte by
+    The library's timeout applies to each part of an answer, and even the header may arrive byte by
     byte.
 
     Raises:
-        TimeoutError: if it takes longer. Its thread ends when the service does.
+        TimeoutError: if the request takes longer. Its thread ends when the connection closes.
     """
     results: SimpleQueue[Answer | Exception] = SimpleQueue()
 
@@ -183,12 +185,12 @@ def _within(seconds: float, get: Callable[[], Answer]) -> Answer:
 
 
 def read_reason(body: bytes) -> str:
-    """Return the text of an error response, cut to one line."""
+    """Return the text of an error response as one line of limited length."""
     return " ".join(body.decode("utf-8", "replace").split())[:_MAX_REASON]
 
 
 def _read_wait(text: str, now: datetime) -> float | None:
-    """Return the wait (s) from a Retry-After header (seconds or a date); None if it is neither."""
+    """Return the wait (s) in a Retry-After header, a number or a date; None if it is neither."""
     if text.isascii() and text.isdecimal():
         return float(text)
     try:

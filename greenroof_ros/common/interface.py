@@ -1,4 +1,4 @@
-"""The interface, ``msg_defs/topics.yaml``: all topics of the graph."""
+"""The interface of the graph, ``msg_defs/topics.yaml``, with all topics."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from greenroof_ros.common.ranges import Range
 
 @dataclass(frozen=True)
 class Qos:
-    """A quality-of-service profile; history is always keep-last, liveliness always automatic.
+    """A quality-of-service profile with keep-last history and automatic liveliness.
 
     Attributes:
         name: the profile's name in the interface.
         reliability: ``reliable`` or ``best_effort``.
         durability: ``transient_local`` or ``volatile``.
-        depth: number of messages that are kept.
-        lease_s: liveliness lease (s), infinite by default.
+        depth: history depth (number of messages).
+        lease_s: liveliness lease duration (s); infinite by default.
     """
 
     name: str
@@ -37,12 +37,12 @@ class Qos:
 
 @dataclass(frozen=True)
 class Display:
-    """How a topic's values are shown to an operator, in every tool.
+    """The form in which every tool shows a topic's values to an operator.
 
-    label: what the value is, in the operator's words.
+    Attributes:
+        label: name of the value in the operator's words.
         unit: unit of the shown value, such as ``mm``; empty for a plain number.
-        unit: unit of the shown value, such as ``mm``; empty for a plain number.
-        factor: factor from the topic's unit to the shown unit: 1000 from m to mm.
+        factor: factor from the topic's unit to the shown unit, such as 1000 from m to mm.
         decimals: number of decimals of the shown value.
     """
 
@@ -54,12 +54,12 @@ class Display:
 
 @dataclass(frozen=True)
 class Age:
-    """The maximum age of a topic's values in a live graph, as a parameter of the nodes reading it.
+    """The maximum age of a topic's values in a live graph, a parameter of the nodes that read it.
 
     Attributes:
         parameter: name of the parameter.
-        quantity: what the values are, in words.
-        default: default of the parameter (s).
+        quantity: name of the quantity, for people.
+        default: default value of the parameter (s).
         max: maximum value of the parameter (s).
     """
 
@@ -71,7 +71,7 @@ class Age:
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of the graph; ``msg_defs/topics.yaml`` explains every attribute."""
+    """A topic of the graph; ``msg_defs/topics.yaml`` explains every attribute."""
 
     name: str
     type: str
@@ -97,18 +97,18 @@ class Topic:
 
     @property
     def range(self) -> Range:
-        """The numbers that its values may be."""
+        """The range of valid values."""
         return Range(self.low, self.high, self.unit)
 
     @property
     def graph_name(self) -> str:
-        """Its name in a node's code: relative, so that a whole graph can be put in a namespace."""
+        """The topic's name in a node's code, relative so that a graph can be put in a namespace."""
         return self.name if self.absolute else self.name.removeprefix("/")
 
 
 @functools.cache
 def _topics() -> dict[str, Topic]:
-    """Read the interface once per process, because every site, node and page needs it."""
+    """Read the interface once per process, because sites, nodes and pages all use it."""
     interface: dict[str, Any] = read_yaml(shared_directory() / "msg_defs" / "topics.yaml")
     profiles = {name: Qos(name=name, **profile) for name, profile in interface["qos"].items()}
     ages = {name: Age(parameter=name, **age) for name, age in interface["max_ages"].items()}
@@ -140,12 +140,12 @@ def _make_topic(
 
 
 def read_topics() -> dict[str, Topic]:
-    """Return the interface in the order of the file, in which a bag stores every tick, too."""
+    """Return the topics in the order of the file, which is also their order in a bag's ticks."""
     return dict(_topics())
 
 
 def read_live_topics() -> dict[str, Topic]:
-    """Return the interface of a live graph, which has no plant."""
+    """Return the topics of a live graph, which has no plant."""
     return {
         name: replace(
             topic,
@@ -162,30 +162,31 @@ def _drop_plant(roles: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def optional_topics(outputs: Mapping[str, str]) -> list[tuple[Topic, str]]:
-    """Return the topics of a controller's outputs, each with the controller's attribute.
+    """Return the topics of a controller's outputs, each with the attribute of the controller.
 
     Raises:
-        ConfigurationError: if a name is not an optional topic of the interface.
+        ConfigurationError: if the name of an output is not an optional topic of the interface.
     """
     topics = {name: topic for name, topic in read_topics().items() if topic.optional}
     for name in outputs:
         if name not in topics:
             raise ConfigurationError(
-                f"is not an output of a controller; msg_defs/topics.yaml lists {', '.join(topics)}",
+                "is not an output of a controller; the outputs in msg_defs/topics.yaml are "
+                f"{', '.join(topics)}",
                 key="outputs", value=name,
             )
     return [(topic, outputs[name]) for name, topic in topics.items() if name in outputs]
 
 
 def recorded_topics(outputs: Mapping[str, str], valve: bool) -> list[Topic]:
-    """Return the topics that a graph publishes each tick, in bag order.
+    """Return the topics that a graph publishes in every tick, in the order of a bag.
 
     Args:
-        outputs: the optional topics that its controller publishes.
-        valve: whether the cistern's low outlet has a valve.
+        outputs: the optional topics that the graph's controller publishes.
+        valve: True if the cistern's low outlet has a valve.
 
     Raises:
-        ConfigurationError: if one of them is not an optional topic of the interface.
+        ConfigurationError: if an output is not an optional topic of the interface.
     """
     optional_topics(outputs)  # rejects others
     return [
@@ -196,19 +197,20 @@ def recorded_topics(outputs: Mapping[str, str], valve: bool) -> list[Topic]:
 
 
 def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> str:
-    """Return the namespace of a graph, from the names of its topics on the wire.
+    """Return the namespace of a graph, derived from the full names of its topics.
 
     Args:
-        names: topic names, such as ``/site1/roof/level``.
-        needed: topics of the interface, such as ``/roof/level``, that the graph must have.
-        bag: the bag with these topics, for messages.
+        names: full topic names, such as ``/site1/roof/level``.
+        needed: names of the topics in the interface, such as ``/roof/level``, that the graph must
+            have.
+        bag: the bag that contains the topics, for messages.
 
     Returns:
-        The prefix of the names, such as ``/site1``; empty if there is none, or if no namespace has
-        all the needed topics.
+        The prefix of the names, such as ``/site1``; empty if there is no prefix, or if no namespace
+        contains all needed topics.
 
     Raises:
-        ConfigurationError: if more than one namespace has them.
+        ConfigurationError: if more than one namespace contains all needed topics.
     """
     first = needed[0]
     namespaces = [
@@ -219,7 +221,7 @@ def find_namespace(names: Collection[str], needed: Sequence[str], bag: Path) -> 
     ]
     if len(namespaces) > 1:
         raise ConfigurationError(
-            "must be from one graph, but contains topics from the namespaces "
+            "must be from a single graph, but contains topics from the namespaces "
             + ", ".join(namespace or "/" for namespace in sorted(namespaces)),
             file=bag,
         )

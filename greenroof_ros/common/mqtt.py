@@ -1,8 +1,8 @@
 """The address of an MQTT broker, and a client that connects to it.
 
-It uses MQTT 3.1.1 with a clean session: the broker keeps no messages for a client that is away. A
-client connects automatically and tries again after every failure. Messages of quality of service 0
-that are to be published while it is not connected are dropped.
+The client uses MQTT 3.1.1 with a clean session, so the broker stores no messages for a disconnected
+client. The client connects automatically, and tries again after every failure. Messages with
+quality of service 0 that are published while the client is not connected are dropped.
 """
 
 from __future__ import annotations
@@ -38,14 +38,15 @@ _UNSPECIFIED = 0x80
 
 @dataclass(frozen=True)
 class Broker:
-    """The address of an MQTT broker, and how to log in.
+    """The address of an MQTT broker, and the login data.
 
     Attributes:
         host: host name or IP address.
         port: TCP port.
-        tls: whether the connection is encrypted and the broker's certificate is checked.
-        login: file with ``username`` and ``password``, private to one user; None for no login.
-        authority: file with trusted certificates (PEM); None for the system's.
+        tls: True if the connection is encrypted and the broker's certificate is checked.
+        login: file with ``username`` and ``password``, readable by one user only; None for no
+            login.
+        authority: file with trusted certificates (PEM); None for the system's certificates.
     """
 
     host: str
@@ -60,7 +61,7 @@ class Broker:
 
 
 def parse_host(text: str) -> tuple[str, str, int | None] | None:
-    """Return scheme, host and port of ``SCHEME://HOST[:PORT]``; None if the form is different."""
+    """Return scheme, host and port of ``SCHEME://HOST[:PORT]``; None for any other text."""
     match = _ADDRESS.fullmatch(text)
     if match is None or not 0 < int(match[3] or 1) < 65536:
         return None
@@ -68,16 +69,17 @@ def parse_host(text: str) -> tuple[str, str, int | None] | None:
 
 
 def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> Broker:
-    """Return the broker at an address.
+    """Return the broker that has the given address.
 
     Args:
         text: ``mqtt://HOST[:PORT]``, or ``mqtts://HOST[:PORT]`` over TLS.
         key: name of the address for error messages.
         login: file with ``username`` and ``password``; empty for no login.
-        authority: file with trusted certificates (PEM); empty for the system's.
+        authority: file with trusted certificates (PEM); empty for the system's certificates.
 
     Raises:
-        ConfigurationError: if it is not such an address, or has certificates but no TLS.
+        ConfigurationError: if the text is not such an address, or if certificates are given for an
+            address without TLS.
     """
     scheme, host, port = parse_host(text) or ("", "", None)
     if scheme not in ("mqtt", "mqtts"):
@@ -98,16 +100,16 @@ def parse_broker(text: str, key: str, login: str = "", authority: str = "") -> B
 def parse_topic(
     text: str, key: str, login: str = "", authority: str = ""
 ) -> tuple[Broker, str]:
-    """Return the broker and the topic from an address ``mqtt://HOST[:PORT]/TOPIC``.
+    """Return the broker and the topic in an address ``mqtt://HOST[:PORT]/TOPIC``.
 
     Args:
         text: the address.
-        key: as for :func:`parse_broker`.
-        login: as for :func:`parse_broker`.
-        authority: as for :func:`parse_broker`.
+        key: see :func:`parse_broker`.
+        login: see :func:`parse_broker`.
+        authority: see :func:`parse_broker`.
 
     Raises:
-        ConfigurationError: if it is not such an address.
+        ConfigurationError: if the text is not such an address.
     """
     scheme, mark, rest = text.partition("://")
     place, _, topic = rest.partition("/")
@@ -125,10 +127,10 @@ def parse_path(path: str) -> list[str | int]:
 
 
 def value_at(content: Any, path: str) -> Any:
-    """Return the value at a path in JSON.
+    """Return the value at a path in a JSON value.
 
     Raises:
-        LookupError: if there is none.
+        LookupError: if there is no value at the path.
     """
     try:
         for step in parse_path(path):
@@ -145,22 +147,26 @@ def make_client(
     on_disconnect: Callable[[str], None] = lambda why: None,
     will: tuple[str, str] | None = None,
 ) -> Client:
-    """Return a client that is not connected yet; call ``loop_start`` to start its thread.
+    """Return a client without a connection yet; call ``loop_start`` to start its thread.
 
-    ``connect_async`` has been called: the thread connects, and tries again after every failure.
+    ``connect_async`` has been called, so the thread will connect, and will try again after every
+    failure.
 
     Args:
-        broker: where to connect.
-        name: beginning of the client id; the rest is random, because a broker disconnects a client
-            when another one connects with the same id.
-        on_connect: called in the client's thread after every connection, to subscribe.
-        on_message: called in that thread with topic, payload, and whether the message was retained.
-        on_disconnect: called in that thread with the reason why a connection ended or failed.
-        will: topic and payload that the broker publishes, retained, if the client is lost.
+        broker: the broker to connect to.
+        name: beginning of the client ID; the rest is random, because a broker disconnects a client
+            when another client connects with the same ID.
+        on_connect: callback, in the client's thread, for every new connection; it should subscribe.
+        on_message: callback, in the client's thread, for every message; its arguments are the
+            topic, the payload, and True if the message was retained.
+        on_disconnect: callback, in the client's thread, that receives the reason why a connection
+            ended or failed.
+        will: topic and payload of a retained message that the broker publishes if the client is
+            lost.
 
     Raises:
-        ConfigurationError: if the MQTT library is missing, or the login or certificate file is
-            wrong.
+        ConfigurationError: if the MQTT library is missing, or if the login file or the certificate
+            file is invalid.
     """
     with require_extra("mqtt"):
         from paho.mqtt.client import Client, MQTTv311
@@ -177,7 +183,8 @@ def make_client(
             client.tls_set(authority)
         except OSError as error:  # or ssl.SSLError
             raise ConfigurationError(
-                f"cannot be used as certificates: {error.strerror or error}", file=broker.authority
+                f"cannot be read as a certificate file: {error.strerror or error}",
+                file=broker.authority,
             ) from error
     if will is not None:
         client.will_set(*will, qos=1, retain=True)
@@ -196,7 +203,10 @@ def make_client(
         nonlocal refused, answered
         lost = "the connection was lost"
         if not answered and not broker.tls:
-            lost += " before an answer; if the broker expects TLS, its address is mqtts://"
+            lost += (
+                " before the broker answered; if the broker expects TLS, its address begins with "
+                "mqtts://"
+            )
         if not refused:  # otherwise the reason has already been reported
             on_disconnect(lost if code.value == _UNSPECIFIED else str(code))
         refused = answered = False
@@ -216,12 +226,12 @@ def make_client(
 
 
 def _why_not_connected(broker: Broker, error: BaseException | None) -> str:
-    """Return in words why there is no connection to a broker."""
+    """Return the reason why there is no connection to a broker."""
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"the certificate of {broker} is not trusted: {error.verify_message}"
     if broker.tls and isinstance(error, ssl.SSLError | ConnectionResetError):
-        return f"{broker} does not answer over TLS; without it, its address is mqtt://"
-    return f"no one answers at {broker}: {getattr(error, 'strerror', None) or error}"
+        return f"{broker} does not answer over TLS; without TLS, its address begins with mqtt://"
+    return f"no answer from {broker}: {getattr(error, 'strerror', None) or error}"
 
 
 def _read_login(file: Path) -> tuple[str, str]:

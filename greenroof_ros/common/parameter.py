@@ -1,10 +1,10 @@
-"""User-set values, each with default, unit, range and meaning in one place; and their files.
+"""Definition of user-set values, with default, unit, range and meaning, and reading of their files.
 
 Frozen dataclasses are read from YAML; an error names the file, line, key and value. The default of
-every field is an `entry`: it gives the meaning and the allowed values of the key, both to the code
-that reads a file and to the code that writes its documentation. If a key may hold one of several
-dataclasses, all but the first have a static method ``fits``, which reports whether a mapping is
-meant for that dataclass.
+every field is an `entry`, which defines the meaning and the allowed values of the key, both for
+reading a file and for generating its documentation. If the value of a key may be one of several
+dataclasses, all of these except the first have a static method ``fits``, which returns True if a
+mapping is meant for the dataclass.
 """
 
 from __future__ import annotations
@@ -32,24 +32,26 @@ _HEXADECIMAL = re.compile(r"0x[0-9A-Fa-f]{1,16}")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value that a user sets: of a controller, the pump's limits, or a node.
+    """A value that a user sets: a parameter of a controller or a node, or a limit of the pump.
 
-    From it come the node's declared parameter and its ``--help``, the checks of parameter files and
-    of a study's grid, the command-line option, and the table in the documentation.
+    This definition is the source of the node's declared parameter and its ``--help``, of the checks
+    of parameter files and of a study's grid, of the command-line option, and of the table in the
+    documentation.
 
     Attributes:
-        name: the name, in lower case with underscores.
-        default: the default value. Its type is the parameter's type: a number, a whole number, true
-            or false, a text, or a list of texts.
-        unit: unit of the value, ``1`` if it has none; empty if the meaning states it.
-        low: minimum, for a number.
-        high: maximum, for a number.
-        meaning: the meaning in one line, without the unit.
-        may_change: whether it may change during a run; a controller then has an attribute of that
-            name, which is set between two ticks.
-        among: the only texts allowed; empty if any text is allowed.
-        on_field_capacity: default on a roof with field-capacity soil; None if it is the same.
-        usual: range of usual values, for people; None if none is stated.
+        name: name of the parameter, in lower case with underscores.
+        default: default value. The type of the default is the type of the parameter: float,
+            integer, boolean, string, or list of strings.
+        unit: unit of the value, ``1`` if it is dimensionless; empty if the meaning states the unit.
+        low: minimum of a number.
+        high: maximum of a number.
+        meaning: description of the value in one line, without the unit.
+        may_change: True if the value may change during a run; the controller then has an attribute
+            with the parameter's name, which is set between two ticks.
+        among: the allowed strings; empty if any string is allowed.
+        on_field_capacity: default value on a roof with field-capacity soil; None for the same
+            default.
+        usual: range of usual values, for the documentation; None for no range.
     """
 
     name: str
@@ -65,33 +67,33 @@ class Parameter:
 
     @property
     def whole(self) -> bool:
-        """Whether it is a whole number."""
+        """Whether the value is an integer."""
         return isinstance(self.default, int)
 
     @property
     def description(self) -> str:
-        """Its meaning, with the unit."""
+        """The meaning, with the unit."""
         return f"{self.meaning} ({self.unit})" if self.unit else self.meaning
 
     @functools.cached_property
     def range(self) -> Range:
-        """The numbers that it may be."""
+        """The range of valid numbers."""
         return Range(self.low, self.high, self.unit, self.whole)
 
     def read(
         self, value: Any, *, file: Path | None = None, line: int | None = None,
         key: str = "",
     ) -> Any:
-        """Return a user's value, checked; a number becomes a Python number.
+        """Check a user's value, and return it, with a number converted to a Python number.
 
         Args:
             value: the user's value.
-            file: file that it is from, for the error.
-            line: line that it is from, for the error.
+            file: file that contains the value, for the error.
+            line: line that contains the value, for the error.
             key: key of the value, for the error.
 
         Raises:
-            ConfigurationError: if it is out of range, or is not one of the allowed texts.
+            ConfigurationError: if the value is out of range, or is not one of the allowed strings.
         """
         if not self.among:
             return self.range.read(value, file=file, line=line, key=key)
@@ -103,7 +105,7 @@ class Parameter:
 
     @property
     def limits(self) -> str:
-        """Its range, or the allowed texts; empty if there is no limit."""
+        """The range, or the allowed strings; empty if there is no limit."""
         return " or ".join(self.among) or self.range.limits
 
 
@@ -118,17 +120,18 @@ def entry(
     factory: Any = MISSING,
     usual: tuple[float, float] | None = None,
 ) -> Any:
-    """Return a dataclass field that is a key of a file.
+    """Return a dataclass field for a key of a file.
 
     Args:
         meaning: meaning of the key, for the documentation and for the error if the key is missing.
-        low: minimum, for a number.
-        high: maximum, for a number.
-        unit: unit of the number, ``1`` if it has none; empty if the meaning states it.
-        choices: the only texts allowed.
+        low: minimum of a number.
+        high: maximum of a number.
+        unit: unit of the number, ``1`` if it is dimensionless; empty if the meaning states the
+            unit.
+        choices: the allowed strings; empty if any string is allowed.
         default: default of an optional key.
-        factory: makes the default, if that is a mapping.
-        usual: the range of usual values.
+        factory: function that creates the default if the default is a mapping.
+        usual: range of usual values.
     """
     value = None if default is MISSING else default
     metadata = {
@@ -140,7 +143,7 @@ def entry(
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a file: a field of a dataclass."""
+    """A key of a file, which corresponds to a field of a dataclass."""
 
     name: str
     kind: Any
@@ -150,7 +153,7 @@ class Key:
 
 @functools.cache  # a district creates thousands of sites
 def keys(kind: Any) -> tuple[Key, ...]:
-    """Return the keys that a dataclass reads: the fields that were made with `entry`."""
+    """Return the keys of a dataclass, that is, the fields that were created with `entry`."""
     hints = get_type_hints(kind)
     return tuple(
         Key(
@@ -163,7 +166,7 @@ def keys(kind: Any) -> tuple[Key, ...]:
 
 
 def parameters_of(kind: Any) -> list[Parameter]:
-    """Return the keys of a dataclass as parameters; a required key has None as its default."""
+    """Return the keys of a dataclass as parameters; the default of a required key is None."""
     return [key.entry for key in keys(kind)]
 
 
@@ -175,18 +178,18 @@ def read_record(
     kind: type[Record], file: Path,
     mistakes: Callable[[Record, YamlMapping], Iterable[tuple[str, str]]] = lambda *_: (),
 ) -> Record:
-    """Read a YAML file as a dataclass, and check it.
+    """Read a YAML file, check it, and return it as a dataclass.
 
     Args:
-        kind: a frozen dataclass whose fields were made with `entry`.
+        kind: frozen dataclass whose fields were created with `entry`.
         file: the file.
-        mistakes: called with the dataclass and the content of the file; for every mistake it yields
-            the key, such as ``registers.control`` (names, and numbers from 1 for items of lists),
-            and what is wrong with its value, or what is missing.
+        mistakes: function that receives the dataclass and the content of the file. For every
+            mistake, it yields the key, such as ``registers.control`` (names, and numbers from 1 for
+            items of lists), and the text about the error.
 
     Raises:
-        ConfigurationError: if the file cannot be read; a key is unknown or missing; a value is of
-            the wrong kind or out of range; or there is a mistake.
+        ConfigurationError: if the file cannot be read, a key is unknown or missing, a value is of
+            the wrong type or out of range, or ``mistakes`` yields a mistake.
     """
     content = read_yaml(file)
     try:
@@ -204,24 +207,25 @@ def read_record(
 
 
 def make_record(kind: type[Record], values: Mapping[str, Any]) -> Record:
-    """Return a dataclass from the values of its keys, checked like those in a file.
+    """Return a dataclass with the given values, which are checked like the values in a file.
 
     Args:
-        kind: as for :func:`read_record`.
-        values: the values, by key.
+        kind: frozen dataclass whose fields were created with `entry`.
+        values: values of the fields, by key.
 
     Raises:
-        ConfigurationError: if a key is unknown or missing, or a value is of the wrong kind or out
-            of range.
+        ConfigurationError: if a key is unknown or missing, or if a value is of the wrong type or
+            out of range.
     """
     record: Record = _record(kind, values, ())
     return record
 
 
 def find(content: YamlMapping, key: str) -> tuple[int | None, Any]:
-    """Return line and value of a key, given by names, and by numbers from 1 for items of lists.
+    """Return the line and the value of a key, which consists of names and of numbers of items.
 
-    If there is no such key, return the line of the last part that exists, and None.
+    The items of a list are numbered from 1. If the key does not exist, return the line of its last
+    existing part, and None.
     """
     place: Any = content
     line = None
@@ -240,7 +244,7 @@ def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
     entries, by_name = _mapping(value, parts), {key.name: key for key in keys(kind)}
     for name in entries:
         if name not in by_name:
-            wrong = f"is not a key here; {suggest_names(name, by_name)}"
+            wrong = f"is not a valid key; {suggest_names(name, by_name)}"
             raise _refuse((*parts, name), wrong, entries[name])
     fields = {}
     for name, key in by_name.items():
@@ -253,7 +257,7 @@ def _record(kind: Any, value: Any, parts: tuple[str, ...]) -> Any:
 
 def _mapping(value: Any, parts: tuple[str, ...]) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise _refuse(parts, "must hold 'key: value' lines", value)
+        raise _refuse(parts, "must contain 'key: value' lines", value)
     return value
 
 
@@ -288,7 +292,7 @@ def _value(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> A
 
 
 def _key(kind: Any, key: str, entry: Parameter, parts: tuple[str, ...]) -> Any:
-    """Return a mapping's key in its proper type; `files.read_yaml` returns keys as text."""
+    """Convert a mapping's key to the key's type, because `files.read_yaml` returns keys as text."""
     if kind is str:
         return key
     return _scalar(kind, int(key) if key.isdecimal() else key, entry, parts)
@@ -315,7 +319,7 @@ def _scalar(kind: Any, value: Any, entry: Parameter, parts: tuple[str, ...]) -> 
 
 
 def replace_infinity(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return parameters for JSON, which has no infinity: null stands for no limit."""
+    """Replace infinity by None, because JSON has no infinity; null then means no limit."""
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in parameters.items()
@@ -323,10 +327,10 @@ def replace_infinity(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def suggest_parameter(name: str, names: Iterable[str]) -> str:
-    """Return a message that there is no parameter of this name, and which name is closest."""
-    return f"there is no such parameter; the closest is {find_closest(name, names)}"
+    """Return a message about an unknown parameter, with the most similar known name."""
+    return f"there is no such parameter; the closest match is {find_closest(name, names)}"
 
 
 def find_closest(name: str, names: Iterable[str]) -> str:
-    """Return the name that is closest to another."""
+    """Return the name that is most similar to the given name."""
     return get_close_matches(name, list(names), 1, 0.0)[0]

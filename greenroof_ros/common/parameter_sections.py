@@ -1,7 +1,8 @@
-"""The sections of a ROS 2 parameter file, and the nodes that each applies to under rcl's rules.
+"""Sections of a ROS 2 parameter file, and the nodes to which each section applies in rcl.
 
-These are the forms that people and ``ros2 param dump`` write: ``/**``, ``node``, ``/node``,
-``/namespace/node``, or a namespace that holds nodes; grouped parameters have dots in their names.
+The name of a section has one of the forms that people and ``ros2 param dump`` write: ``/**``,
+``node``, ``/node``, ``/namespace/node``, or a namespace that contains nodes. The names of grouped
+parameters contain dots.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ _SECTION = "ros__parameters"
 
 @dataclass(frozen=True)
 class ParameterSection:
-    """Parameters of one or several nodes.
+    """A section with parameters of one or more nodes.
 
     Attributes:
-        name: the nodes, such as ``/**/onoff``, as written in the file.
+        name: name or pattern of the nodes as written in the file, such as ``/**/onoff``.
         line: line of the section in the file.
-        values: values by parameter name.
-        lines: lines of the values in the file.
+        values: values by the names of the parameters.
+        lines: lines of the values in the file, by the names of the parameters.
     """
 
     name: str
@@ -35,7 +36,7 @@ class ParameterSection:
     lines: Mapping[str, int]
 
     def applies_to(self, node: str) -> bool:
-        """Whether it applies to a node, named with its namespace, such as ``/site1/onoff``."""
+        """Return True if the section applies to a node, such as ``/site1/onoff``."""
         pattern = re.escape(f"/{self.name.removeprefix('/')}")
         # As in rcl: ** matches any number of names, * matches one.
         pattern = pattern.replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+")
@@ -43,10 +44,11 @@ class ParameterSection:
 
 
 def read_sections(file: Path) -> list[ParameterSection]:
-    """Return the sections of a parameter file; if several apply to a node, the last one wins.
+    """Return the sections of a parameter file; the last section that applies to a node wins.
 
     Raises:
-        ConfigurationError: if it is not such a file, rcl would reject it, or a part has no effect.
+        ConfigurationError: if the file is not a ROS 2 parameter file, if rcl would reject it, or if
+            a part of it has no effect.
     """
     return list(_sections(file, read_ros_parameters(file), "", 1))
 
@@ -58,7 +60,7 @@ def _sections(
         if name == _SECTION:
             if not isinstance(part, YamlMapping):
                 raise ConfigurationError(
-                    "must hold parameters, NAME: VALUE", file=file, line=line,
+                    "must contain parameters as NAME: VALUE", file=file, line=line,
                     key=f"{section}: {_SECTION}", value=part,
                 )
             values, lines = dict[str, Any](), dict[str, int]()
@@ -69,7 +71,7 @@ def _sections(
             yield from _sections(file, part, nested, content.lines[name])
         else:
             raise ConfigurationError(
-                f"has no effect here: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",
+                f"has no effect in this place: write /**/NODE: {{{_SECTION}: {{NAME: VALUE}}}}",
                 file=file, line=content.lines[name], value=None if part == "" else part,
                 key=f"{section}: {name}" if section else name,
             )

@@ -1,4 +1,4 @@
-"""Processes: how they end, locks between them, and messages to systemd."""
+"""Processes: ending with their parents, signals, locks, time limits and messages to systemd."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ _PARENT = "GREENROOF_ROS_PARENT"
 
 
 def child_environment() -> dict[str, str]:
-    """Return the environment for a child: a command of this package that ends with this process.
+    """Return the environment of a child command of this package that ends with this process.
 
-    The child arranges that itself when it starts: Python code between fork and exec
+    The child itself arranges to end with its parent, because Python code between fork and exec
     (``preexec_fn``) can deadlock if the parent has threads.
     """
     return {**os.environ, _PARENT: str(os.getpid())}
 
 
 def end_with_parent() -> None:
-    """Have the kernel end this process when its parent dies, even by kill -9, if so requested.
+    """Make the kernel stop this process when its parent dies, even by kill -9, if requested.
 
-    The signal is SIGTERM, since background processes of a shell may ignore SIGINT. If the parent
-    died before this call, the process ends as well.
+    The kernel sends SIGTERM, since background processes of a shell may ignore SIGINT. If the parent
+    died before this call, the process stops immediately.
     """
     parent = os.environ.pop(_PARENT, None)  # children of this process have another parent
     if parent is None:
@@ -56,9 +56,10 @@ def end_with_parent() -> None:
 
 
 def end_worker_with_command() -> None:
-    """End this worker immediately when the process that asked for it has ended in any way.
+    """Stop this worker immediately when the process that requested it has stopped in any way.
 
-    That process is not always the parent: workers are children of multiprocessing's fork server.
+    The requesting process is not always the parent, because workers are children of
+    multiprocessing's fork server.
     """
     import multiprocessing  # takes long, and only workers need it
 
@@ -81,10 +82,10 @@ _CREDENTIALS = struct.Struct("3i")
 
 
 class LockedError(Exception):
-    """Another process holds the lock.
+    """Raised if another process holds the lock.
 
     Attributes:
-        holder: number of that process; None if it is unknown.
+        holder: process number of the holder of the lock; None if it is unknown.
     """
 
     def __init__(self, lock: Path | str, holder: int | None) -> None:
@@ -93,18 +94,19 @@ class LockedError(Exception):
 
 
 def acquire_name_lock(name: str) -> socket.socket:
-    """Return a lock on a name, valid for all users of this machine; it is held until closed.
+    """Lock a name for all users of this machine, and return the lock, which is held until closed.
 
-    The lock is a socket in Linux's abstract namespace. It has no file, which a cleaner of ``/tmp``
-    or the end of a login session could remove while the lock is held, and it ends with its process.
-    Like network ports, it is shared by the processes of one network namespace.
+    The lock is a socket in Linux's abstract namespace. Unlike a file, it cannot be removed by a
+    cleanup of ``/tmp`` or at the end of a login session while the lock is held, and it is released
+    when its process exits. Like a network port, the lock applies to the processes of one network
+    namespace.
 
     Args:
-        name: name of what is locked; long names are shortened to a digest.
+        name: the name to lock; a long name is replaced by its digest.
 
     Raises:
         LockedError: if another process holds the lock.
-        OSError: if the system does not allow such sockets.
+        OSError: if the system does not support abstract sockets.
     """
     address = f"\0greenroof_ros-{name}"
     if len(address.encode()) > _MAX_ADDRESS:
@@ -122,7 +124,7 @@ def acquire_name_lock(name: str) -> socket.socket:
 
 
 def _find_listener(address: str) -> int | None:
-    """Return the process that listens at an address; None if it is unknown."""
+    """Return the number of the process that listens at an address; None if it is unknown."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as visitor:
         visitor.setblocking(False)
         try:
@@ -162,11 +164,11 @@ LOCK_BYTES = 32
 
 
 def acquire_file_lock(path: Path) -> FileIO:
-    """Return the open file of a lock; the lock is held until the file is closed.
+    """Lock a file and return it open; the lock is held until the file is closed.
 
     Args:
-        path: the lock's file, which is created if necessary; symbolic links are not followed. The
-            holder of the lock may remove the file.
+        path: path of the lock file, which is created if necessary; symbolic links are not followed.
+            The holder of the lock may remove the file.
 
     Raises:
         LockedError: if another process holds the lock.
@@ -197,13 +199,13 @@ _SCRATCH = "greenroof_ros_scratch-"
 
 @contextlib.contextmanager
 def scratch_directory(place: str | None = None) -> Iterator[Path]:
-    """Make a directory for temporary files, and remove those that killed processes left behind.
+    """Create a directory for temporary files, and remove the directories of killed processes.
 
-    Its process holds a lock on it. A lock, unlike a process number, also works between containers
-    that share ``/dev/shm``.
+    The process holds a lock on its directory. Unlike a process number, a lock also works between
+    containers that share ``/dev/shm``.
 
     Args:
-        place: where to make it; by default the system's directory for temporary files.
+        place: parent directory; None for the system's directory for temporary files.
     """
     if not hasattr(os, "O_DIRECTORY"):  # Windows cannot lock a directory
         with tempfile.TemporaryDirectory(
@@ -231,7 +233,7 @@ def _lock_directory(directory: Path) -> Iterator[None]:
     """Lock a directory.
 
     Raises:
-        OSError: if another process has locked it, or it cannot be opened.
+        OSError: if another process has locked the directory, or if it cannot be opened.
     """
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
@@ -254,15 +256,15 @@ def _watch_polars() -> None:
 
 
 def refuse_forked_polars() -> None:
-    """Refuse to use polars where it would wait for ever for threads that a fork does not copy.
+    """Raise an error if polars would wait forever for threads that a fork has not copied.
 
     Raises:
         ConfigurationError: if this process was forked after polars had been used.
     """
     if _lost_threads and os.getpid() != _IMPORTED_BY:
         raise ConfigurationError(
-            "cannot be made in a process that was forked after polars was used; start processes "
-            "with spawn: multiprocessing.get_context('spawn')", key="a data frame",
+            "cannot be created in a process that was forked after polars was used; start the "
+            "processes with spawn: multiprocessing.get_context('spawn')", key="a data frame",
         )
 
 
@@ -275,7 +277,7 @@ _stored: tuple[socket.socket, socket.socket] | None = None
 
 
 def store_signals() -> None:
-    """Store every signal from now on, whoever handles it in Python, for :func:`find_signal`."""
+    """Store every signal from now on for :func:`find_signal`, whichever code handles the signal."""
     global _stored
     _stored = socket.socketpair()
     for end in _stored:
@@ -284,7 +286,7 @@ def store_signals() -> None:
 
 
 def find_signal() -> signal.Signals | None:
-    """Return a signal that asks to end and came since the last call; None if there was none."""
+    """Return a stop signal received since the last call; None if none was received."""
     if _stored is not None:
         with contextlib.suppress(BlockingIOError):
             for number in _stored[0].recv(4096):
@@ -301,15 +303,15 @@ def count_cores() -> int:
 
 
 class InterruptedRun(Exception):
-    """The run was ended by Ctrl-C, SIGTERM or a closed terminal; the message names the signal."""
+    """Raised if Ctrl-C, SIGTERM or a closed terminal ends a run; the message names the signal."""
 
 
 class Signals:
-    """Remembers that a signal was received; the run checks for it where it can end cleanly.
+    """Handler that stores a received signal, so that the run can stop where it stops cleanly.
 
-    An exception from the handler could interrupt anything, even the ending of the nodes. A signal
-    that was ignored stays ignored: ``nohup`` ignores the end of the terminal, and a shell makes
-    background processes ignore Ctrl-C.
+    An exception from the handler could interrupt any code, even the shutdown of the nodes. A signal
+    that the process already ignores stays ignored: under ``nohup`` a process ignores the end of the
+    terminal, and a shell makes background processes ignore Ctrl-C.
     """
 
     def __init__(self) -> None:
@@ -323,12 +325,12 @@ class Signals:
 
     @property
     def received(self) -> signal.Signals | None:
-        """The signal that was received, even if other code handled it; None if there was none."""
+        """The signal received so far, even if other code handled it; None if there was none."""
         self._received = self._received or find_signal()
         return self._received
 
     def ignore(self) -> None:
-        """Ignore further signals, which would interrupt the shutdown of the interpreter."""
+        """Ignore all later signals, which would interrupt the shutdown of the interpreter."""
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
@@ -340,13 +342,14 @@ class Signals:
 
 @contextlib.contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """End Python code in the main thread that takes too long; again every second if it goes on.
+    """Raise an error in Python code that takes too long, again every second while it continues.
 
-    Compiled code cannot be ended; the place from which it was called is then written to standard
-    error. A pause of the whole process counts as one step, a tenth of the limit.
+    The code has to run in the main thread. Compiled code cannot be stopped; the place from which it
+    was called is then written to standard error. A pause of the whole process counts only as one
+    step, which is a tenth of the limit.
 
     Raises:
-        HangError: if it took longer than this (s).
+        HangError: if the code takes longer than the given time (s).
     """
     step = seconds / 10
     left = seconds
@@ -358,7 +361,7 @@ def time_limit(seconds: float) -> Iterator[None]:
             return
         left = 1.0
         place = "" if frame is None else f"{frame.f_code.co_filename}, line {frame.f_lineno}"
-        raise HangError(f"did not return within {seconds:g} s; it was at {place}")
+        raise HangError(f"did not return within {seconds:g} s; it was executing {place}")
 
     before = signal.signal(signal.SIGALRM, end)
     signal.setitimer(signal.ITIMER_REAL, step, step)
@@ -372,7 +375,7 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 
 def notify(*lines: str) -> None:
-    """Send lines to systemd if it started this process; otherwise do nothing.
+    """Send lines to systemd if systemd started this process; otherwise do nothing.
 
     Args:
         lines: lines such as ``READY=1`` and ``STATUS=all nodes are here``.

@@ -1,4 +1,4 @@
-"""Progress on standard error: a bar on a terminal, otherwise a line every ten seconds."""
+"""Progress reports on standard error: a bar on a terminal, otherwise a line every ten seconds."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _MAX_WARNED = 1000
 
 
 class ProgressBar(Progress):
-    """Shows the present task and the share of all tasks that is done."""
+    """Progress bar with the current task and the completed share of all tasks."""
 
     def __init__(self, file: Any = None) -> None:
-        """Make the bar.
+        """Create the bar.
 
         Args:
-            file: where the bar is drawn; standard error if None.
+            file: stream on which the bar is drawn; None for standard error.
         """
         console = Console(stderr=True, file=file)
         super().__init__(
@@ -42,39 +42,39 @@ class ProgressBar(Progress):
         self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def show(self, text: str, share: float) -> None:
-        """Show the present task and the share of all tasks that is done, from 0 to 1."""
+        """Show the current task and the completed share of all tasks, from 0 to 1."""
         self.update(self._task, description=text, completed=share)
         if self.disable:
             self._lines.update(f"{text}: {share:.0%}")
 
 
 class RunProgress(ProgressBar):
-    """Shows the simulated time, both levels, the command and the speed of a run."""
+    """Progress bar with the simulated time, both levels, the command and the speed of a run."""
 
     def __init__(self, steps: int, tau: float, file: Any = None) -> None:
-        """Make the bar.
+        """Create the bar.
 
         Args:
-            steps: N, the last tick.
+            steps: the number N of the last tick.
             tau: duration of a tick (s).
-            file: where the bar is drawn; standard error if None.
+            file: stream on which the bar is drawn; None for standard error.
         """
         super().__init__(file)
         self._steps, self._tau = steps, tau
         self._warned: deque[str] = deque(maxlen=_MAX_WARNED)
 
     def warn(self, warnings: Iterable[str]) -> None:
-        """Print those warnings above the bar that have not been printed yet."""
+        """Print the warnings that have not been printed yet, above the bar."""
         for text in warnings:
             if text not in self._warned:
                 self._warned.append(text)
                 self.print_line(f"warning: {text}")
 
     def show_tick(self, tick: int, cistern: float, roof: float, command: float) -> None:
-        """Show a tick.
+        """Show the values of a tick.
 
         Args:
-            tick: index of the tick.
+            tick: number of the tick.
             cistern: level in the cistern (m).
             roof: level on the roof (m).
             command: command as a share of the maximum flow (1).

@@ -1,7 +1,7 @@
-"""Ranges of numbers: the only check of a user's number, and the only sentence about it.
+"""Ranges of numbers, with the check of a user's number and the error message about it.
 
-Parameters of sites, controllers, drives, sensors and nodes use it, and so do studies, options and
-topics.
+The parameters of sites, controllers, drives, sensors and nodes are checked by this module, and so
+are studies, options and topics.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _MAXIMUM = sys.float_info.max
 
 
 def read_number(text: str) -> float:
-    """Return the number in a user's text; only here does text become a number.
+    """Return the number in a user's text; all of the package's numbers are parsed by this function.
 
     Raises:
-        ValueError: if it is not a number. Python would also read ``1_0`` as 10, and digits of other
-            scripts.
+        ValueError: if the text is not a number. Python would also accept ``1_0`` as 10, and digits
+            of other scripts.
     """
     if "_" in text or not text.isascii():
         raise ValueError(f"is not a number: {text!r}")
@@ -36,14 +36,15 @@ def read_number(text: str) -> float:
 
 @dataclass(frozen=True)
 class Range:
-    """The numbers that a value may be.
+    """A range of valid numbers.
 
     Attributes:
-        low: the minimum. A value of up to 1e-9 above 0 means greater than 0.
-        high: the maximum, in the same way. The largest float means any finite number.
-        unit: unit of the numbers; empty or ``1`` if there is none to show.
-        whole: whether they are whole numbers.
-        words: texts that are also accepted, for messages.
+        low: minimum. A positive minimum of up to 1e-9 means that the number must be greater than 0.
+        high: maximum. A negative maximum of -1e-9 or more means that the number must be less than
+            0; the largest float means any finite number.
+        unit: unit of the numbers; empty or ``1`` if no unit is shown.
+        whole: True if the numbers must be integers.
+        words: texts that are accepted as well, for messages.
     """
 
     low: float = -math.inf
@@ -58,12 +59,12 @@ class Range:
 
     @property
     def limits(self) -> str:
-        """Its limits, as in ``0 to 1``; empty if there are none."""
+        """The limits as text, such as ``0 to 1``; empty if there are no limits."""
         return self._limits[1]
 
     @property
     def _limits(self) -> tuple[str, str]:
-        """The preposition after *a number*, and the limits; each can be empty."""
+        """The preposition after *a number*, and the limits; either can be empty."""
         low, high = (
             str(end) if isinstance(end, int) else f"{end:.9g}" for end in (self.low, self.high)
         )
@@ -79,7 +80,7 @@ class Range:
         return "from ", f"{low} to {high}"
 
     def __str__(self) -> str:
-        """Return what a value must be: ``a number from 0 to 1 m``."""
+        """Return a description of valid values, such as ``a number from 0 to 1 m``."""
         kind = "a finite" if self.high == _MAXIMUM else "a"
         preposition, limits = self._limits
         unit = "" if self.unit == "1" else self.unit
@@ -87,18 +88,19 @@ class Range:
         return ", or ".join((" ".join(filter(None, words)), *self.words))
 
     def expected(self, value: object = None) -> str:
-        """Return the sentence about a wrong value: ``must be a number from 0 to 1 m``."""
+        """Return the message about an invalid value, such as ``must be a number from 0 to 1 m``."""
         comma = isinstance(value, str) and re.fullmatch(r"[-+]?\d*,\d+", value.strip())
         return f"must be {self}{', with a decimal point' if comma else ''}"
 
     def check(self, value: Any) -> float:
-        """Return a value as a Python number: an int if it must be whole, otherwise a float.
+        """Check a value, and return it as an int if it must be an integer, otherwise as a float.
 
         Args:
             value: a Python or NumPy number; true and false are not numbers.
 
         Raises:
-            ValueError: if it is not a number in this range; the message is the sentence about it.
+            ValueError: if the value is not a number in this range; the message states the valid
+                values.
         """
         if value in self:
             with suppress(OverflowError):
@@ -106,7 +108,7 @@ class Range:
         raise ValueError(self.expected(value))
 
     def parse(self, text: str) -> float:
-        """Return the number in a text; see :meth:`check`."""
+        """Check the number in a text, and return it; see :meth:`check`."""
         value: object = text
         with suppress(ValueError):
             number = read_number(text)
@@ -117,17 +119,17 @@ class Range:
         self, value: Any, *, key: str, file: Path | None = None, line: int | None = None,
         about: str = "",
     ) -> float:
-        """Return the number under a key; a whole number may also be written as 5.0.
+        """Check the number of a key, and return it; an integer may also be written as 5.0.
 
         Args:
-            value: the value under the key.
+            value: value of the key.
             key: name of the key.
-            file: the file; None if a program passes the value.
+            file: file that contains the key; None if a program passes the value.
             line: line of the key.
-            about: end of the message.
+            about: text to append to the message.
 
         Raises:
-            ConfigurationError: if it is not a number in this range.
+            ConfigurationError: if the value is not a number in this range.
         """
         plain = self.whole and isinstance(value, float) and value.is_integer()
         try:

@@ -1,4 +1,4 @@
-"""Registers the Gymnasium environment, whichever of the two packages is imported first."""
+"""Registration of the Gymnasium environment, in whichever order the packages are imported."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ ID = "GreenRoof-v1"
 
 
 class _Registration:
-    """Registers the environment when Gymnasium is imported; this package does not import it."""
+    """Import hook that registers the environment as soon as another package imports Gymnasium."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the module as Python finds it, with the registration as its last step."""
+        """Return the module's specification, with the registration as the last step of loading."""
         if name != "gymnasium":
             return None
         sys.meta_path.remove(self)
@@ -39,7 +39,7 @@ def _register(gymnasium: ModuleType) -> None:
 
 
 def register() -> None:
-    """Register the environment now, or else when Gymnasium is imported."""
+    """Register the environment now or, if Gymnasium is not imported yet, at its import."""
     known = sys.modules.get("gymnasium")
     if known is None:
         sys.meta_path.insert(0, _Registration())

@@ -1,7 +1,7 @@
-"""Checks the environment that ROS 2 is loaded from, before it is loaded.
+"""Check of the environment from which ROS 2 will be loaded.
 
-In a wrong environment, ROS ends the process itself, raises an error that names no remedy, or
-silently uses another value, with which messages may leave the machine.
+In an invalid environment, ROS kills the process, raises an error without a remedy, or silently uses
+another value, so that messages may leave the machine.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _LAST_DOMAIN = 101
 
 
 def check_environment() -> None:
-    """Check that ROS 2 can be loaded and will follow the environment's settings.
+    """Check that ROS 2 can be loaded and will use the settings in the environment.
 
     Raises:
         ConfigurationError: if ROS 2 is missing, is compiled for another Python, or lacks the
-            middleware that a variable names; or if another variable has a value that ROS would not
-            accept.
+            middleware that a variable selects, or if another variable has a value that ROS would
+            not accept.
     """
     _check_ros()
     read_domain()
@@ -51,7 +51,7 @@ def check_environment() -> None:
 
 
 def end_without_ros() -> None:
-    """End this process (a node) with one line and exit code 2 if ROS 2 cannot be loaded."""
+    """Exit with a one-line error and code 2 if ROS 2 cannot be loaded for this node."""
     try:
         _check_ros()
     except ConfigurationError as error:
@@ -60,10 +60,11 @@ def end_without_ros() -> None:
 
 
 def read_domain() -> int:
-    """Return the ROS domain.
+    """Return the number of the ROS domain.
 
     Raises:
-        ConfigurationError: if it is not a number that has ports, or is one that ROS reads as octal.
+        ConfigurationError: if the variable is not a number that has ports, or if ROS would read it
+            as an octal number.
     """
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not re.fullmatch("0|[1-9][0-9]{0,2}", text) or int(text) > _LAST_DOMAIN:
@@ -85,29 +86,31 @@ def _check_packages() -> None:
         spec = importlib.util.find_spec(package)
         if spec is None or spec.origin is None:
             raise ConfigurationError(
-                f"there is no ROS 2 here: source your ROS 2, or {describe_extra('ros')}; "
-                f"greenroof simulate does not need it (No module named {package!r})"
+                f"ROS 2 is not available: source your ROS 2, or {describe_extra('ros')}; "
+                f"greenroof simulate does not need ROS 2 (No module named {package!r})"
             )
         directory = Path(spec.origin).parent
         others = {file.name.split(".")[1] for file in directory.glob("*.cpython-*.so")}
         if others and ours not in others:
             raise ConfigurationError(
                 f"is compiled for {', '.join(sorted(others))}, but this Python, {sys.executable}, "
-                f"is {ours}: use the Python of that ROS 2; or, in a shell in which none is sourced "
-                f"(unset PYTHONPATH AMENT_PREFIX_PATH LD_LIBRARY_PATH), {describe_extra('ros')}",
+                f"needs {ours}: use the Python of that ROS 2; or, in a shell in which no ROS 2 is "
+                "sourced (unset PYTHONPATH AMENT_PREFIX_PATH LD_LIBRARY_PATH), "
+                f"{describe_extra('ros')}",
                 file=directory,
             )
 
 
 def _check_middleware() -> None:
-    """Let another process load ROS: rcl ends a process whose middleware is missing."""
+    """Check the middleware in another process, because rcl kills a process if it is missing."""
     name = os.environ.get(_MIDDLEWARE)
     if name and subprocess.run(
         [sys.executable, "-c", "import rclpy"], capture_output=True, check=False
     ).returncode:
         raise ConfigurationError(
-            "this ROS 2 does not include that middleware (ROS 2 from PyPI includes only "
-            f"rmw_fastrtps_cpp): install it, or unset {_MIDDLEWARE}", key=_MIDDLEWARE, value=name,
+            "is a middleware that the installed ROS 2 does not include (ROS 2 from PyPI includes "
+            f"only rmw_fastrtps_cpp): install the middleware, or unset {_MIDDLEWARE}",
+            key=_MIDDLEWARE, value=name,
         )
 
 
@@ -116,6 +119,6 @@ def _check_profiles(variable: str, file: str) -> None:
         ElementTree.parse(file)  # noqa: S314 - the user's own file
     except (OSError, ElementTree.ParseError) as error:
         raise ConfigurationError(
-            f"must be an XML file of Fast DDS profiles ({error}); with this file, all network "
-            "interfaces would be used", key=variable, value=file,
+            f"must be an XML file of Fast DDS profiles ({error}); otherwise Fast DDS would use "
+            "all network interfaces", key=variable, value=file,
         ) from None

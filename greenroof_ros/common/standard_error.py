@@ -1,6 +1,6 @@
-"""What users read on standard error: lines written by a thread, and progress lines.
+"""Output on standard error: lines written by a thread, and progress lines.
 
-Time-critical code lets a thread write its lines.
+A thread writes the lines so that time-critical code does not wait.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ _EVERY_S, _SELDOM_S = 10.0, 60.0
 
 
 class Lines:
-    """Lines to a file descriptor that may block: a full pipe, or a terminal stopped with Ctrl-S.
+    """Writer of lines to a file descriptor that may block, such as a full pipe.
 
-    A separate thread writes them, so that logs and summary do not wait for the reader of standard
-    error. If too many lines are waiting, the oldest are dropped, and their number is printed.
+    A terminal stopped with Ctrl-S blocks as well. A separate thread writes the lines, so that logs
+    and summary do not wait for the reader of standard error. If too many lines are waiting, the
+    oldest are dropped, and their number is printed.
     """
 
     def __init__(self, number: int) -> None:
-        """Start without lines.
+        """Create the writer without lines.
 
         Args:
             number: the file descriptor. Python's stream is bypassed, because a thread that hangs in
-                it holds its lock, and the interpreter would wait for that lock when it ends.
+                the stream holds its lock, and the interpreter would wait for the lock at exit.
         """
         self._number = number
         self._waiting: deque[str] = deque()
@@ -43,14 +44,15 @@ class Lines:
         self._thread = DiskThread()
 
     def print_line(self, text: str) -> None:
-        """Queue one or more lines for writing; return immediately."""
+        """Queue one or more lines for writing, and return immediately."""
         self.write(f"{text}\n")
 
     def print_seldom(self, kind: str, text: str) -> None:
-        """Print what others can cause at will only once a minute, with the number left out.
+        """Print messages that other programs can cause at will, only once a minute of each kind.
 
         Args:
-            kind: what is printed once a minute, whatever its text.
+            kind: kind of the message, which is printed once a minute whatever its text is. The
+                number of omitted messages is appended.
             text: one or more lines.
         """
         now = time.monotonic()
@@ -64,7 +66,7 @@ class Lines:
         self.print_line(text + more)
 
     def write(self, text: str) -> None:
-        """Queue a text for writing; with the next two methods, this is a file for progress bars."""
+        """Queue a text; with ``flush`` and ``isatty``, this is a file for progress bars."""
         with self._lock:
             if len(self._waiting) == _MAX_LINES:
                 self._waiting.popleft()
@@ -73,18 +75,18 @@ class Lines:
         self._thread.do(self._write)
 
     def flush(self) -> None:
-        """Do nothing: everything is written as soon as possible."""
+        """Do nothing, because all texts are written as soon as possible."""
 
     def isatty(self) -> bool:
-        """Return whether the file descriptor is a terminal."""
+        """Return True if the file descriptor is a terminal."""
         return os.isatty(self._number)
 
     def wait(self, within: float) -> bool:
-        """Wait at most this long (s) until everything is written; return whether it is."""
+        """Wait at most the given time (s) until all texts are written; return True if they are."""
         return self._thread.wait(within)
 
     def _write(self) -> None:
-        """Write the waiting texts, in the thread; a text that cannot be written is lost."""
+        """Write the waiting texts in the thread; a text that cannot be written is lost."""
         while True:
             with self._lock:
                 if not self._waiting:
@@ -92,7 +94,7 @@ class Lines:
                 text = self._waiting.popleft()
                 dropped, self._dropped = self._dropped, 0
             if dropped:
-                text = f"{dropped} lines were dropped: standard error was blocked\n{text}"
+                text = f"{dropped} lines were dropped because standard error was blocked\n{text}"
             data = text.encode(errors="backslashreplace")
             try:
                 while data:
@@ -108,19 +110,19 @@ atexit.register(LINES.wait, _END_S)
 
 
 class ProgressLines:
-    """Prints progress every ten seconds, but nothing in the first ten."""
+    """Printer of progress every ten seconds, except in the first ten seconds."""
 
     def __init__(self, print_line: Callable[[str], None] = print_line) -> None:
         """Start the first ten seconds.
 
         Args:
-            print_line: prints a line; by default on standard error.
+            print_line: function that prints a line; by default, on standard error.
         """
         self._print_line = print_line
         self._due = time.monotonic() + _EVERY_S
 
     def update(self, text: str) -> None:
-        """Update the progress; it is printed if a line is due."""
+        """Update the progress, and print it if a line is due."""
         now = time.monotonic()
         if now >= self._due:
             self._due = now + _EVERY_S

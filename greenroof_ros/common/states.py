@@ -1,4 +1,4 @@
-"""The words that nodes and their observers share: roles and states. Needs no ROS."""
+"""Roles and states that nodes and their observers have in common; ROS is not needed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ROLES = {"controller": "the controller", PUMP: "the pump driver"}
 
 
 class DriveState(enum.Enum):
-    """Whether the pump node can run its drive: the state of the node."""
+    """States of the pump node, that is, of its ability to run the drive."""
 
     CONNECTING = "connecting"  # the drive does not answer
     REFUSED = "refused"  # nothing might stop it: its own timeout, or a state that is not saved
@@ -30,7 +30,7 @@ PUMP_STATES = ("off", "starting", "running", "stopping", "held", "fault", "unkno
 
 @dataclass(frozen=True)
 class PumpState:
-    """What a pump is doing: the content of /pump/state, a JSON object.
+    """The state of a pump, published as a JSON object on /pump/state.
 
     Attributes:
         state: one of ``PUMP_STATES``.
@@ -46,12 +46,12 @@ class PumpState:
         return f"{self.state}: {self.why}" if self.why else self.state
 
     def message(self) -> str:
-        """Return the state as it is published on the topic."""
+        """Return the state as the message that is published on the topic."""
         return json.dumps(asdict(self), ensure_ascii=False)
 
     @classmethod
     def read(cls, message: str) -> PumpState:
-        """Return a message's content; if malformed, an unknown state with its text as reason."""
+        """Return the state in a message, or an unknown state with the text if it is malformed."""
         try:
             content = json.loads(message)
         except (ValueError, RecursionError):

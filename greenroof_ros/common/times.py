@@ -1,4 +1,4 @@
-"""Times: reading and writing them, nanoseconds since 1970, and clocks that cannot be set."""
+"""Reading, writing and conversion of times, and clocks that cannot be set."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _HINTS = (
 
 @functools.lru_cache(10_000)
 def parse_time(text: str, zone: tzinfo | None = None) -> datetime:
-    """Read an ISO 8601 time, in a zone if it has no offset; a final ``Z`` stands for UTC.
+    """Read an ISO 8601 time, in the given zone if it has no offset; a final ``Z`` means UTC.
 
-    Fractions of a second are truncated to microseconds; 24:00 is the end of its day.
+    Fractions of a second are truncated to microseconds; 24:00 is the end of the day.
 
     Raises:
-        ValueError: if it is not a time from :data:`FIRST_YEAR` to :data:`LAST_YEAR`.
+        ValueError: if the text is not a time from :data:`FIRST_YEAR` to :data:`LAST_YEAR`.
     """
     match = _ISO.fullmatch(text.strip())
     if match is None:
@@ -70,7 +70,7 @@ def _zone(sign: str, hours: int, minutes: int, seconds: int) -> timezone:
 
 
 def time_hint(text: str) -> str:
-    """Return the end of a message about a time that :func:`parse_time` rejects; often empty."""
+    """Return a hint for a time that :func:`parse_time` rejects; empty if there is no hint."""
     for pattern, what in _HINTS:
         if re.fullmatch(pattern, text.strip()):
             return f"; {what}"
@@ -78,10 +78,11 @@ def time_hint(text: str) -> str:
 
 
 def parse_local_time(text: str, zone: tzinfo) -> datetime:
-    """Read a local time, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00:00``, in a zone.
+    """Read a local time in a zone, such as ``2021-07-01 0:00`` or ``2021-07-01T00:00:00``.
 
     Raises:
-        ValueError: if it is not such a time, has an offset, or is outside the years.
+        ValueError: if the text is not a local time, has an offset, or is outside the supported
+            years.
     """
     match = re.fullmatch(
         r"(\d{4}[-/]\d\d[-/]\d\d)[ T](\d{1,2})(:\d\d(?::\d\d(?:\.\d+)?)?)", text.strip()
@@ -96,7 +97,7 @@ def parse_unix_time(text: str) -> datetime:
     """Read whole seconds since 1970 as a time in UTC.
 
     Raises:
-        ValueError: if it is outside the years.
+        ValueError: if the time is outside the supported years.
     """
     return _within_years(_EPOCH + timedelta(seconds=float(text)))
 
@@ -108,33 +109,33 @@ def _within_years(time: datetime) -> datetime:
 
 
 def to_minutes(time: datetime) -> str:
-    """Write a time to the minute, with its offset from UTC: ``2021-07-07T02:00-05:00``."""
+    """Format a time in minutes with its offset from UTC, such as ``2021-07-07T02:00-05:00``."""
     return time.isoformat(timespec="minutes")
 
 
 def to_people(time: datetime) -> str:
-    """Write a time for headings, ``2021-07-07 02:00-05:00``; with seconds if there are any."""
+    """Format a time for headings, such as ``2021-07-07 02:00-05:00``, with any seconds."""
     return time.isoformat(" ", "seconds" if time.second else "minutes")
 
 
 def iso(seconds: float) -> str:
-    """Return a time (s since 1970) in UTC, ISO 8601, to the millisecond."""
+    """Format a time (s since 1970) in UTC according to ISO 8601, with milliseconds."""
     return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="milliseconds")
 
 
 def hours_minutes(seconds: float) -> str:
-    """Write a time since the start of a run in whole minutes: ``00:05``."""
+    """Format a time since the start of a run in whole minutes, such as ``00:05``."""
     minutes = int(seconds) // 60
     return f"{minutes // 60:02}:{minutes % 60:02}"
 
 
 def hours_minutes_seconds(seconds: float) -> str:
-    """Write a time since the start of a run in whole seconds: ``00:20:34``."""
+    """Format a time since the start of a run in whole seconds, such as ``00:20:34``."""
     return f"{hours_minutes(seconds)}:{int(seconds) % 60:02}"
 
 
 def duration(seconds: float) -> str:
-    """Write a duration the way people do: ``40 s``, ``27 min``, ``2 h``, ``120 h``."""
+    """Format a duration for people, such as ``40 s``, ``27 min``, ``2 h`` or ``120 h``."""
     if seconds < 90:
         return f"{seconds:.3g} s"
     if seconds < 5400:
@@ -143,39 +144,40 @@ def duration(seconds: float) -> str:
 
 
 def epoch_ns(time: datetime) -> int:
-    """Return nanoseconds since 1970-01-01 UTC, without intermediate rounding."""
+    """Convert a time to nanoseconds since 1970-01-01 UTC, without intermediate rounding."""
     return (time - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def hours_since_1970(time: datetime) -> int:
-    """Return hours since 1970-01-01 UTC, rounded down."""
+    """Convert a time to hours since 1970-01-01 UTC, rounded down."""
     return (time - _EPOCH) // timedelta(hours=1)
 
 
 def from_epoch_ns(nanoseconds: int) -> datetime:
-    """Return the UTC time this many nanoseconds after 1970-01-01, to the microsecond."""
+    """Convert nanoseconds since 1970-01-01 UTC to a time in UTC, with microseconds."""
     return _EPOCH + timedelta(microseconds=nanoseconds // 1000)
 
 
 def is_skipped(local: datetime) -> bool:
-    """Return whether the clocks of a time's zone skip it, as they skip an hour in spring."""
+    """Return True if the clocks of the time's zone skip the time, as in spring."""
     shown = local.astimezone(timezone.utc).astimezone(local.tzinfo)
     return shown.replace(tzinfo=None) != local.replace(tzinfo=None)
 
 
 def read_start(text: str, zone: tzinfo | None = None) -> datetime:
-    """Read a start time; without an offset from UTC, it is in the given zone.
+    """Read a start time, in the given zone if it has no offset from UTC.
 
-    Within the hour that clocks show twice, the first one is meant. The result has a fixed offset:
-    in a zone with daylight saving, adding durations would follow the wall clock.
+    A time in the hour that clocks show twice is taken as the first occurrence. The result has a
+    fixed offset, because the addition of durations in a zone with daylight saving time would follow
+    the wall clock.
 
     Args:
         text: the start time.
-        zone: zone of a time without an offset.
+        zone: time zone of a time without an offset; None if an offset is required.
 
     Raises:
-        ConfigurationError: if it is not an ISO 8601 time, has no offset while no zone is given, or
-            is within an hour that the zone's clocks skip.
+        ConfigurationError: if the text is not an ISO 8601 time, has no offset although no zone is
+            given, or is in an hour that the zone's clocks skip.
     """
     try:
         start = parse_time(text, zone)
@@ -199,15 +201,15 @@ def read_start(text: str, zone: tzinfo | None = None) -> datetime:
 def boot_time() -> float:
     """Return the time since the machine started (s), including suspends.
 
-    ``time.monotonic()`` stops during a suspend: by that clock, values measured before a suspend
-    would still be new after it.
+    ``time.monotonic()`` stops during a suspend, so values measured before a suspend would still
+    seem new after it.
     """
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 @functools.cache
 def boot_id() -> str:
-    """Return an identifier of the machine's present boot; empty if the system does not tell."""
+    """Return an identifier of the machine's current boot; empty if the system has none."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:
@@ -215,5 +217,5 @@ def boot_id() -> str:
 
 
 def suspended_time() -> float:
-    """Return how long the machine has been suspended since it started (s)."""
+    """Return the total time for which the machine has been suspended since it started (s)."""
     return boot_time() - time.monotonic()

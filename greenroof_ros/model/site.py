@@ -572,7 +572,7 @@ def _record_of(
         for name, (value, *_) in entries.items():
             if name not in SITE_KEYS:
                 raise ConfigurationError(
-                    f"is not a key here; {suggest_names(name, SITE_KEYS)}", key=name, value=value
+                    f"is not a valid key; {suggest_names(name, SITE_KEYS)}", key=name, value=value
                 )
         named, following = translate(entries)
     with _add_place_to_errors(named, path):

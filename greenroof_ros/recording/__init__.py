@@ -1,1 +1,1 @@
-"""Records of a run: trajectories and bags."""
+"""Records of a run: trajectories, bags, and tables of results and rain events."""

@@ -1,4 +1,4 @@
-"""Reads a trajectory from a bag: this package's own, or a real site's with gaps and outliers."""
+"""Reading a trajectory from a bag of this package, or of a real site with gaps and outliers."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _MAX_NAMED = 10
 def count_ticks(bag: Path) -> int | None:
     """Return the number of complete ticks in a bag of this package.
 
-    Return None if the bag was not closed: its recorder was killed, or its disk was full.
+    Return None if the bag was not closed, because its recorder was killed or its disk was full.
     """
     if not (bag / METADATA).is_file():
         return None
@@ -63,7 +63,7 @@ def count_ticks(bag: Path) -> int | None:
 
 
 class RecordedTrajectory(NamedTuple):
-    """The trajectory of a run, and notes on how it was reconstructed."""
+    """The trajectory of a run, and notes about its reconstruction from the bag."""
 
     trajectory: Trajectory
     notes: tuple[str, ...] = ()
@@ -72,7 +72,7 @@ class RecordedTrajectory(NamedTuple):
 
 
 class _Series(NamedTuple):
-    """The values of a topic, and the time at which each was logged (ns)."""
+    """The values of a topic, and the times at which they were logged (ns since 1970)."""
 
     times: Stamps
     values: Values
@@ -84,26 +84,30 @@ def load_bag(
 ) -> RecordedTrajectory:
     """Read a trajectory from a bag.
 
-    A sample is any time at which a message of a used topic was logged; every topic has its last
-    value at or before that time. Bags of this package log all topics of a tick at the same time, so
-    their samples are the ticks.
+    The trajectory has a sample at every time at which a message of a used topic was logged, with
+    the last value of every topic at or before that time. Bags of this package log all topics of a
+    tick at the same time, so their samples are the ticks.
 
     Args:
         bag: directory of the bag, or a single MCAP file.
-        site: site at which it was recorded.
+        site: site at which the bag was recorded.
         zone: time zone of the result.
-        own: whether the run is known to be this package's: its plant then rejected implausible
-            values and used 0 instead. In other bags they are left out, or are an error.
-        external_pump: whether a pump driver sent the flow to the plant.
-        repair: how a damaged bag can be repaired, for the message; empty if it cannot be.
+        own: True if the run is known to be a simulation of this package, whose plant rejected
+            implausible values and used 0 instead. In other bags, implausible values are left out or
+            cause an error.
+        external_pump: True if a pump driver sent the flow to the plant.
+        repair: instruction, for the message, on repairing a damaged bag; empty if repair is
+            impossible.
 
     Raises:
-        ConfigurationError: if the bag is damaged, foreign, or has implausible values.
+        ConfigurationError: if the bag is damaged, lacks a needed topic, or contains implausible
+            values.
     """
     recorded, notes = _keep_one_time(_read_series(bag, repair), zone)
     of_site = {column.topic: column.attribute for column in recorded_columns(site)}
     notes += [
-        f"{topic} is not in the bag; assumed 0" for topic in of_site if topic not in recorded
+        f"{topic} is not in the bag; its value is assumed to be 0"
+        for topic in of_site if topic not in recorded
     ]
     interface, highest = read_topics(), _compute_maxima(site)
     series = {}
@@ -119,7 +123,7 @@ def load_bag(
     samples = stamps[stamps >= max(series[topic].times[0] for topic in _NEEDED)]
     if len(samples) < 2:
         raise ConfigurationError(
-            f"must hold at least two samples of {', '.join(_NEEDED)}, not {len(samples)}",
+            f"must contain at least two samples of {', '.join(_NEEDED)}, not {len(samples)}",
             file=bag,
         )
     spacings = np.diff(samples)
@@ -149,10 +153,10 @@ def load_bag(
 def _keep_one_time(
     recorded: Mapping[str, _Series], zone: tzinfo
 ) -> tuple[dict[str, _Series], list[str]]:
-    """Return the messages in the year with most of them, without those more than a year away.
+    """Return the messages without those that are more than a year away from most messages.
 
-    A clock that is not set yet stamps messages with 0, or with the year in which it was made; no
-    site has a gap of a year in one bag.
+    A clock that is not set yet stamps messages with 0, or with the year of its manufacture; no site
+    has a gap of a year in a bag.
     """
     stamps = np.sort(np.concatenate([series.times for series in recorded.values()]))
     far = np.flatnonzero(np.diff(stamps.astype(np.float64)) > _MAX_GAP_NS) + 1
@@ -172,12 +176,12 @@ def _keep_one_time(
     )
     return kept, [
         f"{len(stamps) - int(np.diff(edges)[most])} of {len(stamps)} messages are more than a year "
-        f"away from the others, {low} to {high}, and are left out: was a clock not set?"
+        f"away from the other messages, {low} to {high}, and are left out: was a clock not set?"
     ]
 
 
 def _check_files(bag: Path) -> None:
-    """Reject a bag that lacks a file named in its metadata; a reader rejects other metadata."""
+    """Reject a bag that lacks a file listed in its metadata; a reader rejects invalid metadata."""
     about: Any = None
     with suppress(ConfigurationError):
         about = read_yaml(bag / METADATA).get("rosbag2_bagfile_information")
@@ -188,7 +192,7 @@ def _check_files(bag: Path) -> None:
     ]
     if missing:
         raise ConfigurationError(
-            f"lacks {', '.join(missing)}, which {METADATA} names: copy the whole directory",
+            f"lacks {', '.join(missing)}, listed in {METADATA}: copy the whole directory",
             file=bag,
         )
 
@@ -196,11 +200,12 @@ def _check_files(bag: Path) -> None:
 def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
     """Read all used topics of a bag, ordered by time.
 
-    The topics may be in a namespace, such as /site1/roof/level; the result uses their plain names.
+    The topics may be in a namespace, such as /site1/roof/level; the result contains their names
+    without the namespace.
 
     Raises:
-        ConfigurationError: if the bag is damaged, lacks a needed topic, or has the times at which
-            the messages of a simulation arrived.
+        ConfigurationError: if the bag is damaged, lacks a needed topic, or contains the times of
+            arrival of a simulation's messages instead of simulated times.
     """
     with require_extra("study"):
         from rosbags import typesys
@@ -237,11 +242,11 @@ def _read_series(bag: Path, repair: str) -> dict[str, _Series]:
         ) from error
     silent = [topic for topic in _NEEDED if topic not in times]
     if silent:
-        raise ConfigurationError(f"contains no message of {', '.join(silent)}", file=bag)
+        raise ConfigurationError(f"contains no messages on {', '.join(silent)}", file=bag)
     # A recorder with simulated time stamps every message with a value of the clock.
     if _CLOCK in times and not set(times.pop(_CLOCK)) & set(values.pop(_CLOCK)):
         raise ConfigurationError(
-            "has the times at which the messages of a simulation arrived, not simulated times: "
+            "contains the times of arrival of a simulation's messages, not simulated times: "
             "record with 'ros2 bag record --use-sim-time', or use the bag in the run's directory",
             file=bag,
         )
@@ -253,14 +258,15 @@ def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str])
 
     Args:
         bag: directory of the bag.
-        types: the type of each of its topics.
-        names: the interface's name of every used topic, by its name in the bag.
+        types: message types of the bag's topics, by the names of the topics.
+        names: names of the used topics in the interface, by their names in the bag.
     """
     missing = [topic for name, topic in names.items() if topic in _NEEDED and name not in types]
     if missing:
         topics = ", ".join(sorted(types)) or "none"
         raise ConfigurationError(
-            f"has no {', '.join(missing)}, which the report needs; its topics are: {topics}",
+            f"lacks {', '.join(missing)}, which the report needs; the topics in the bag are: "
+            f"{topics}",
             file=bag,
         )
     for name in names:
@@ -271,17 +277,17 @@ def _check_topics(bag: Path, types: Mapping[str, str], names: Mapping[str, str])
 
 
 def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
-    """Return the highest plausible values of topics at a site, each with its explanation."""
+    """Return the maximum plausible values of topics at a site, each with an explanation."""
     full = maximum_pump_flow(site, site.a1 * site.z_o)
     rain, evaporation = (QUANTITIES[name].high for name in (PRECIPITATION, EVAPOTRANSPIRATION))
     # The crop coefficient scales the evapotranspiration of grass.
     evaporation *= max(1.0, site.crop_coefficient)
     return {
-        "/roof/level": (site.max_roof_level, f"twice the soil's depth of {site.z_soil:g} m"),
+        "/roof/level": (site.max_roof_level, f"twice the soil depth of {site.z_soil:g} m"),
         "/cistern/level": (
-            site.max_cistern_level, f"three times the outlet's level of {site.z_o:g} m"
+            site.max_cistern_level, f"three times the overflow level of {site.z_o:g} m"
         ),
-        "/pump/flow": (3 * full, "three times what the pumps can deliver"),
+        "/pump/flow": (3 * full, "three times the maximum flow of the pumps"),
         "/weather/precipitation": (rain / 3.6e6, f"{rain:g} mm/h"),
         "/weather/evapotranspiration": (
             evaporation / 8.64e7 * site.a2, f"{evaporation:g} mm/day over a2"
@@ -292,29 +298,29 @@ def _compute_maxima(site: Site) -> dict[str, tuple[float, str]]:
 def _replace_refused(
     topic: Topic, series: _Series, external_pump: bool
 ) -> tuple[_Series, list[str]]:
-    """Return the values of a topic as the plant of the run used them, with 0 for rejected values.
+    """Return the values of a topic that the run's plant used, with 0 for rejected values.
 
-    Values that the plant itself published are unchanged, since the run's results come from them.
+    Values that the plant itself published are unchanged, since they are the results of the run.
     """
     fine = (series.values >= topic.low) & (series.values <= topic.high)  # a NaN is neither
     plants = "plant" not in topic.subscribers or (topic.name == "/pump/flow" and not external_pump)
     if plants or fine.all():
         return series, []
     return series._replace(values=np.where(fine, series.values, 0.0)), [
-        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were rejected in the run "
-        f"and replaced by 0: a value {topic.range.expected()}"
+        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} were rejected in the "
+        f"run and replaced by 0, because a value {topic.range.expected()}"
     ]
 
 
 def _drop_outliers(
     bag: Path, topic: Topic, of_site: tuple[float, str] | None, series: _Series
 ) -> tuple[_Series, list[str]]:
-    """Return the values of a topic without implausible ones.
+    """Remove implausible values of a topic, and return the others with a note.
 
     Raises:
-        ConfigurationError: if there are too many to be outliers, or at least half of the non-zero
-            values are too large: a pump, or rain in a wrong unit, may be active for less than a
-            hundredth of the time.
+        ConfigurationError: if the implausible values are too many to be outliers, or if at least
+            half of the non-zero values are too large. The latter detects a wrong unit of rain or of
+            a pump that is active for less than a hundredth of the time.
     """
     high, why = topic.high, ""
     if of_site is not None and of_site[0] * _ROUNDING < high:
@@ -336,8 +342,8 @@ def _drop_outliers(
             file=bag, key=topic.name,
         )
     return _Series(times[fine], values[fine]), [
-        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} are not finite or out of "
-        "range, and are left out"
+        f"{np.count_nonzero(~fine)} of {len(fine)} values of {topic.name} are left out because "
+        "they are not finite or are out of range"
     ]
 
 
@@ -351,8 +357,8 @@ def _describe_gaps(samples: Stamps, gaps: NDArray[np.intp], zone: tzinfo) -> str
         for gap, length in zip(gaps[:_MAX_NAMED], hours, strict=False)
     ]
     if len(gaps) > _MAX_NAMED:
-        named.append(f"and {len(gaps) - _MAX_NAMED} more, {hours.sum():.3g} h in all")
+        named.append(f"and {len(gaps) - _MAX_NAMED} more gaps, {hours.sum():.3g} h in total")
     return (
-        f"no message came from {', '.join(named)}: command, weather and flows are unknown then "
-        "and are treated as 0, and the levels keep their last values"
+        f"there are no messages from {', '.join(named)}: in these gaps, command, weather and "
+        "flows are unknown and are treated as 0, and the levels keep their last values"
     )

@@ -1,7 +1,7 @@
-"""Writes bags in rosbag2's format: numbered mcap files, and a ``metadata.yaml`` that lists them.
+"""Writing bags in rosbag2's format, as numbered mcap files that ``metadata.yaml`` lists.
 
-rosbag2, rosbags, Foxglove and PlotJuggler open them. The bag of a simulation does not depend on the
-wall clock or on its location: two equal runs produce equal bytes.
+rosbag2, rosbags, Foxglove and PlotJuggler can open these bags. The bag of a simulation does not
+depend on the wall clock or on the bag's location: two equal runs produce equal bytes.
 """
 
 from __future__ import annotations
@@ -55,36 +55,38 @@ _INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
 class LiveBag:
-    """Writes the bag of a live site: messages as they arrive, in files by size and day, for months.
+    """Writer of a live site's bag for months of recording, in files by size and day.
 
     A recorder that is restarted in the same directory continues with the next file number.
-    ``metadata.yaml`` lists the closed files. It is replaced atomically whenever one is closed, so
-    rosbag2 and rosbags can open the bag during recording and after the recorder was killed. The
-    file that was open when it was killed is not listed; ``greenroof recover`` restores it.
+    ``metadata.yaml`` lists the closed files. The metadata is replaced atomically whenever a file is
+    closed, so rosbag2 and rosbags can open the bag during recording and after the recorder was
+    killed. The file that was open when the recorder was killed is not listed; ``greenroof recover``
+    restores it.
 
-    No method raises an OSError: if recording fails, for instance on a full disk, the node goes on.
-    The file being written then ends with its last flush, and a new file is begun when a retry
+    No method raises an OSError: if recording fails, for instance because the disk is full, the node
+    continues. The current file then ends at its last flush, and a new file begins when a retry
     succeeds.
 
     Attributes:
         directory: directory of the bag.
-        problem: why recording failed; empty again once later messages are flushed.
-        recorded: number of messages flushed to the bag since this start.
-        lost: number of messages lost because recording failed.
+        problem: reason why recording failed; empty if it has not failed, or once later messages are
+            flushed.
+        recorded: number of messages flushed to the bag since the start of the recorder.
+        lost: number of messages that were lost because recording failed.
     """
 
     def __init__(
         self, directory: Path, topics: Sequence[Topic], *, file_bytes: int, total_bytes: int
     ) -> None:
-        """Read the indices of an existing bag; nothing is written before the first message.
+        """Read the indices of an existing bag, without writing before the first message.
 
         Args:
             directory: directory of the bag, which may exist.
-            topics: the topics that can be recorded.
-            file_bytes: size at which a file is closed and the next one begun; every day (UTC) also
-                begins a new file.
-            total_bytes: size of the bag above which its oldest files are removed; at least twice
-                ``file_bytes``.
+            topics: topics whose messages can be recorded.
+            file_bytes: size at which a file is closed and the next file begins (bytes); a new file
+                also begins every day (UTC).
+            total_bytes: size of the bag above which its oldest files are removed (bytes); at least
+                twice ``file_bytes``.
         """
         self.directory = directory
         self.problem = ""
@@ -106,10 +108,10 @@ class LiveBag:
         """Record a message.
 
         Args:
-            topic: name of its topic.
+            topic: topic of the message.
             time_ns: time of arrival (ns since 1970).
-            message: serialised (CDR).
-            now: steady clock (s).
+            message: the message, serialised as CDR.
+            now: current time on the steady clock (s).
         """
         if now < self._again:
             self.lost += 1
@@ -129,10 +131,10 @@ class LiveBag:
             self._fail(error, now)
 
     def flush_if_due(self, now: float) -> None:
-        """Flush if it is due; this must be called often.
+        """Flush the bag if a flush is due; call this method often.
 
         Args:
-            now: steady clock (s).
+            now: current time on the steady clock (s).
         """
         if self._file is None or now - self._flushed < FLUSH_S:
             return
@@ -145,7 +147,7 @@ class LiveBag:
             self._fail(error, now)
 
     def close(self) -> None:
-        """Close the file being written; if that fails, :attr:`problem` reports it."""
+        """Close the current file; if closing fails, :attr:`problem` contains the reason."""
         try:
             if self._file is not None:
                 self._close(self._file)
@@ -168,12 +170,12 @@ class LiveBag:
         write_metadata(self.directory, self._files.values())
 
     def _count_flushed(self, file: BagFile) -> None:
-        """Count the flushed messages as recorded, and clear the problem."""
+        """Update the number of recorded messages after a flush, and clear the problem."""
         self.recorded = self._before + file.safe
         self.problem = ""
 
     def _fail(self, error: OSError, now: float) -> None:
-        """Stop until the next try: keep what was flushed, and count the rest as lost."""
+        """Stop recording until the next retry, and count the messages not flushed as lost."""
         self.problem = f"{self.directory}: {error.strerror or error}"
         self._again = now + RETRY_S
         file, self._file = self._file, None
@@ -182,7 +184,7 @@ class LiveBag:
             file.cut()
 
     def _remove_oldest(self) -> None:
-        """Keep the bag within its limit; the newest file always stays."""
+        """Remove the oldest files while the bag exceeds its limit, but never the newest file."""
         sizes = {path: path.stat().st_size for path in self._files if path.exists()}
         self._files = {path: self._files[path] for path in sizes}
         while len(sizes) > 1 and sum(sizes.values()) > self._total_bytes:
@@ -196,23 +198,23 @@ class LiveBag:
 
 
 class BagFile:
-    """An mcap file being written; after an error it must be cut.
+    """An mcap file that is being written, and must be cut after an error.
 
-    Otherwise it would keep part of the failed write, and the number of recoverable writes would
-    differ from ``safe``.
+    Otherwise the file would contain a part of the failed write, and the number of recoverable
+    writes would differ from ``safe``.
 
     Attributes:
         path: path of the file.
         written: number of writes.
-        safe: number of writes that were flushed; they survive a kill of the process.
+        safe: number of writes that were flushed, and therefore survive a kill of the process.
     """
 
     def __init__(self, path: Path, topics: Sequence[Topic]) -> None:
-        """Create the file and write its beginning.
+        """Create the file, and write its header with the topics.
 
         Args:
             path: path of the file, which must not exist.
-            topics: the topics whose messages it can hold.
+            topics: topics whose messages the file can contain.
 
         Raises:
             FileExistsError: if the file exists.
@@ -240,7 +242,7 @@ class BagFile:
 
     @property
     def size(self) -> int:
-        """Number of bytes written, without the present chunk."""
+        """Number of bytes written so far, without the current chunk."""
         return self._stream.tell()
 
     def write(self, time_ns: int, messages: Iterable[tuple[int, bytes]]) -> None:
@@ -248,10 +250,10 @@ class BagFile:
 
         Args:
             time_ns: time of the messages (ns since 1970).
-            messages: pairs of a topic's index and a serialised (CDR) message.
+            messages: pairs of a topic's index and a message, serialised as CDR.
 
         Raises:
-            OSError: if writing fails, for instance on a full disk.
+            OSError: if writing fails, for instance because the disk is full.
         """
         for index, message in messages:
             self._add(index + 1, time_ns, message, time_ns, self._counts[index])
@@ -259,13 +261,13 @@ class BagFile:
         self.written += 1
 
     def flush(self, *, to_disk: bool = False) -> None:
-        """Pass everything written so far to the operating system.
+        """Pass all messages written so far to the operating system.
 
         Args:
-            to_disk: whether to sync it to the disk as well, so that it survives a power failure.
+            to_disk: True to sync the file to the disk as well, so that it survives a power failure.
 
         Raises:
-            OSError: if writing fails, for instance on a full disk.
+            OSError: if writing fails, for instance because the disk is full.
         """
         self._writer.flush()
         if to_disk:
@@ -276,14 +278,14 @@ class BagFile:
         """Write the index and the end of the file.
 
         Raises:
-            OSError: if writing fails, for instance on a full disk.
+            OSError: if writing fails, for instance because the disk is full.
         """
         self._writer.finish()
         self._stream.close()
         self.safe = self.written
 
     def cut(self) -> None:
-        """Close the file and truncate it to its last flush; remove it if there was none."""
+        """Close the file and truncate it to its last flush; remove it if it was never flushed."""
         with suppress(OSError):  # the disk itself may be gone
             self._stream.close()  # tries to write the rest again
         with suppress(OSError):
@@ -293,14 +295,14 @@ class BagFile:
 
 
 class BagWriter(BagFile):
-    """Writes the bag of a simulation, tick by tick, into one file; `written` counts ticks.
+    """Writer of a simulation's bag, tick by tick, in one file; `written` counts ticks.
 
     Attributes:
         directory: directory of the bag.
     """
 
     def __init__(self, directory: Path, topics: Sequence[Topic]) -> None:
-        """Create the bag's directory and write the beginning of its file.
+        """Create the bag's directory and its file.
 
         Args:
             directory: directory of the bag, which must not exist.
@@ -315,14 +317,14 @@ class BagWriter(BagFile):
         super().__init__(name_next_file([], directory), topics)
 
     def write_tick(self, time_ns: int, messages: Sequence[bytes]) -> None:
-        """Write one tick.
+        """Write the messages of a tick.
 
         Args:
             time_ns: simulated time of the tick (ns since 1970).
-            messages: the serialised (CDR) message of every topic, in the order of the topics.
+            messages: the message of every topic, serialised as CDR, in the order of the topics.
 
         Raises:
-            OSError: if writing fails, for instance on a full disk.
+            OSError: if writing fails, for instance because the disk is full.
         """
         self.write(time_ns, enumerate(messages))
         if self.written % _TICKS_PER_CHUNK == 0:
@@ -332,8 +334,8 @@ class BagWriter(BagFile):
         """Finish the file and write ``metadata.yaml``.
 
         Raises:
-            OSError: if writing fails, for instance on a full disk; after a cut, ``greenroof
-                recover`` restores the safe ticks.
+            OSError: if writing fails, for instance because the disk is full; after a cut,
+                ``greenroof recover`` restores the safe ticks.
         """
         super().close()
         write_metadata(self.directory, [read_index(self.path)])
@@ -346,13 +348,13 @@ def find_files(bag: Path) -> list[Path]:
 
 
 def name_next_file(files: Sequence[Path], bag: Path) -> Path:
-    """Return the path of the next file after these, which must be sorted, oldest first."""
+    """Return the path of the file after the given files, which are sorted, oldest first."""
     number = int(_read_number(files[-1])) + 1 if files else 0
     return bag / f"{bag.name}_{number}.mcap"
 
 
 def name_recovered_bag(bag: Path) -> Path:
-    """Return the default path of a damaged bag's recovery, next to it."""
+    """Return the default path of the recovered copy of a damaged bag, next to the bag."""
     place = bag.resolve()
     return place.parent / f"{place.name}-recovered"
 
@@ -368,7 +370,8 @@ class FileIndex(NamedTuple):
         name: name of the file.
         types: message types, by the numbers of their schemas.
         channels: channels, one for each topic.
-        statistics: number of messages, and the times of the first and last one (ns since 1970).
+        statistics: number of messages, and the times of the first and the last message (ns since
+            1970).
     """
 
     name: str
@@ -378,7 +381,7 @@ class FileIndex(NamedTuple):
 
 
 def seek_summary(stream: BinaryIO) -> Footer | None:
-    """Move to the summary of a file and return its footer; None if the file was not closed."""
+    """Move to a file's summary, and return the footer; None if the file was not closed."""
     stream.seek(-(FOOTER_SIZE + MAGIC_SIZE), os.SEEK_END)
     footer = next(StreamReader(stream, skip_magic=True).records)
     if not isinstance(footer, Footer) or not footer.summary_start:
@@ -388,7 +391,7 @@ def seek_summary(stream: BinaryIO) -> Footer | None:
 
 
 def read_index(path: Path) -> FileIndex | None:
-    """Return the index of a file; None if it was not closed or cannot be read."""
+    """Return the index of a file; None if the file was not closed or cannot be read."""
     types: dict[int, str] = {}
     channels: list[Channel] = []
     with suppress(OSError, *DAMAGED), path.open("rb") as stream:
@@ -406,15 +409,15 @@ def read_index(path: Path) -> FileIndex | None:
 
 
 def write_metadata(bag: Path, indices: Iterable[FileIndex | None]) -> None:
-    """Replace ``metadata.yaml`` atomically: a reader finds either the old text or the new text.
+    """Replace ``metadata.yaml`` atomically, so that readers find either the old or the new text.
 
     Args:
         bag: directory of the bag.
-        indices: indices of its files, the oldest first; None for a file that was not closed, which
-            is not listed. If no file was closed, ``metadata.yaml`` is removed.
+        indices: indices of the bag's files, the oldest first; None for a file that was not closed
+            and is therefore not listed. If no file was closed, ``metadata.yaml`` is removed.
 
     Raises:
-        OSError: if it cannot be written; the old file is then unchanged.
+        OSError: if ``metadata.yaml`` cannot be written; the old file is then unchanged.
     """
     files = [index for index in indices if index is not None]
     if not files:
@@ -496,7 +499,7 @@ def _read_types() -> dict[str, Any]:
 
 
 def read_definition(name: str) -> str:
-    """Return a message type's definition, followed by the types that it uses, as in bags."""
+    """Return the definition of a message type and of the types that it uses, as in bags."""
     types = _read_types()
     parts = [types[name]["definition"]]
     for used in types[name].get("uses", ()):
@@ -510,7 +513,7 @@ def _write_yaml(content: object) -> str:
 
 
 def _read_profiles(profiles: str) -> list[Any]:
-    """Return the QoS profiles in a channel's metadata; empty if they are not valid YAML."""
+    """Return the QoS profiles in a channel's metadata; an empty list if the YAML is invalid."""
     read = None
     with suppress(ConfigurationError):
         read = json.loads(json.dumps(parse_yaml(profiles, Path(METADATA))))  # plain mappings

@@ -1,4 +1,4 @@
-"""The table of a run's rain events: rows for ``summary.json``, and the file ``events.csv``."""
+"""Table of a run's rain events, as rows for ``summary.json`` and as the file ``events.csv``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MAY_BE_NONE = ("peak_delay_min",)
 
 
 def event_rows(start: datetime, events: Iterable[Event]) -> list[EventRow]:
-    """Return the events of a run that began at a time with a fixed offset from UTC."""
+    """Return table rows for the events of a run, given the run's start with a fixed UTC offset."""
     return [
         {
             "start": (start + timedelta(hours=event.start_h)).isoformat(timespec="seconds"),
@@ -37,7 +37,7 @@ def event_rows(start: datetime, events: Iterable[Event]) -> list[EventRow]:
 
 
 def format_events(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the content of ``events.csv``: numbers with all their digits, true and false."""
+    """Return the content of ``events.csv``, with numbers in full precision, true and false."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
@@ -52,10 +52,10 @@ def format_events(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def read_events(file: Path) -> list[EventRow]:
-    """Read ``events.csv``.
+    """Read the rain events in a file ``events.csv``.
 
     Raises:
-        ConfigurationError: if it is damaged, or is a different file.
+        ConfigurationError: if the file is damaged, or is another file.
     """
     rows = list[EventRow]()
     table = csv.DictReader(io.StringIO(read_text(file)), restkey="", restval="?")
@@ -77,11 +77,11 @@ def read_events(file: Path) -> list[EventRow]:
 
 
 def check_event(row: EventRow) -> EventRow:
-    """Return a row from a file, which can have any content, after checking it.
+    """Check a row from a file, which can have any content, and return the row.
 
     Raises:
-        TypeError, ValueError: if it is not an event: a time, finite numbers, true or false. Only
-            what can be unknown may be missing.
+        TypeError, ValueError: if the row is not an event, which consists of a time, finite numbers,
+        true and false. Only values that can be unknown may be missing.
     """
     if row.keys() != set(_COLUMNS):
         raise ValueError

@@ -1,7 +1,7 @@
-"""Writes mcap files byte for byte like the writer of the ``mcap`` library, but faster.
+"""Fast writer of mcap files, whose output equals that of the ``mcap`` library byte for byte.
 
-Everything that comes with every message is packed here, as https://mcap.dev/spec defines it. The
-library's records do the rest. Messages are in zstd chunks, each followed by an index.
+This module packs the data of every message according to https://mcap.dev/spec; the library packs
+all other records. Messages are in chunks compressed with zstd, each followed by an index.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _CHUNK_BYTES = 1024 * 1024
 
 
 class McapWriter:
-    """Writes one file, chunk by chunk.
+    """Writer of an mcap file, chunk by chunk.
 
-    If the stream raises an OSError, the file must be truncated to where it was flushed.
+    If the stream raises an OSError, the file must be truncated to its length at the last flush.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -59,7 +59,7 @@ class McapWriter:
     def add_message(
         self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int
     ) -> None:
-        """Add a message with its times (ns) and its number on its channel."""
+        """Add a message with its times (ns) and its sequence number in the channel."""
         chunk = self._chunk
         self._index[channel] += log_time, len(chunk)
         chunk += _MESSAGE.pack(
@@ -70,7 +70,7 @@ class McapWriter:
             self._end_chunk()
 
     def flush(self) -> None:
-        """End the chunk, and pass everything to the operating system."""
+        """End the chunk, and pass all data to the operating system."""
         self._end_chunk()
         self._stream.flush()
 
@@ -101,7 +101,7 @@ class McapWriter:
         self._write(end + struct.pack("<I", crc32(end)) + MCAP0_MAGIC)
 
     def _end_chunk(self) -> None:
-        """Write the chunk and its index; a chunk without messages waits for the first one."""
+        """Write the chunk and its index, unless the chunk contains no messages yet."""
         if not self._index:
             return
         times = [time for entries in self._index.values() for time in entries[::2]]

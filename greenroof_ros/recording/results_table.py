@@ -1,7 +1,7 @@
-"""The table of a study, ``results.csv``: its columns, and what distinguishes the runs.
+"""The table of a study, ``results.csv``: its columns, and the keys that distinguish the runs.
 
-A parameter ``weight`` is in the column ``parameter:weight``, so that no parameter's name conflicts
-with another column.
+The column of the parameter ``weight`` is ``parameter:weight``, so that the name of a parameter
+cannot conflict with another column.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ Cell = TypeVar("Cell")
 
 
 def parameter_columns(parameters: Mapping[str, Cell]) -> dict[str, Cell]:
-    """Return the parameters by the names of their columns."""
+    """Return the values of parameters by the names of their columns."""
     return {f"{_PREFIX}{name}": value for name, value in parameters.items()}
 
 
 def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the results in a run's summary, by column of the table.
+    """Return the results in a run's summary by the names of the table's columns.
 
-    None of them depends on how long the run took. Values that the summary lacks are None or empty,
-    except that a missing metric has no column.
+    No result depends on the duration of the run. A value that the summary lacks is None or empty,
+    but a missing metric has no column.
     """
     solver, filled = summary.get("solver") or {}, summary.get("filled") or {}
     return {
@@ -46,7 +46,7 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find_differing_keys(rows: Sequence[Mapping[str, object]]) -> list[str]:
-    """Return the keys that distinguish rows, those with more than one value, in their order.
+    """Return the keys that have more than one value in the rows, in the order of the keys.
 
     Only these keys name the runs in tables and titles. A key that a row lacks counts as None.
     """
@@ -55,13 +55,13 @@ def find_differing_keys(rows: Sequence[Mapping[str, object]]) -> list[str]:
 
 
 def format_exactly(value: float) -> str:
-    """Write a number with few digits but exactly: 12, 0.5, 0.3333333333333333."""
+    """Format a number exactly, with few digits, such as 12, 0.5 or 0.3333333333333333."""
     text = f"{value:g}"
     return text if float(text) == value else repr(value)
 
 
 def row_parameters(row: Mapping[str, Cell]) -> dict[str, Cell]:
-    """Return the parameters in a row of the table, by name."""
+    """Return the values of the parameters in a row of the table, by the parameters' names."""
     return {
         column.removeprefix(_PREFIX): value
         for column, value in row.items() if column.startswith(_PREFIX)

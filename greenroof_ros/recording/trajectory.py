@@ -1,4 +1,4 @@
-"""The trajectory of a run, sample by sample, and its files, which are exact to the bit."""
+"""The trajectory of a run, sample by sample, and its files, which are bit-exact."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TRAJECTORY, CSV = "trajectory.parquet", "trajectory.csv"
 
 
 class TrajectoryColumn(NamedTuple):
-    """One quantity of a trajectory."""
+    """A quantity of a trajectory."""
 
     name: str
     """name in files and tables; it ends with the unit"""
@@ -76,7 +76,7 @@ def columns_of(site: Site) -> list[TrajectoryColumn]:
 
 
 def recorded_columns(site: Site) -> list[TrajectoryColumn]:
-    """Return the columns that a :class:`Trajectory` of a site has."""
+    """Return the columns that a :class:`Trajectory` of a site contains."""
     return [column for column in columns_of(site) if column.attribute]
 
 
@@ -93,18 +93,19 @@ class Trajectory:
 
     Attributes:
         start: time of the first sample, with its offset from UTC.
-        time: time since the start (s).
-        cistern: water volume x1 (m3).
-        roof: water volume x2 (m3).
+        time: time since ``start`` (s).
+        cistern: water volume x1 in the cistern (m3).
+        roof: water volume x2 on the roof (m3).
         precipitation: rain rate (m/s).
         evapotranspiration: evapotranspiration from the whole bed (m3/s), not yet limited to the
             water on the roof.
-        command: share of the pumps' maximum flow (1).
+        command: command to the pump, as a share of the pumps' maximum flow (1).
         pump_flow: flow from the cistern to the roof (m3/s).
         outflow: flow from the cistern to the sewer (m3/s).
         drainage: drainage from the roof (m3/s).
         frost: 1 in frost, otherwise 0.
-        outlet: share to which the valve of the low outlet is open (1); None without a valve.
+        outlet: command to the outlet valve, as a share of its full opening (1); None without a
+            valve.
         low_outlet: the part of the outflow through the low outlet (m3/s); None without a valve.
     """
 
@@ -123,10 +124,10 @@ class Trajectory:
     low_outlet: Samples | None = None
 
     def to_frame(self) -> polars.DataFrame:
-        """Return it as a table: the time with its zone, to the microsecond, and all arrays.
+        """Return a table with the time in its zone, in microseconds, and all arrays.
 
-        The zone is taken from ``start``, or is UTC if the offset is not in whole hours, which has
-        no zone name.
+        The zone is that of ``start``, or UTC if the offset is not in whole hours, because such an
+        offset has no zone name.
 
         Raises:
             ConfigurationError: if polars is not installed.
@@ -145,7 +146,7 @@ class Trajectory:
         })
 
     def to_parquet(self) -> bytes:
-        """Return the content of a file for :func:`read_trajectory`.
+        """Return the content of a parquet file that :func:`read_trajectory` can read.
 
         Raises:
             ConfigurationError: if polars is not installed.
@@ -166,11 +167,11 @@ def zone_name(time: datetime) -> str:
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read a trajectory, a parquet file or the command's CSV.
+    """Read a trajectory from a parquet file, or from a CSV file of the command.
 
     Raises:
-        ConfigurationError: if the file cannot be read, is damaged or is not a trajectory, or polars
-            is not installed.
+        ConfigurationError: if the file cannot be read, is damaged or is not a trajectory, or if
+            polars is not installed.
     """
     refuse_forked_polars()
     with require_extra("study"):

@@ -1,7 +1,7 @@
-"""Reads the whole chunks of an mcap file that was cut, is damaged, or is on a failing disk.
+"""Reading the intact chunks of an mcap file that is truncated, damaged, or on a failing disk.
 
-A closed file's index states where its chunks are. Without an index, the length of every record
-gives the position of the next one.
+The index of a closed file contains the positions of its chunks. Without an index, the length of
+every record determines the position of the next record.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _OPCODES = frozenset(map(int, Opcode))
 
 
 def read_whole_chunks(stream: BinaryIO) -> Iterator[list[McapRecord] | int]:
-    """Yield the records of every whole chunk, in the file's order, and what is lost between them.
+    """Yield the records of every intact chunk, in order, and the number of bytes lost between.
 
-    A closed file's topics and types come first, in case the chunk that defines them is lost.
+    The topics and types of a closed file come first, in case the chunk that defines them is lost.
 
     Yields:
-        Records, or a number of lost bytes.
+        A list of records, or a number of lost bytes.
     """
     size = os.fstat(stream.fileno()).st_size
     summary = _read_summary(stream)
@@ -46,7 +46,7 @@ def read_whole_chunks(stream: BinaryIO) -> Iterator[list[McapRecord] | int]:
 
 
 def _read_in_order(stream: BinaryIO, size: int) -> Iterator[list[McapRecord] | int]:
-    """Yield the same from record to record, up to a length that cannot be right."""
+    """Yield records and losses by following the lengths of records, up to an invalid length."""
     at = accounted = MAGIC_SIZE  # what lies before the second is whole, or known to be lost
     while at < size:
         opcode, end = _read_head(stream, at)
@@ -67,7 +67,7 @@ def _read_in_order(stream: BinaryIO, size: int) -> Iterator[list[McapRecord] | i
 
 
 def _read_summary(stream: BinaryIO) -> list[McapRecord]:
-    """Return the records of a file's summary; none if it was not closed, or they are damaged."""
+    """Return the records of a file's summary; none if it is missing or damaged."""
     with suppress(OSError, *DAMAGED):
         if (footer := seek_summary(stream)) is not None:
             summary = stream.read()
@@ -77,7 +77,7 @@ def _read_summary(stream: BinaryIO) -> list[McapRecord]:
 
 
 def _read_head(stream: BinaryIO, at: int) -> tuple[int, int]:
-    """Return a record's opcode and end; 0 for the opcode if they cannot be read."""
+    """Return the opcode and the end position of a record; opcode 0 if it cannot be read."""
     with suppress(OSError, struct.error):
         stream.seek(at)
         opcode, length = _HEAD.unpack(stream.read(_HEAD.size))
@@ -86,7 +86,7 @@ def _read_head(stream: BinaryIO, at: int) -> tuple[int, int]:
 
 
 def _read_chunk(stream: BinaryIO, at: int) -> list[McapRecord] | None:
-    """Return a chunk's records; None if its checksum is wrong, or it cannot be read."""
+    """Return the records of a chunk; None if its checksum is wrong or it cannot be read."""
     try:
         stream.seek(at + _HEAD.size)
         records = breakup_chunk(Chunk.read(ReadDataStream(stream)), validate_crc=True)

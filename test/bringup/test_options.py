@@ -191,12 +191,12 @@ NO_EFFECT = {
         "line 1: /plant: bringup starts no such node; the closest match is /**/plant; "
         "bringup starts /site1/",
     "/**/pump:\n  ros__parameters:\n    min_off: 1.0\n    max_volume_per_dai: 0.5\n":
-        "line 4: /**/pump: max_volume_per_dai = 0.5: there is no such parameter; the closest "
+        "line 4: /**/pump: max_volume_per_dai = 0.5: there is no such parameter; the closest match "
         "is max_volume_per_day;",
     "# mine\n/**/pum:\n  ros__parameters:\n    min_off: 1.0\n":
         "line 2: /**/pum: bringup starts no such node; the closest match is /**/pump;",
     "pump:\n  max_volume_per_day: 0.5\n":
-        "line 2: pump: max_volume_per_day = 0.5: has no effect here: write /**/NODE: {ros__",
+        "line 2: pump: max_volume_per_day = 0.5: has no effect in this place: write /**",
 }
 
 

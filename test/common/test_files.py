@@ -153,12 +153,13 @@ def nested(levels: int, brackets: str = "[{}]", item: str = "{1}") -> str:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("a: 1\nb: 2\na: 3\n", ", line 3: is not valid YAML: a appears twice, here and in line"),
+        ("a: 1\nb: 2\na: 3\n", ", line 3: is not valid YAML: the key a appears twice, first in "
+        "line"),
         ("a: " + "[" * 300 + "]" * 300, ": is nested more than 200 levels deep"),
         ("a: 1\nb: \0\n", ", line 2: is not a text file (it contains a NUL byte)"),
         ("a: 1\n# m\udcb2\n", ", line 2: is not UTF-8 text; save it in UTF-8"),
         ("a:\n\tb: 1\n", ", line 2: is not valid YAML: indent with spaces, not tabs"),
-        ("a: !!int 5\n", ", line 1: is not valid YAML: its values must not have tags such as"),
+        ("a: !!int 5\n", ", line 1: is not valid YAML: values must not have tags such as"),
         ("a: &x {b: *x}\n", ": is not valid YAML: a value contains itself"),
         ("a: &x [*x]\n", ": is not valid YAML: a value contains itself"),
         (f"a: {nested(8)}\n", ": is not valid YAML: its aliases (*NAME) add more than 10000"),
@@ -209,7 +210,7 @@ def test_no_value_fills_a_message(
 
 @pytest.mark.parametrize(("value", "shown"), [
     ("a'b", '"a\'b"'), ([1, "x", None], "[1, 'x', None]"), ({"a": {"b": 1.5}}, "{'a': {'b': 1.5}}"),
-    (10**5000, "a number of thousands of digits"), (Path("/a"), "PosixPath('/a')"),
+    (10**5000, "a number with thousands of digits"), (Path("/a"), "PosixPath('/a')"),
 ], ids=itertools.count())
 def test_how_a_value_is_shown(value: object, shown: str) -> None:
     assert describe_value(value) == shown
@@ -220,8 +221,8 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     existing.touch()
     for file, reason in (
         (tmp_path / "a.pdf", "must be a file name that ends in .html or .csv"),
-        (tmp_path / "no" / "a.csv", "must be in a directory that exists"),
-        (existing, "exists; name another file"),
+        (tmp_path / "no" / "a.csv", "must be in an existing, writable directory"),
+        (existing, "exists; choose another file name"),
     ):
         message = refusal(refuse_unwritable, file, (".html", ".csv"), "--output")
         assert message.startswith(f"--output = '{file}': {reason}")

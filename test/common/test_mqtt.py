@@ -33,7 +33,7 @@ def test_a_login_that_others_may_know_is_refused(mode: int, tmp_path: Path) -> N
     broker = parse_broker("mqtt://h", "broker", str(file))
     file.chmod(mode)
     message = refusal(
-        make_client, broker, "roof", int, print, match="other users may read or change it"
+        make_client, broker, "roof", int, print, match="can be read or changed by other users"
     )
     assert str(file) in message and "secret\n" not in message
     file.chmod(0o600)

@@ -33,7 +33,7 @@ def test_another_middleware(words: str, tmp_path: Path) -> None:
     """With one that is not installed, or misspelt, rcl ends the process with 102."""
     code, output = started(tmp_path, words, RMW_IMPLEMENTATION="rmw_zenoh")
     assert code == (3 if "status" in words else 2)
-    assert output.startswith("error: RMW_IMPLEMENTATION = 'rmw_zenoh': this ROS 2 does not include")
+    assert output.startswith("error: RMW_IMPLEMENTATION = 'rmw_zenoh': is a middleware that")
     assert output.count("\n") == 1 and list(tmp_path.iterdir()) == []
 
 

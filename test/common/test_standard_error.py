@@ -33,7 +33,7 @@ def test_what_waits_for_too_long_is_dropped_and_counted() -> None:
             printed += _empty(reading)
         printed += _empty(reading)
     assert printed.lstrip(b"\0").decode().splitlines() == [
-        "first", "  more of it, in °C", "90 lines were dropped: standard error was blocked",
+        "first", "  more of it, in °C", "90 lines were dropped because standard error was blocked",
         *(f"line {number}" for number in range(90, 1090)),
     ]
 

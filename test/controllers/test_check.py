@@ -77,7 +77,7 @@ BROKEN = [
     *((opening(share), VALVE, f"Proportional = {value}: must be a number from 0 to 1")
       for share, value in {
           "1.2": "1.2", "-0.1": "-0.1", "float('nan')": "nan", "None": "None", "True": "True",
-          "'open'": "'open'", "[0.5]": "[0.5]", "10**5000": "a number of thousands of digits",
+          "'open'": "'open'", "[0.5]": "[0.5]", "10**5000": "a number with thousands of digits",
       }.items()),
     (opening("{}[0]"), VALVE, "Proportional.outlet: raises KeyError: 0"),
     (

@@ -161,7 +161,7 @@ class Mine:
     def statistics(self):
         return AT_END
 """
-HANGS = "did not return within 2 s; it was at .*mine.py, line 14"
+HANGS = "did not return within 2 s; it was executing .*mine.py, line 14"
 # What stands in its code, and the line that the run ends with.
 WRONG = {
     "waits for ever": ("IN_TICK", "time.sleep(600)", HANGS),

@@ -207,7 +207,7 @@ def test_forms_of_places(tmp_path: Path) -> None:
         ((*GIVEN, "--target", "108"), "z_veg = 0.108: must be below z_soil = 0.108 m"),
         ((*GIVEN, "--time-zone", "Mars"), "--time-zone: must be the IANA name of a time zone"),
         ((*GIVEN, "--output", "my_site.txt"), "must be a file name that ends in .yaml or ."),
-        ((*GIVEN, "--output", "none/my_site.yaml"), "must be in a directory that exists and can b"),
+        ((*GIVEN, "--output", "none/my_site.yaml"), "must be in an existing, writable d"),
         ((*GIVEN, "--output", "."), "must be a file name that ends in .yaml or .yml"),
     ],
 )

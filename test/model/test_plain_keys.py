@@ -163,7 +163,7 @@ def test_what_is_no_number_of_its_range(tmp_path: Path, key: str, range_: str) -
         ({"irrigation_rate": None, "emitters": 3}, "line 9: emitters = 3: also needs emitter_flow"),
         ({"irrigation_rate": None, "emitter_flow": 3}, "line 9: emitter_flow = 3.0: also needs"),
         ({"irrigation_rate": None, "emitters": 2.5}, "line 9: emitters = 2.5: must be a whole"),
-        ({"volume": 3}, "line 10: volume = 3: is not a key here; did you mean cistern_volume?"),
+        ({"volume": 3}, "line 10: volume = 3: is not a valid key; did you mean cistern_volume?"),
         # What is wrong with the parameter that a plain key stands for.
         ({"initial_cistern": 90, "initial_roof": 3}, "initial_cistern = 90: must be at most 40 m3"),
         ({"substrate_depth": 0.02}, "line 2: z_veg = 0.03: must be below z_soil = 0.02 m"),

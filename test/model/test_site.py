@@ -174,9 +174,9 @@ def test_what_follows_is_computed(tmp_path: Path) -> None:
 def test_a_mistyped_key(tmp_path: Path) -> None:
     """The error suggests similar keys, and lists all only if none is similar."""
     path = write(tmp_path, a2=None, a3=68.8)
-    assert refusal(path).endswith("a3 = 68.8: is not a key here; did you mean a1 or a2?")
+    assert refusal(path).endswith("a3 = 68.8: is not a valid key; did you mean a1 or a2?")
     path = write(tmp_path, "pi: 3.14")
-    start = f"{path}, line {len(TABLE_I) + 1}: pi = 3.14: is not a key here; choose from a1, "
+    start = f"{path}, line {len(TABLE_I) + 1}: pi = 3.14: is not a valid key; choose from a1, "
     assert refusal(path).startswith(start)
 
 
@@ -238,7 +238,7 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
         ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of another "
          "site file, such as site.yaml, next to this one or of this package; these files form a "
          f"loop: {child} extends {tmp_path / 'circle.yaml'} extends {child}"),
-        ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3 = 5.0: is not a key here"),
+        ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3 = 5.0: is not a valid key"),
     ):
         child.write_text(f"extends: {base}\na1: 3.0\n")
         (tmp_path / "circle.yaml").write_text("extends: child.yaml\n")

@@ -132,7 +132,7 @@ REFUSED = {
         ("at most 159.96 m3", "250 mm is 17.2 m3"),
     "nodes.plant --ros-args -p speed": ("-p speed",),
     "nodes.plant --ros-args --params-file wrong.yaml":
-        ("wrong.yaml, line 2: parameter run_lenght of plant = 4: ", "the closest is run_length"),
+        ("wrong.yaml, line 2: parameter run_lenght of plant = 4: ", "closest match is run_length"),
     "live.recorder --ros-args -p use_sim_time:=true": ("use_sim_time", "must be false"),
     "nodes.weather --ros-args -p run_length:=10000000": ("toronto_2021-07.csv",),
     "live.weather --ros-args -p forecast:=perfect":
@@ -149,7 +149,7 @@ REFUSED = {
     f"live.pump {DRIVE} -p site_file:=slow.yaml -p command_limit:=3.0":
         ("command_limit of pump = 3.0: must be more than tau of the",),
     f"live.pump {DRIVE} -p folow_time:=9.0":
-        ("folow_time of pump = '9.0': there is no such parameter; the closest is follow_time",),
+        ("folow_time of pump = '9.0': no such parameter; the closest match is follow_time",),
 }
 
 

@@ -47,7 +47,7 @@ def test_a_run_under_the_eyes_of_four_is_the_same_run(domain: int, tmp_path: Pat
         page.wait_for_selector("#heading:has-text('Simulated run')")
         assert slow.recv(512)
         os.kill(child_of(run), signal.SIGKILL)
-        run.until_printed("the watcher has ended (SIGKILL)")
+        run.until_printed("the watcher has exited (SIGKILL)")
         process.process.send_signal(signal.SIGSTOP)
         time.sleep(2.0)
         process.process.send_signal(signal.SIGCONT)

@@ -183,7 +183,7 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
 
 
 @pytest.mark.parametrize(("content", "mode", "message"), [
-    ("a" * 32, 0o640, "other users may read or change it"),
+    ("a" * 32, 0o640, "can be read or changed by other users"),
     ("a" * 31, 0o600, "must contain a token of at least 32 letters"),
     ("é" * 40, 0o600, "must contain a token of at least 32 letters"),
 ])
@@ -287,4 +287,4 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         assert "\nAlarm: /site1/pump: pump: " in fault
         page = child_of(process)
     assert page and not alive(page)
-    assert "the watcher has ended" not in process.stderr()
+    assert "the watcher has exited" not in process.stderr()

@@ -403,7 +403,7 @@ class _Grid:
         known = dict.fromkeys((*needed, *further))
         for key in mapping:
             if key not in known:
-                raise self._refuse(mapping, key, f"is not a key here; {suggest_names(key, known)}")
+                raise self._refuse(mapping, key, f"is not a valid key; {suggest_names(key, known)}")
         for key in needed:
             if mapping.get(key) in (None, [], {}, ""):
                 expected = f"; it must be {_BLOCKS[key]}" if key in _BLOCKS else ""

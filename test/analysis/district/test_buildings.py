@@ -206,7 +206,7 @@ WRONG = {
     "valve_share = 2: must be": ("valve_share: 0.5", "valve_share: 2"),
     "sewer_capacity = 0: must be": ("sewer_capacity: 2.0", "sewer_capacity: 0"),
     "sewer_capacity = 'five': must be": ("sewer_capacity: 2.0", "sewer_capacity: five"),
-    "a key here; did you mean sewer_capacity?": ("sewer_capacity:", "sewer_capacty:"),
+    "a valid key; did you mean sewer_capacity?": ("sewer_capacity:", "sewer_capacty:"),
     "outlets.1 = 'drian': is unknown; did you mean drain?": (
         "buildings: 8", "buildings: 8\noutlets: [drian]",
     ),

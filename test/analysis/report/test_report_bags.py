@@ -96,7 +96,7 @@ def test_a_bag_gives_the_runs_numbers(tmp_path: Path) -> None:
     assert "the bag contains no site file: the paper" in page_of(report)
     assert len(report.windows()) == 2  # foreign bags are not compared
     both = write_bag(tmp_path / "both", {**plain, **spaced})
-    refusal(report_of, both, match=r"from one graph, but contains .* /, /site1")
+    refusal(report_of, both, match=r"from a single graph, but contains .* /, /site1")
 
 
 def loaded(path: Path) -> tuple[Trajectory, list[str]]:
@@ -205,7 +205,7 @@ def test_a_bag_that_lacks_a_file(tmp_path: Path) -> None:
     (part,) = bag.glob("*.mcap")
     part.rename(tmp_path / part.name)
     assert refusal(read_run, bag) == (
-        f"{bag}: lacks {part.name}, which metadata.yaml names: copy the whole directory"
+        f"{bag}: lacks {part.name}, listed in metadata.yaml: copy the whole directory"
     )
 
 
@@ -227,7 +227,7 @@ def test_outliers_are_left_out_and_wrong_units_are_not(tmp_path: Path) -> None:
     levels[100], levels[200] = math.nan, 35.0
     trajectory, notes = loaded(small_bag(tmp_path / "spike", roof_level=levels))
     assert set(trajectory.roof.tolist()) == {68.8 * 0.03}
-    assert any("2 of 600 values of /roof/level are not finite" in note for note in notes)
+    assert any("2 of 600 values of /roof/level are left out" in note for note in notes)
     flow = [1.0 * (70 <= second < 90) for second in range(600)]
     litres = small_bag(tmp_path / "litres", pump_flow=flow)
     refusal(loaded, litres, match=r"/pump/flow: .*is a unit wrong")

@@ -35,7 +35,7 @@ SITE = f"site: {CONFIG / 'site.yaml'}"
 HOURS = "    hours: 0.25\n"
 # name: the grid, and the end of the place with what is wrong there
 WRONG = {
-    "unknown-key": (GRID + "workers: 4\n", "line 14: workers = 4: is not a key here"),
+    "unknown-key": (GRID + "workers: 4\n", "line 14: workers = 4: is not a valid key"),
     "missing": (GRID[: GRID.index("weather")], "weather: is missing or empty; it must be a list"),
     "window-without-file": (edit_grid("- file:", "- year: 2021 #"), "file: is missing or empty"),
     "window-kind": (
@@ -50,7 +50,7 @@ WRONG = {
     "no-file": (edit_grid("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
     "year": (edit_grid(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be {from: 1, to: 5"),
     "state-twice": (edit_grid("name: dry", "name: low-low"), "line 8: name = 'low-low': appears"),
-    "parameter": (edit_grid("weight", "weights"), "line 11: weights: is not a key here; did you"),
+    "parameter": (edit_grid("weight", "weights"), "line 11: weights: is not a valid key; did you"),
     "value": (edit_grid("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than"),
     "sensor_and_pump-twice": (
         GRID + "sensor_and_pump: [{}, {roof_noise: 0}]\n",

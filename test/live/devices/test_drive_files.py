@@ -57,7 +57,7 @@ SECONDS = "    type: uint16\n    unit: s"
         ("{address: 0, manual: 400001,", "{address: 1, manual: 400001,",
          "registers.control.manual = 400001: must be 400002, which is address 1 + "
          "numbering.offset 400001"),
-        ("make: ABB", "makes: ABB", "makes = 'ABB': is not a key here; did you mean make?"),
+        ("make: ABB", "makes: ABB", "makes = 'ABB': is not a valid key; did you mean make?"),
         ("    - {write: control, value: 0x047E}\n    - {write: reference, value: 0}",
          "    - {write: reference, value: 0}", "sequences.stop: must write the register control"),
         ("    - {write: reference, value: speed}\n", "", "sequences.run: must write the speed"),

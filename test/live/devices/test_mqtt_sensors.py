@@ -133,7 +133,7 @@ def test_why_a_broker_cannot_be_used_is_reported(tmp_path: Path) -> None:
     for lines, scheme, changed, why in (
         (secret, "mqtts", {}, "is not trusted: self-signed certificate"),
         (secret, "mqtts", {"authority": str(certificate)}, "is not trusted: IP address mismatch"),
-        (secret, "mqtt", {}, "if the broker expects TLS, its address is mqtts://"),
+        (secret, "mqtt", {}, "if the broker expects TLS, its address begins with mqtts://"),
         (open_to_all, "mqtts", {}, "does not answer over TLS"),
         (strict, "mqtt", {"login": str(login)}, "Not authorized"),
     ):
@@ -227,7 +227,7 @@ def test_a_broker_that_comes_or_is_killed_or_stops_answering_is_used(tmp_path: P
 
         broker.kill()
         reader.start()
-        until(lambda: "no one answers at" in reader.snapshot.problem, 20)
+        until(lambda: "no answer from" in reader.snapshot.problem, 20)
         assert reader.snapshot.code == "broker_lost"
         broker.start()
         talk("1")
@@ -260,7 +260,7 @@ SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
         ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 17, "cistern.login = "
          "'broker.yaml': must be an absolute path"),
         ("# login:", "authority: /ca.pem #", 10, "certificates can be used only with mqtts://"),
-        ("counts: true ", "period: 1.0 #", 31, "rain_gauge.period = 1.0: is not a key here"),
+        ("counts: true ", "period: 1.0 #", 31, "rain_gauge.period = 1.0: is not a valid key"),
         ("  low: -40.0   ", "  counts: true\n  low: -40.0   ", 41, "thermometer.counts = True: is "
          "only for a flow meter or a rain gauge"),
         ("0.0001               ", "0.1 ", 34, "rain_gauge.high = 0.1: must be at most 0.001 m/s"),
