@@ -1,8 +1,8 @@
 """The controller node of a live site, which runs any controller on levels and forecasts.
 
-The on/off controller replaces one that fails, or that needs a forecast while there is none.
-``python -m greenroof_ros.live.controller --controller NAME`` runs a controller of this package, or
-any class specified as ``package.module:Class``; the node is named after it.
+The on/off controller replaces a controller that fails, or that needs a forecast while there is
+none. ``python -m greenroof_ros.live.controller --controller NAME`` runs a controller of this
+package, or any class specified as ``package.module:Class``; the node is named after it.
 """
 
 from __future__ import annotations
@@ -75,22 +75,23 @@ _SAVE_S = 600.0
 
 
 def parameters(choice: ControllerChoice | None) -> list[Parameter]:
-    """Return the parameters of a controller's node; without a controller, those that all share."""
+    """Return the parameters of a controller's node; without a controller, the common parameters."""
     of_class = [] if choice is None else choice.kind.parameters
     return [site_file(), STATE_FILE, GIVEN_UP, *of_class, *LIVE_PARAMETERS]
 
 
 class LiveControllerNode(LiveNode):
-    """Runs one controller; commands 0 in frost, in quiet hours and on bad inputs.
+    """Node that runs one controller, and commands 0 in frost, quiet hours and on invalid inputs.
 
-    On/off with its default parameters takes over from a controller that needs a forecast but has no
-    good one, or whose code fails: it raises an error, does not return, or returns an invalid
-    command. A failed controller is tried again every 60 times recovery_time. After on/off has
-    pumped, the controller restarts, since its knowledge of the roof and its plan are outdated. What
-    waiting for rain has cost is kept in ``state_file``, even across restarts of the node.
+    On/off control with default parameters takes over from a controller that needs a forecast but
+    has no valid forecast, or whose code fails, that is, raises an error, does not return, or
+    returns an invalid command. A failed controller is tried again at intervals of 60 times
+    ``recovery_time``. After on/off control has pumped, the controller restarts, since its knowledge
+    of the roof and its plan are outdated. The cost of waiting for rain is kept in ``state_file``,
+    even across restarts of the node.
 
-    A controller with which the node cannot run ends the node. Bringup then starts the node again
-    with ``given_up``, and on/off commands until the site is started again.
+    If the node cannot run with its controller, the node ends. Bringup then restarts the node with
+    ``given_up``, and on/off control is used until the site is restarted.
     """
 
     def __init__(self, controller: str) -> None:
@@ -183,7 +184,7 @@ class LiveControllerNode(LiveNode):
 
     @contextmanager
     def _controllers_code(self, limit: float) -> Iterator[None]:
-        """Keep an error of the controller's code, or its exceeding a limit (s), as its failure."""
+        """Record an error in the controller's code, or a call that exceeds a time limit (s)."""
         try:
             with time_limit(limit):
                 yield
@@ -193,9 +194,9 @@ class LiveControllerNode(LiveNode):
         self._failed_at, self._settings.controller = time.monotonic(), None
 
     def _ask(self, allowed: bool) -> tuple[float, bool]:
-        """Return the controller's command, and whether it decided; if not, the command is 0.
+        """Return the controller's command (0 if it did not decide), and whether it decided.
 
-        A forecast that it cannot use is rejected.
+        A forecast that the controller cannot use is rejected.
         """
         if self._settings.controller is None:
             self._make()
@@ -215,7 +216,7 @@ class LiveControllerNode(LiveNode):
         return command, decides
 
     def _read_learned(self) -> dict[str, float] | None:
-        """Return what the controller has learned; it is saved only if it consists of numbers."""
+        """Return the values that the controller has learned, which must all be finite numbers."""
         controller = self._settings.controller
         learned = getattr(controller, "learned", None)
         if learned is None:
@@ -230,7 +231,7 @@ class LiveControllerNode(LiveNode):
         )
 
     def _make(self) -> None:
-        """Make a new controller, which knows what the last one had learned."""
+        """Create a new controller with the values that the previous controller had learned."""
         controller, self._outdated = self._settings.make(), False
         if self._learned and getattr(controller, "learned", None) is not None:
             try:
@@ -250,7 +251,7 @@ class LiveControllerNode(LiveNode):
         )
 
     def _update_stand_in(self) -> None:
-        """Let on/off command once the controller has lacked something for long enough."""
+        """Let on/off control take over when the controller could not decide for too long."""
         if not (self._failure or self._forecast_problem()):
             self._lacking_since, self._stand_in_since = math.inf, ""
             return
@@ -272,7 +273,7 @@ class LiveControllerNode(LiveNode):
             self.reports.diagnose("command", None, "the controller commands again")
 
     def _load_learned(self) -> dict[str, float] | None:
-        """Return what the controller had learned; None, with a warning, if that is lost."""
+        """Return the values that the controller had learned; None, with a warning, if lost."""
         if self._learned_file is None:
             return None
         try:
@@ -282,7 +283,7 @@ class LiveControllerNode(LiveNode):
             return None
 
     def _save_learned(self, every: float) -> None:
-        """Save what the controller has learned if this was last done at least ``every`` s ago."""
+        """Save the learned values if they were last saved at least ``every`` s ago."""
         now = time.monotonic()
         if self._learned_file is None or not self._learned or now - self._saved_at < every:
             return
@@ -293,7 +294,7 @@ class LiveControllerNode(LiveNode):
         self._learned_file.write(self._learned)
 
     def on_stop(self) -> None:
-        """Save what the controller has learned."""
+        """Save the values that the controller has learned."""
         if self._learned_file is not None:
             self._save_learned(0.0)
             self._learned_file.close()
@@ -301,10 +302,10 @@ class LiveControllerNode(LiveNode):
     def _expect(self, command: float) -> None:
         """Set the expected change of the levels in a tick, from the gauge's rain and the flow.
 
-        The flow is the pump's, or follows from the command if no flow was ever received. If it is
-        not good now, it is treated as 0, since the pump may be stopped, and a constant level is
-        then not frozen. Snow reaches no tank before it melts, so precipitation in frost does not
-        count.
+        The flow is that of the pump, or is computed from the command if no flow was ever received.
+        An invalid flow is treated as 0, since the pump may be stopped; a constant level then does
+        not count as frozen. Snow reaches no tank before it melts, so precipitation in frost does
+        not count.
         """
         site, flow = self._site, self._flow.value if self._flow.good else 0.0
         if not self._flow.received:
@@ -314,12 +315,12 @@ class LiveControllerNode(LiveNode):
         self._levels.expect(flow, 0.0 if self._frost.value else self._measured_rain())
 
     def _measured_rain(self) -> float:
-        """Return the gauge's rain (m/s); 0 without a good reading."""
+        """Return the rain from the gauge (m/s); 0 without a valid reading."""
         rain: float = self._gauge.value if self._gauge.good else 0.0
         return rain
 
     def _forecast_problem(self) -> str:
-        """Return what is wrong with the forecasts; empty if the controller can decide."""
+        """Return the problem with the forecasts; empty if the controller can decide."""
         return self._bad_forecasts() if self._choice.needs_forecast else ""
 
     def _bad_forecasts(self) -> str:
@@ -329,7 +330,7 @@ class LiveControllerNode(LiveNode):
         )
 
     def _diagnose_forecast(self) -> None:
-        """Report what is wrong with the forecasts.
+        """Report a problem with the forecasts.
 
         A controller that can do without a forecast continues to command; if the site never had a
         forecast, nothing is reported.
@@ -353,12 +354,12 @@ class LiveControllerNode(LiveNode):
         )
 
     def progress(self) -> dict[str, Any]:
-        """Return the parameter changes, and the values that bringup shows."""
+        """Return the changed parameters, and the values that bringup shows."""
         return {**self._settings.changes(), **self._values}
 
 
 def _given_up(why: str) -> ControllerClass:
-    """Return the class of a controller that cannot be instantiated, for this reason."""
+    """Return a controller class that cannot be instantiated, for the given reason."""
 
     class GivenUp(OnOff):
         parameters = ()
@@ -370,7 +371,7 @@ def _given_up(why: str) -> ControllerClass:
 
 
 def make_node(controller: str) -> LiveControllerNode:
-    """Return the node; if there is none, bringup is told why.
+    """Return the node, or report to bringup why there is none.
 
     Raises:
         ConfigurationError: if the node cannot run with this controller.

@@ -13,8 +13,8 @@ from greenroof_ros.live.devices.endpoint import CHOICE, Endpoint, read_endpoint
 from greenroof_ros.live.supervisor import StopDrive
 
 _MAY_RUN = (
-    "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that is "
-    "on; look at the pump, and stop it at the drive's panel or its switch"
+    "THE PUMP MAY BE RUNNING: only the drive's own communication timeout stops it now, if that "
+    "timeout is on; check the pump, and stop it at the drive's panel or at the main switch"
 )
 
 
@@ -26,7 +26,8 @@ class DriveChoice:
         drive: the drive file, which describes the drive.
         address: address of the drive, as the user specified it.
         broker_login: login file for a relay's broker; empty for none.
-        broker_authority: file of certificates to trust for that broker; empty for the system's.
+        broker_authority: file of trusted certificates for that broker; empty for the system's
+            certificates.
     """
 
     drive: str
@@ -48,8 +49,8 @@ class DriveChoice:
         """Return a function that stops the drive without the pump node.
 
         The function takes the pump node's process id, and returns whether the drive reports the
-        pump as stopped, and the outcome in words. If another program runs the drive, it is left
-        alone, and the function returns False.
+        pump as stopped, and the outcome in words. A drive that another program runs is left alone,
+        and the function returns False.
 
         Raises:
             ConfigurationError: if the file or the address is wrong.
@@ -66,11 +67,11 @@ class DriveChoice:
             except DriveInUseError as error:
                 return False, (
                     f"another program (process {error.holder}) runs the drive, and may run the "
-                    "pump: the drive is left to it"
+                    "pump: the drive is left to that program"
                 )
             except Exception as error:  # whatever the error, someone must check the pump
                 return False, f"bringup could not stop the drive: {error}; {_MAY_RUN}"
-            message = f"bringup ordered the drive to stop; it then reported: {status}"
+            message = f"bringup commanded the drive to stop; the drive then reported: {status}"
             return (True, message) if status.at_rest else (False, f"{message}; {_MAY_RUN}")
 
         return stop
@@ -80,8 +81,8 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the drive to a command's parser."""
     group = parser.add_argument_group(
         "the drive",
-        "The pump node takes the commands and runs a drive over Modbus, or a relay over MQTT,\n"
-        "real or simulated.",
+        "The pump node receives the commands, and runs a real or simulated drive over Modbus, or a\n"
+        "relay over MQTT.",
     )
     for parameter, option, metavar in zip(
         CHOICE, ("--drive", "--drive-at", "--broker-login", "--broker-authority"),
@@ -99,13 +100,13 @@ def read_drive_choice(arguments: argparse.Namespace) -> DriveChoice | None:
     drive, at = arguments.drive, arguments.drive_at
     refuse(
         (at and not drive, "--drive-at", at,
-         "needs --drive, the make of the drive"),
+         "needs --drive with the make of the drive"),
         (drive and not at, "--drive", drive,
          "needs --drive-at, such as tcp://192.168.0.20:502, gateway://..., /dev/ttyUSB0 or "
          "mqtt://..."),
         (drive and arguments.pump == EXTERNAL, "--pump", EXTERNAL,
-         "leaves the pump to someone else's node, but --drive leaves it to the pump node; use "
-         "only one"),
+         "leaves the pump to your own node, but --drive leaves it to the pump node; use only one "
+         "of these options"),
     )
     files = [
         str(Path(file).resolve()) if file else ""

@@ -1,8 +1,8 @@
-"""Sample and hold: a node acts at every tick of the steady clock, on its inputs' newest values.
+"""Sample and hold: nodes that act at every tick of the steady clock on the newest input values.
 
 There is no plant and no clock topic. A node does not wait for an input that is missing, late or
-wrong. It learns from the rules of :mod:`greenroof_ros.live.pumping.input_rules` which inputs are
-not good, and acts accordingly.
+wrong. The rules of :mod:`greenroof_ros.live.pumping.input_rules` determine which inputs are
+invalid, and the node acts accordingly.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def live_parameters(topics: Iterable[str]) -> list[Parameter]:
 
 
 class Levels:
-    """The levels of both tanks as inputs, checked against what water can do.
+    """Levels of cistern and roof as inputs, with checks of the physically possible movement.
 
     Attributes:
         cistern: the cistern's level.
@@ -95,12 +95,12 @@ class Levels:
 
     @property
     def displacements(self) -> tuple[float, float]:
-        """How far impossible jumps have shifted the readings of cistern and roof so far (m)."""
+        """Total shifts of the readings of cistern and roof by impossible jumps so far (m)."""
         cistern, roof = self._rules
         return cistern.displacement, roof.displacement
 
     def expect(self, flow: float, rain: float = 0.0) -> None:
-        """Expect the levels to move as a tick's pump flow (m3/s) and rain (m/s) require."""
+        """Set the level changes that a tick's pump flow (m3/s) and rain (m/s) must cause."""
         tau = self._site.tau
         movements = expected_movement(
             self._site, flow, rain, self._wetting.excess(rain, tau), self.cistern.value,
@@ -111,10 +111,10 @@ class Levels:
 
 
 class SampleAndHold:
-    """Makes a node act in every period of the steady clock, even after one of its peers has ended.
+    """Schedule of a node that acts once per period of the steady clock, even without its peers.
 
-    This clock (CLOCK_BOOTTIME) keeps running while the machine is suspended, so earlier inputs are
-    then too old.
+    This clock (CLOCK_BOOTTIME) keeps running while the machine is suspended, so inputs from before
+    a suspension are too old.
 
     Attributes:
         inputs: the node's inputs.
@@ -127,7 +127,7 @@ class SampleAndHold:
 
         Args:
             act: function that makes the node act.
-            reports: reporter of the inputs that are not good.
+            reports: reporter of invalid inputs.
         """
         self._act, self._reports = act, reports
         self.inputs: list[LiveInput] = []
@@ -138,12 +138,12 @@ class SampleAndHold:
         self._ignoring_until = self._checked_at
 
     def set_period(self, period: float) -> None:
-        """Set the period (s) in which the node acts, for the first time after at most 1 s."""
+        """Set the period of the node's actions (s); the first action follows after at most 1 s."""
         self._period, self.has_acted = period, False
         self._due = boot_time() + min(period, _FIRST_S)
 
     def receiver(self, entry: LiveInput) -> Callable[[bytes], None]:
-        """Check an input from now on, and return the receiver of its messages."""
+        """Include an input in the checks, and return the receiver of its messages."""
         self.inputs.append(entry)
 
         def on_message(message: bytes) -> None:
@@ -155,7 +155,7 @@ class SampleAndHold:
         return on_message
 
     def check_inputs(self) -> None:
-        """Check all inputs at the present time; after a pause of this process, they are too old."""
+        """Check all inputs at the present time; after a pause of this process, all are too old."""
         self._handle_pause(boot_time())
         for entry in self.inputs:
             entry.check()

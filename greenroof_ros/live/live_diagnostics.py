@@ -1,4 +1,4 @@
-"""Reports the state of a node and its parts on /diagnostics and to the supervisor."""
+"""Reports on the state of a node and its parts, to /diagnostics and to the supervisor."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class PartStatus:
         message: the state, as a sentence.
         code: condition code, for programs; empty if all is well.
         cause: code of the cause; empty if unknown.
-        since: when the present code began, according to the system clock (s since 1970).
-        began: when the present code began, according to the steady clock (s).
+        since: start of the present code on the system clock (s since 1970).
+        began: start of the present code on the steady clock (s).
         values: values that occur in the sentence.
     """
 
@@ -47,10 +47,10 @@ class PartStatus:
     values: Mapping[str, Value] = field(default_factory=dict)
 
     def for_programs(self) -> dict[str, str]:
-        """Return its values for programs, without those that are unknown.
+        """Return the values for programs, without unknown values.
 
-        They are the values in its sentence, its code, the start of that code (ISO 8601), how long
-        it has lasted (s), and its cause.
+        They are the values in the sentence, the code, the code's start (ISO 8601) and duration (s),
+        and the cause.
         """
         values = {
             key: f"{value:.6g}" if isinstance(value, (float, int)) else str(value)
@@ -65,7 +65,7 @@ class PartStatus:
 
 
 class LiveDiagnostics(NodeDiagnostics):
-    """Reports the state of a node and its parts, including to the supervisor of the process.
+    """Reporter of the state of a node and its parts, which also reports to the supervisor.
 
     The status of a part is named after the node and the part: ``/mpc: inputs``.
 
@@ -92,10 +92,10 @@ class LiveDiagnostics(NodeDiagnostics):
 
         Args:
             part: name of the part.
-            diagnosis: what is wrong; None if nothing is.
+            diagnosis: diagnosis of the part; None if nothing is wrong.
             well: sentence to report if nothing is wrong.
-            level: ``WARN``, ``ERROR`` or ``STALE``; or ``OK`` if the condition is intended.
-            cause: code of its cause; empty if unknown.
+            level: ``WARN``, ``ERROR`` or ``STALE``, or ``OK`` if the condition is intended.
+            cause: code of the cause; empty if unknown.
             log: whether to log a change; false for a message that changes too often.
         """
         before = self.diagnoses.get(part)
@@ -162,6 +162,6 @@ class LiveDiagnostics(NodeDiagnostics):
         })
 
     def flush(self, seconds: float) -> None:
-        """Wait at most this long (s) until all readers, then the supervisor, have received all."""
+        """Wait at most this long (s) for all readers and the supervisor to receive all reports."""
         super().flush(seconds)
         supervisor_socket().flush(_FLUSH_S)

@@ -28,9 +28,9 @@ _RECORDED_DEPTH = 1000
 class LivePublishers(Publishers):
     """The publishers of a topic in a live graph, where a killed node is restarted.
 
-    ROS still lists the killed one until the lease of its process ends (``config/fastdds.xml``). If
-    the topic has a liveliness lease in the interface, only publishers that are alive count, which
-    events report.
+    ROS still lists the killed node until the lease of its process ends (``config/fastdds.xml``). If
+    the topic has a liveliness lease in the interface, only live publishers count, which are known
+    from events.
     """
 
     def __init__(self, node: Node, topic: Topic, *, recorded: bool = False) -> None:
@@ -39,7 +39,7 @@ class LivePublishers(Publishers):
         Args:
             node: the subscribing node.
             topic: topic in the interface.
-            recorded: whether the node only records, and must not miss a message.
+            recorded: whether the node only records the topic, and must not miss a message.
         """
         super().__init__(node, topic, replace(
             topic.qos, durability="volatile",
@@ -84,8 +84,8 @@ class LivePublishers(Publishers):
     def describe_second(self, wait_s: float = 0.0) -> str:
         """Return a message if there is a second publisher or, with a lease, an incompatible one.
 
-        If only one of two is known, the middleware has miscounted after a lease ran out on a busy
-        machine.
+        If only one of two publishers is known, the middleware has miscounted after a lease ran out
+        on a busy machine.
         """
         if self._unfit_since > -math.inf:
             if incompatible := self.describe_incompatible():
@@ -96,12 +96,12 @@ class LivePublishers(Publishers):
 
 
 class LiveInput(Input):
-    """An input with the rules that its values must keep.
+    """An input with the rules that its values must obey.
 
     Attributes:
         publishers: publishers of the topic.
         rules: rules of the input.
-        diagnosis: which rule is broken; None if the newest value may be acted on.
+        diagnosis: diagnosis of the broken rule; None if the newest value may be used.
         received: whether any message has been received.
         optional: whether the node acts without it.
     """
@@ -125,7 +125,7 @@ class LiveInput(Input):
 
     @property
     def good(self) -> bool:
-        """Whether the newest value may be acted on."""
+        """Whether the newest value may be used."""
         return self.diagnosis is None
 
     def receive(self, message: bytes) -> None:
@@ -148,7 +148,7 @@ class LiveInput(Input):
         self.diagnosis = self.rules.check(boot_time(), self.publishers.describe_second())
 
     def refuse(self, why: str) -> None:
-        """Reject the newest value because the node cannot act on it.
+        """Reject the newest value because the node cannot use it.
 
         Args:
             why: the reason.
@@ -165,9 +165,10 @@ class LiveInput(Input):
 
 
 def bad_inputs(inputs: Iterable[Input]) -> Diagnosis | None:
-    """Return what is wrong with the inputs that are not good, under the code of the worst one.
+    """Return a joint diagnosis of the invalid inputs, with the code of the worst input.
 
-    The worst is the first that breaks a rule or, if there is none, the first that is awaited.
+    The worst input is the first that breaks a rule or, if no rule is broken, the first that is
+    awaited.
     """
     diagnoses = [diagnosis for entry in inputs if (diagnosis := entry.diagnosis) is not None]
     worst = min(diagnoses, key=lambda each: each.code in AWAITED, default=None)

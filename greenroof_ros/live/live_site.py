@@ -33,17 +33,17 @@ MIN_BAG_MB = 2.0
 
 
 class LiveSite:
-    """What bringup runs on a live site.
+    """Configuration of a live site that bringup runs.
 
     Attributes:
         site_file: the site file.
         controller: the chosen controller.
         parameters: all parameters of the controller.
         sensors: sensor file; None if the user's own nodes publish the levels.
-        sensed: content of the sensor file; None without one.
+        sensed: content of the sensor file; None without a sensor file.
         weather: whether bringup starts the weather node; if not, the user runs one.
-        forecast: forecast file, or ``open-meteo`` to fetch forecasts from there; None if there is
-            none or the user runs the weather node.
+        forecast: forecast file, or ``open-meteo`` to fetch forecasts from Open-Meteo; None if there
+            is no forecast or the user runs the weather node.
         drive: the pump's drive; None if the user's own node runs the pump.
         bag_limit: size beyond which the bag's oldest files are removed (MB).
     """
@@ -63,18 +63,20 @@ class LiveSite:
         others_weather, has_forecast = arguments.weather is not None, arguments.forecast is not None
         refuse(
             (arguments.sensors is None, "--sensors FILE", None,
-             "is missing: a live site needs it to know where the levels are measured; or use "
-             "--sensors external if your own nodes publish /cistern/level and /roof/level"),
+             "is missing: a live site needs this file to know where the levels are measured; "
+             "alternatively, use --sensors external if your own nodes publish /cistern/level "
+             "and /roof/level"),
             (drive is None and not arguments.pump, "--drive NAME", None,
-             "is missing: a live site needs it to know the pump's drive, and --drive-at its "
-             "address; or use --pump external if your own node runs the pump"),
+             "is missing: a live site needs this option to know the pump's drive, and --drive-at "
+             "to know its address; alternatively, use --pump external if your own node runs the "
+             "pump"),
             (others_weather and has_forecast, "--forecast", arguments.forecast,
              "is for the weather node, which --weather external replaces"),
             (not others_weather and not has_forecast and self.controller.needs_forecast,
              "--forecast FILE.csv", None,
-             f"is missing: {self.controller.name} needs a forecast; or use --weather external "
-             "if your own node publishes it, or --controller onoff or lookahead, which need "
-             "no forecast"),
+             f"is missing: {self.controller.name} needs a forecast; alternatively, use "
+             "--weather external if your own node publishes the forecast, or --controller onoff or "
+             "lookahead, which need no forecast"),
         )
         self.sensors = None
         self.sensed: Sensors | None = None
@@ -98,7 +100,8 @@ class LiveSite:
              and not has_thermometer,
              "--thermometer external", None,
              "is missing: without --forecast FILE.csv only a thermometer can show whether there "
-             "is frost; use it if your own node publishes /gauge/temperature (degC), or add a "
+             "is frost; use this option if your own node publishes /gauge/temperature (degC), or "
+             "add a "
              "thermometer to the file of --sensors, or specify a forecast"),
             (has_thermometer and arguments.thermometer is not None, "--thermometer", EXTERNAL,
              "contradicts the file of --sensors, which contains a thermometer"),
@@ -108,7 +111,7 @@ class LiveSite:
         self.bag_limit: float = arguments.bag_limit
 
     def files(self) -> dict[str, Path]:
-        """Return the files that its nodes read, by name, except the forecast, which changes."""
+        """Return the files that the nodes read, by name, except for the forecast, which changes."""
         files = {
             "site": self.site_file, "sensors": self.sensors,
             "drive": Path(self.drive.drive) if self.drive is not None else None,
@@ -116,7 +119,7 @@ class LiveSite:
         return {name: file for name, file in files.items() if file is not None}
 
     def broker_files(self) -> list[Path]:
-        """Return the files of logins and certificates that its nodes read."""
+        """Return the files of logins and certificates that the nodes read."""
         files = [] if self.drive is None else [self.drive.broker_login, self.drive.broker_authority]
         for sensor in self.sensed.by_section.values() if self.sensed else ():
             files += [getattr(sensor, key, "") for key in ("login", "authority")]
@@ -186,14 +189,15 @@ def make_parser() -> Parser:
     add_site(group)
     group.add_argument(
         "--sensors", metavar="{FILE,external}",
-        help="read the sensors from this file, which describes them on Modbus or MQTT (see "
+        help="read the Modbus or MQTT sensors that this file describes (see "
         "config/sensors.yaml); external: your own nodes publish the levels",
     )
     group.add_argument(
         "--forecast", metavar="{FILE.csv,open-meteo}",
-        help="read forecasts from FILE.csv, again whenever it is replaced; open-meteo: fetch them "
-        "from Open-Meteo for the site's place, as set by the weather node's parameters fetch_... "
-        "(--node-parameters), and keep them in the state directory; with a thermometer, onoff "
+        help="read forecasts from FILE.csv, and read the file again whenever it is replaced; "
+            "open-meteo: fetch forecasts from Open-Meteo for the place of the site, as set by the "
+            "weather node's parameters fetch_... (--node-parameters), and keep them in the state "
+            "directory. With a thermometer, onoff "
         "and lookahead need no forecast",
     )
     group.add_argument(
@@ -208,13 +212,13 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--state", type=Path, default=Path("live"), metavar="DIR",
-        help="keep what must survive a restart (a stop, a fault, the pump's use in 24 h), the bag, "
-        "logs and summary in this directory (default: live)",
+        help="directory for the state that must survive a restart (a hold, a fault, the pump's use "
+            "in 24 h), the bag, the logs and the summary (default: live)",
     )
     group.add_argument(
         "--bag-limit", type=make_number_type(MIN_BAG_MB, 1e9), default=10_000.0, metavar="MB",
-        help="remove the bag's oldest files when it exceeds this size (default: %(default)g MB); "
-        "at most nine tenths of the room on its disk at the start",
+        help="remove the bag's oldest files when the bag exceeds this size (default: %(default)g "
+            "MB); the size is limited to nine tenths of the free space on the disk at the start",
     )
     add_graph_arguments(parser)
     add_drive_arguments(parser)
@@ -222,10 +226,10 @@ def make_parser() -> Parser:
 
 
 def _give_up(controller: ControllerChoice, why: str) -> tuple[str, ...]:
-    """Return the arguments of a controller's node that no longer runs its controller.
+    """Return the arguments for a controller's node that can no longer run its controller.
 
-    The reason does not suffice if the process ended without a word, so the place of the
-    controller's code is added.
+    The location of the controller's code is added to the reason, since a process may end without a
+    message.
     """
     file, line = find_place(controller.kind, "command")
     why = f"{why} ({controller.reference} is in {file}, line {line})"
@@ -237,12 +241,12 @@ def _give_up(controller: ControllerChoice, why: str) -> tuple[str, ...]:
 
 
 def _forecast(arguments: argparse.Namespace) -> Path | str | None:
-    """Return the forecast file, or ``open-meteo`` if forecasts are fetched; None for neither.
+    """Return the forecast file, or ``open-meteo`` if forecasts are fetched; None without forecasts.
 
     The file may be written later: the weather node reports what is missing.
 
     Raises:
-        ConfigurationError: if it is not the name of a CSV file.
+        ConfigurationError: if the value is not the name of a CSV file.
     """
     if arguments.forecast in (None, OPEN_METEO):
         return arguments.forecast
@@ -269,7 +273,7 @@ def _refuse_shared_line(drive: DriveChoice, sensors: Sensors) -> None:
             parse_address(sensor.address)
         ):
             raise ConfigurationError(
-                f"is also the serial line of the sensor {section}, which only one program can "
-                "open: connect a Modbus TCP gateway to it, or use another line",
+                f"is also the serial line of the sensor {section}, but only one program can open "
+                "a serial line: connect a Modbus TCP gateway to this line, or use another line",
                 key="--drive-at", value=drive.address,
             )

@@ -1,4 +1,4 @@
-"""A node of a live site, which acts on the steady clock, on the newest value of each input.
+"""Nodes of a live site, which act at ticks of the steady clock on the newest value of each input.
 
 The module also contains the executable of live nodes and their help.
 """
@@ -54,7 +54,7 @@ class LiveNode(GraphNode):
 
         Args:
             name: name of the node.
-            role: its role in the interface: its name, or ``controller``.
+            role: role of the node in the interface: its name, or ``controller``.
 
         Raises:
             ConfigurationError: if ROS arguments or a parameter file are wrong.
@@ -73,7 +73,7 @@ class LiveNode(GraphNode):
     # --- to override ------------------------------------------------------------------------
 
     def on_inputs(self) -> None:
-        """Act, since the period has passed; see :attr:`good`."""
+        """Act at the end of a period; see :attr:`good`."""
 
     # --- setting up -------------------------------------------------------------------------
 
@@ -146,15 +146,15 @@ class LiveNode(GraphNode):
         return min(_CHECK_S, self._engine.due_in)
 
     def check(self, now: float) -> None:
-        """Act if it is time to do so, check what else depends on the clock, and report the state.
+        """Act if it is time to do so, run the other checks that depend on the clock, and report.
 
         Args:
             now: time of the steady clock (s).
 
         Raises:
-            LockstepError: if the node cannot go on.
+            LockstepError: if the node cannot continue.
             ConfigurationError: if the set-up is wrong.
-            OSError: if the node cannot go on, for instance on a full disk.
+            OSError: if the node cannot continue, for instance because of a full disk.
         """
         if self.failure is not None:
             raise self.failure
@@ -174,7 +174,7 @@ class LiveNode(GraphNode):
             self.report_state()
 
     def _warn(self, now: float) -> None:
-        """Log once each publisher that does not respond; drop the warning when it has gone."""
+        """Warn once about each publisher that does not respond, until that publisher is gone."""
         before = self.warnings
         self.warnings = [
             sentence for publishers in self._subscribed if (sentence := publishers.warning(now))

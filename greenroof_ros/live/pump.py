@@ -1,18 +1,19 @@
-"""The pump node of a live site, which turns /pump/command into orders to a drive or a relay.
+"""The pump node of a live site, which turns /pump/command into commands to a drive or a relay.
 
-It acts once every tau of the site, on the newest values, and lets the pump run only on fresh, good
-ones. It connects to the drive by itself, and does not run it unless the drive's own communication
-timeout would stop it without this node. In between, the steady clock can stop the drive. /pump/flow
-is published every tau, and /pump/state whenever it changes.
+The node acts once every tau of the site on the newest values, and lets the pump run only if they
+are fresh and valid. It connects to the drive automatically, and does not run the pump unless the
+drive's own communication timeout would stop it without this node. Between two such steps, checks on
+the steady clock can stop the drive. /pump/flow is published every tau, and /pump/state whenever it
+changes.
 
-``~/stop`` (std_srvs/SetBool) with true holds the pump: it stays off, regardless of the command,
-even after a restart. With false, it ends any hold. ``~/hold``
+``~/stop`` (std_srvs/SetBool) with true holds the pump, which then stays off, regardless of the
+command, even after a restart. With false, the service ends any hold. ``~/hold``
 (rcl_interfaces/SetParametersAtomically) holds the pump for an ``owner``, with a ``reason`` and an
 end, ``until`` (s since 1970), if they are specified. ``~/reset`` (std_srvs/Trigger), for a person
 at the pump, clears a latched fault and an unknown state; ``~/clear``, for the page, clears only a
 fault that needs no person at the pump (speed_not_followed). If the site file allows it, ``~/dose``
 (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, the present time in s
-since 1970) delivers a volume once, or reports why it does not.
+since 1970) delivers a volume once, or returns the reason for rejecting the request.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 class PumpNode(LiveNode):
-    """Runs the pump of a live site as commanded, unless an interlock is active."""
+    """Node that runs the pump of a live site as commanded, unless an interlock is active."""
 
     def __init__(self) -> None:
         """Declare the parameters, and open the topics and services.
@@ -114,7 +115,7 @@ class PumpNode(LiveNode):
         self._state_file = Path(values["state_file"] or state_directory() / f"{own_name}.json")
         self._ledger = Ledger(self._state_file, time.time)
         # Why a stop would be forgotten at a restart; empty once the state has been saved.
-        self._unsaved, self._saved_at = "it is not saved yet", -math.inf
+        self._unsaved, self._saved_at = "the state is not saved yet", -math.inf
         self._start_control()
         self._decision = Decision(
             None, "off", "not started", {}, 0.0, "", (), at_rest=False, reported_speed=None,
@@ -148,7 +149,7 @@ class PumpNode(LiveNode):
     # --- state kept across restarts ---------------------------------------------------------------
 
     def _start_control(self) -> None:
-        """Make the pump control, with the state kept in the ledger."""
+        """Create the pump control, with the state from the ledger."""
         self._control = PumpControl(
             self._site, self._settings, self._ledger, self._drive_stops_after
         )
@@ -158,7 +159,7 @@ class PumpNode(LiveNode):
             self.get_logger().warning(f"{self._state_file} keeps the pump off: {why}")
 
     def _acquire_state(self) -> None:
-        """Take over the state file if another process had it or it could not be made."""
+        """Take over the state file if another process had it, or if it could not be created."""
         if self._ledger.acquire():
             self._start_control()
             self._reasons = ()  # decide again
@@ -168,7 +169,7 @@ class PumpNode(LiveNode):
     def _open_service(
         self, name: str, kind: Any, act: Callable[[Any], tuple[bool, str]]
     ) -> None:
-        """Offer a service, which answers whether and how it was done; a ValueError refuses it."""
+        """Offer a service that answers with success and message; a ValueError rejects a request."""
 
         def answer(request: Any, response: Any) -> Any:
             self._acquire_state()
@@ -186,7 +187,7 @@ class PumpNode(LiveNode):
         self.create_service(kind, f"~/{name}", answer)
 
     def _saved(self, said: str) -> tuple[bool, str]:
-        """Return whether a request succeeded, for which the state must be saved, and the answer."""
+        """Save the state after a request; return whether this succeeded, and the answer."""
         problem = self._ledger.flush()
         return not problem, f"{said}; but {problem}" if problem else said
 
@@ -273,7 +274,7 @@ class PumpNode(LiveNode):
         """Stop the drive and confirm that it is stopped, whatever ends the node.
 
         Raises:
-            OSError: if that could not be confirmed, which the node's exit code also shows.
+            OSError: if the stop could not be confirmed; the node's exit code then shows this, too.
         """
         try:
             if self._exchange.started:
@@ -308,7 +309,7 @@ class PumpNode(LiveNode):
         return DriveState.STOPPED if self._ledger.active_hold else DriveState.READY
 
     def _unfit_drive(self, snapshot: DriveSnapshot) -> Iterator[Diagnosis]:
-        """Yield why a drive that answers must not be run yet, because nothing might stop it."""
+        """Yield the reasons why a drive that answers must not run yet, as nothing might stop it."""
         yield from filter(None, (
             snapshot.unguarded,
             self._exchange.timeout_problem(snapshot),
@@ -331,7 +332,7 @@ class PumpNode(LiveNode):
     def _second_pump(self) -> Diagnosis | None:
         """Return a diagnosis if the flow has a second publisher.
 
-        If one of them is incompatible, it is named, since it may be trying to stop the pump.
+        An incompatible publisher is named, since it may be trying to stop the pump.
         """
         flows = self._flows
         if not (second := flows.describe_second()):
@@ -345,7 +346,7 @@ class PumpNode(LiveNode):
         return float(entry.value) if self.acted and entry.good else None
 
     def _step(self) -> Decision:
-        """Decide based on what is known now, give the drive its order, and publish the state."""
+        """Decide from the present observations, command the drive, and publish the state."""
         now = boot_time()
         self._check_suspend(now)
         self._engine.check_inputs()
@@ -424,8 +425,8 @@ def _read_endpoint(values: Mapping[str, Any], node_name: str) -> Endpoint:
     key = f"parameter {{}} of {node_name}"
     if not values["drive"]:
         raise ConfigurationError(
-            "must be set to the make of the drive, as a file of config/drives without .yaml, or "
-            "to the path of your own file", key=key.format("drive"),
+            "must be the make of the drive (the name of a file in config/drives, without .yaml) "
+            "or the path of your own drive file", key=key.format("drive"),
         )
     return read_endpoint(
         find_drive_file(values["drive"]), values["address"], key.format("address"),
@@ -437,7 +438,7 @@ def _parse_hold(request: SetParametersAtomically.Request) -> dict[str, Any]:
     """Return owner, reason and end of a requested hold.
 
     Raises:
-        ValueError: if the request is not of this kind.
+        ValueError: if the request is not a valid request for a hold.
     """
     fields = {
         parameter.name: parameter_value_to_python(parameter.value)

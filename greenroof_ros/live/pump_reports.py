@@ -17,7 +17,7 @@ from greenroof_ros.model.site import Site
 
 
 class PumpReports:
-    """Sets the diagnoses of the pump node's parts; messages that contain numbers are not logged."""
+    """Diagnoses of the pump node's parts; messages that contain numbers are not logged."""
 
     def __init__(
         self, reports: LiveDiagnostics, inputs: Mapping[str, LiveInput], exchange: DriveExchange
@@ -39,14 +39,15 @@ class PumpReports:
         """Report on every part.
 
         Args:
-            now: time of `boot_time` (s).
+            now: present time, from `boot_time` (s).
             site: the site.
-            state: what the pump does.
+            state: state of the pump.
             decision: the last decision.
             dose: the dose that is waiting, is running or ended a moment ago; None if there is none.
-            unsaved: why the state would be forgotten at a restart; empty if it would be kept.
+            unsaved: reason why the state would be forgotten at a restart; empty if it would be
+                kept.
             changed: whether another program has just changed the record.
-            second_pump: diagnosis that there is another pump node; None if there is not.
+            second_pump: diagnosis of a second pump node; None if there is only one pump node.
         """
         diagnose = self._reports.diagnose
         first = next(iter(decision.interlocks.values()), None)
@@ -73,7 +74,7 @@ class PumpReports:
         diagnose(
             "delivery",
             Diagnosis.of("delivery_blind") if decision.blind_for and not levels_known else None,
-            known_for if decision.blind_for else "what is pumped is compared with both levels",
+            known_for if decision.blind_for else "the pumped volume is compared with both levels",
             WARN,
         )
         diagnosis, level = Diagnosis.if_any("state_not_kept", unsaved), ERROR

@@ -4,7 +4,7 @@ Messages go into the files of a bag, split by size and by day (UTC), with their 
 and are on the disk after 10 s. The oldest files are removed when the bag reaches its limit. A full
 disk stops the recording and raises an alarm; the node keeps running, and tries again every minute.
 If the disk hangs, up to 32 MB of messages wait in memory until it responds, which also raises an
-alarm. On /diagnostics, a report is recorded if a state, a level or what is wrong has changed, and
+alarm. A report on /diagnostics is recorded if a state, a level or a diagnosis has changed, and
 otherwise once every ten seconds for each node.
 """
 
@@ -49,7 +49,7 @@ def parameters(site: Site | None = None) -> list[Parameter]:
 
 
 class ReportFilter:
-    """Chooses the reports on /diagnostics that are recorded."""
+    """Filter that chooses the reports on /diagnostics to be recorded."""
 
     def __init__(self) -> None:
         """Begin with no report."""
@@ -79,9 +79,10 @@ class ReportFilter:
 
 
 class LiveRecorderNode(LiveNode):
-    """Records the topics of a live graph, and /diagnostics, under their full names.
+    """Node that records the topics of a live graph, and /diagnostics, under their full names.
 
-    The disk thread writes. This node's own thread receives and reports, and never waits for a disk.
+    The disk thread writes the bag. The node's own thread receives messages and reports its state,
+    and never waits for a disk.
     """
 
     def __init__(self) -> None:
@@ -133,7 +134,7 @@ class LiveRecorderNode(LiveNode):
         }
 
     def on_stop(self) -> None:
-        """Close the bag, unless the disk hangs; it is then left as if the node had been killed."""
+        """Close the bag; if the disk hangs, leave the bag as if the node had been killed."""
         problem = ""
         if not (DISK.do(self._bag.close) and DISK.wait(_WRITTEN_S)):
             problem = f"{self._bag.directory}: the disk does not respond; the bag is not closed"

@@ -1,8 +1,8 @@
 """The nodes of all sensors, which publish their readings from one process.
 
-``python -m greenroof_ros.live.sensors --sensors sensors.yaml`` makes a node for every section of
-the file, such as /cistern_sensor, which publishes /cistern/level. It publishes once per period for
-a sensor on Modbus, and at every message for a sensor on MQTT. A bad reading is not published, and
+``python -m greenroof_ros.live.sensors --sensors sensors.yaml`` creates a node for every section of
+the file, such as /cistern_sensor, which publishes /cistern/level. A node publishes once per period
+for a Modbus sensor, and at every message for an MQTT sensor. A bad reading is not published, and
 /diagnostics reports why; the last value then becomes too old for its readers.
 """
 
@@ -34,7 +34,7 @@ def parameters(site: object = None) -> list[Parameter]:
 
 
 class SensorNode(LiveNode):
-    """Publishes the readings of a sensor."""
+    """Node that publishes the readings of a sensor."""
 
     def __init__(self, section: str, file: Path, lines: dict[str, SensorLine]) -> None:
         """Read the sensor's section; nothing is connected yet.
@@ -102,7 +102,7 @@ class SensorNode(LiveNode):
 
 
 def sensor_nodes(file: str) -> list[SensorNode]:
-    """Return a node for each sensor in a file; the sensors are being read.
+    """Return a node for each sensor in a file, and begin to read the sensors.
 
     Raises:
         ConfigurationError: if the file or a parameter is wrong, or a library is missing.

@@ -19,15 +19,15 @@ _PAUSE_S = 1.0
 
 
 class SiteAlarms:
-    """Judges the reports of a site's nodes, and prints and records the alarms.
+    """Alarms from the reports of a site's nodes, which are printed and recorded.
 
-    A node whose process has ended is lost immediately here. For an observer of /diagnostics, it is
-    lost when it has been silent for a while or is back. Both raise the same alarm, which dates from
-    the node's last report there.
+    Here, a node is lost as soon as its process has ended. For an observer of /diagnostics, the node
+    is lost when it has been silent for a while or is back. Both raise the same alarm, which dates
+    from the node's last report on /diagnostics.
 
     Attributes:
-        log: log of what is printed and recorded.
-        judge: judge of what is wrong now.
+        log: log of the alarms that are printed and recorded.
+        judge: judge of the present conditions.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class SiteAlarms:
         self._updated_at = time.monotonic()
 
     def fail(self, process: str, text: str) -> None:
-        """Print that a process has failed, and how; the next update turns this into an alarm."""
+        """Print the failure of a process; the next update turns the failure into an alarm."""
         self._print_line(f"{process}: {text}")
         now = time.monotonic()
         for name in self._processes[process]:
@@ -62,11 +62,11 @@ class SiteAlarms:
             known.ended = text
 
     def update(self, reports: Mapping[str, Mapping[str, Any]]) -> None:
-        """Judge the last report of each node; after a pause of this process, wait for the next one.
+        """Judge the last report of each node; after a pause of this process, wait for new reports.
 
         Args:
-            reports: reports by the names of the nodes. One that was there before is not received
-                again.
+            reports: reports by the names of the nodes. A report from an earlier call is not
+                received again.
         """
         wall, now = time.monotonic(), time.time()
         for name, report in reports.items():

@@ -1,4 +1,4 @@
-"""Keeps a live site running: its directory, its nodes, its messages."""
+"""Operation of a live site: its directory, its nodes and its messages."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def _supervise(
 
 
 def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exception) -> int:
-    """Record and print why the site ended; return the exit code."""
+    """Record and print the reason why the site ended; return the exit code."""
     if isinstance(error, InterruptedRun) and not supervisor.may_run:
         record.write(summary.DONE, str(error))
         record.wait()
@@ -166,12 +166,12 @@ def _report_end(record: _SiteRecord, supervisor: LiveSupervisor, error: Exceptio
 
 
 class _StartReport:
-    """During the start, lists what keeps the site from pumping, and what to do about it.
+    """List of the conditions that keep a starting site from pumping, with their remedies.
 
-    The list covers everything that is missing or wrong, except warnings. It includes a mere
-    consequence only if that stops the pump and its cause does not. It is printed when its codes
-    change, since the messages contain numbers. The start ends when nothing is missing; later losses
-    are alarms.
+    The list covers everything that is missing or wrong, except warnings. A mere consequence is
+    listed only if it stops the pump and its cause does not. The list is printed when its codes
+    change rather than its messages, since these contain numbers. The start ends when nothing is
+    missing; later losses are alarms.
     """
 
     def __init__(self) -> None:
@@ -182,12 +182,13 @@ class _StartReport:
         self._last_missing: tuple[list[tuple[str, ...]], float] = ([], -math.inf)
 
     def update(self, judge: Judge, reports: Mapping[str, Mapping[str, Any]], unready: str) -> None:
-        """Print what is missing if that has changed, and the end of the start.
+        """Print the list if it has changed, and print a message at the end of the start.
 
         Args:
-            judge: what is wrong now.
+            judge: judge of the present conditions.
             reports: the last report of each node.
-            unready: the nodes that are not ready, and why; empty if all are.
+            unready: text that names the nodes that are not ready, with the reasons; empty if all
+                are ready.
         """
         if self._finished:
             return
@@ -236,7 +237,7 @@ class _SiteRecord:
     def __init__(
         self, site: LiveSite, state: Path, namespace: str, processes: Sequence[NodeStart]
     ) -> None:
-        """Start a record; nothing is written yet."""
+        """Start a record, without writing anything yet."""
         self.alarms = SiteAlarms(state, namespace, processes, print_line)
         self._state = state
         self._written = 0
@@ -278,8 +279,8 @@ class _SiteRecord:
             )
         elif DISK.refused:
             warnings.add(
-                f"{self._state}: {DISK.refused} pieces of logs have not fitted into memory since "
-                "the start, and are lost"
+                f"{self._state}: {DISK.refused} pieces of log output have not fitted into memory "
+                "since the start, and are lost"
             )
         for text in sorted((of_nodes | warnings) - self._warnings):
             print_line(f"warning: {text}")
@@ -300,7 +301,7 @@ class _SiteRecord:
         })
 
     def wait(self) -> None:
-        """Wait until everything is on the disk; warn if that takes more than 5 s."""
+        """Wait until all data are on the disk; warn if that takes more than 5 s."""
         if not DISK.wait(_WRITTEN_S):
             self._summary.problem = (
                 f"{self._state}: the disk does not respond; {summary.SUMMARY} is not kept"
@@ -364,27 +365,28 @@ def _state_directory(path: Path) -> Iterator[Path]:
 
 
 def _fit_bag(site: LiveSite, bag: Path) -> None:
-    """Reduce the bag's limit to nine tenths of what fits on its disk, and print a warning."""
+    """Reduce the bag's limit to nine tenths of the space on its disk, and print a warning."""
     fits = shutil.disk_usage(bag.parent).free + sum(
         file.stat().st_size for file in bag.glob("*.mcap")
     )
     reduced = max(MIN_BAG_MB, 0.9 * fits / 1e6)
     if site.bag_limit > reduced:
         print_line(
-            f"warning: {bag}: its disk has room for {fits / 1e6:.0f} MB of it, which is less than "
-            f"--bag-limit {site.bag_limit:g}; its oldest files are removed beyond {reduced:.0f} MB"
+            f"warning: {bag}: the disk has space for {fits / 1e6:.0f} MB of the bag, which is less "
+            f"than --bag-limit {site.bag_limit:g}; the bag's oldest files are removed beyond "
+            f"{reduced:.0f} MB"
         )
         site.bag_limit = reduced
 
 
 class _Configuration:
-    """The files with which the site is started, which its nodes read even after a restart.
+    """Copies of the files with which a site is started, for its nodes to read after a restart, too.
 
     Nodes read neither the originals, which may have been edited, nor the copies of an earlier
     start. Only the forecast, which is replaced in its own place, and the controller's code are read
-    from their own paths. The copies are in memory, since after a power cut no one is there to make
-    room on a full disk. A cleaner may remove them, as may systemd when their user logs out, so what
-    is missing is written again before every start of a node.
+    from their own paths. The copies are in memory, since after a power cut there may be no one to
+    free space on a full disk. A cleaning program may remove the copies, as may systemd when their
+    user logs out, so missing copies are written again before every start of a node.
 
     Attributes:
         parameters: the ROS 2 parameter files that all nodes read: bringup's and the user's.
@@ -447,7 +449,7 @@ class _Configuration:
         return {COPIES: str(self._directory)}
 
     def keep(self, kept: Path) -> None:
-        """Keep copies for people, replacing those of the last start; warn if that fails."""
+        """Write copies for people, which replace those of the last start; warn if this fails."""
         part = kept.with_suffix(".part")
         shutil.rmtree(part, ignore_errors=True)
         try:

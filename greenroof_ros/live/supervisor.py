@@ -1,4 +1,4 @@
-"""Starts, watches, logs, restarts and ends the processes of a live site's nodes."""
+"""Supervisor that starts, watches, logs, restarts and ends the processes of a live site's nodes."""
 
 from __future__ import annotations
 
@@ -92,16 +92,16 @@ class NodeFailed(Exception):
 
 @dataclass(frozen=True)
 class NodeStart:
-    """The process of a node, or of several, to be started.
+    """Process of one or more nodes that is to be started.
 
     Attributes:
-        name: name of the node, or one name for several.
+        name: name of the node, or a common name for several nodes.
         module: its Python module, such as greenroof_ros.nodes.weather.
         arguments: its command-line arguments, without ROS arguments.
         parameters: parameters that bringup sets, if they are not written elsewhere.
-        several: names of the nodes if the process has several.
-        instead: function that returns the arguments with which the process is started once it has
-            been given up for a reason; None if the site then ends.
+        several: names of the nodes if the process contains more than one node.
+        instead: function that receives the reason why the process can no longer be used, and
+            returns the arguments with which it is started from then on; None if the site then ends.
     """
 
     name: str
@@ -113,17 +113,17 @@ class NodeStart:
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """The names of its nodes."""
+        """Names of the nodes in the process."""
         return self.several or (self.name,)
 
 
 class NodeProcess:
-    """The process of a node or of several, with their reports and output.
+    """Running process of one or more nodes, with their reports and output.
 
     Attributes:
         process: the operating-system process.
-        last_report_at: when it last reported or was started, or when this process resumed (steady
-            clock, s).
+        last_report_at: time of its last report or of its start, or time at which this process
+            resumed (steady clock, s).
         has_reported: whether it has reported.
         reports: last report of each of its nodes that has reported, by name.
         last_lines: last lines that it printed.
@@ -150,13 +150,13 @@ class NodeProcess:
             self.reports[report.get("node", self._name)] = report
 
     def log(self, data: bytes) -> None:
-        """Keep its output in its log, and the last lines in memory in case the disk fails."""
+        """Log the output of the process, and keep its last lines in case the disk fails."""
         self.last_lines.extend(data.decode(errors="replace").splitlines())
         record = logging.makeLogRecord({"msg": data.decode(errors="surrogateescape")})
         DISK.do(partial(self._log.emit, record), len(data))
 
     def kill(self) -> None:
-        """Kill it, and wait for at most 1 s."""
+        """Kill the process, and wait at most 1 s for its end."""
         self.process.kill()
         with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel may take longer
             self.process.wait(1.0)
@@ -174,17 +174,18 @@ class _NodeRecord:
 
 
 class LiveSupervisor:
-    """Starts, restarts and ends the node processes of a live site.
+    """Supervisor of the node processes of a live site, which starts, restarts and ends them.
 
-    Each of them has a socket on which it reports its state every quarter of a second. Topics are
+    Each process has a socket on which it reports its state every quarter of a second. Topics are
     not used, since discovery can take seconds, and a supervisor must not miss a report.
 
     The supervisor has no say in whether the pump may run. A node that ends or is silent for too
-    long is restarted after a delay that grows. If a node needs too many restarts, it is given up:
-    the pump is stopped and the site ends. The recorder is never given up, since recording must not
-    stop control. A controller that is given up, or with which its node can no longer run, is
-    replaced. A pump node that has died cannot stop the drive, so the supervisor stops it. It does
-    so at the end, too, whatever the pump node reports.
+    long is restarted after a delay that grows. If a node needs too many restarts, the supervisor
+    stops the pump and ends the site. The recorder is an exception and is always restarted, since
+    recording must not stop control. A controller that needs too many restarts, or with which its
+    node can no longer run, is replaced. A pump node that has died cannot stop the drive, so the
+    supervisor stops the drive. The supervisor also stops the drive at the end, whatever the pump
+    node reports.
 
     Attributes:
         nodes: started processes of nodes, by name.
@@ -206,7 +207,7 @@ class LiveSupervisor:
                 pump.
             on_failure: function called with a node's name and a text if the node failed without
                 ending the run, or if the drive had to be stopped in its place.
-            silence_s: how long a node may be silent before it is killed (s).
+            silence_s: time for which a node may be silent before it is killed (s).
             prepare: function called before every start of a node; it returns additions to the
                 node's environment, or raises an :class:`OSError`.
         """
@@ -233,7 +234,7 @@ class LiveSupervisor:
     def __exit__(self, *_: object) -> None:
         """End all nodes: the pump node first, and the recorder last, so that the bag is complete.
 
-        Two simultaneous stops of the drive would collide, so one that is running ends first.
+        Two simultaneous stops of the drive would collide, so a stop in progress is completed first.
         """
         if self._stopping is not None:
             self._stopping.result()
@@ -247,7 +248,7 @@ class LiveSupervisor:
         self._stop_nodes(names & {RECORDER})
 
     def _confirm_drive_stopped(self, stop_drive: StopDrive) -> None:
-        """Stop the drive; report it if the pump node did not end well or the pump may still run."""
+        """Stop the drive, and report if the pump node failed or the pump may still run."""
         process = self.nodes[PUMP].process
         at_rest, message = stop_drive(process.pid)
         self.may_run = "" if at_rest else message
@@ -300,7 +301,7 @@ class LiveSupervisor:
         }
 
     def read_reports(self, seconds: float = 0.1) -> None:
-        """Read the nodes' reports and output, waiting for at most this long (s)."""
+        """Read the nodes' reports and output, and wait for them at most this long (s)."""
         self._read(seconds)  # finds nothing if this process was paused during the wait
         now = time.monotonic()
         if now - self._read_at > _PAUSE_S:
@@ -319,13 +320,13 @@ class LiveSupervisor:
                 cast(socket.socket, key.fileobj).close()
 
     def last_lines_of(self, node: str) -> str:
-        """Read the nodes' remaining output, and return the last lines of one."""
+        """Read the nodes' remaining output, and return the last lines of one node."""
         self._read(0.0)
         last_lines_of = [f"  {line}" for line in self.nodes[node].last_lines] or ["  (none)"]
         return "\n".join([f"last lines of {node}:", *last_lines_of])
 
     def exit_status(self, node: str) -> str:
-        """Return how a node ended, and the reason if it stated one; empty while it runs."""
+        """Return a description of a node's end, with the reason if known; empty while it runs."""
         code = self.nodes[node].process.poll()
         if code is None:
             return ""
@@ -407,7 +408,7 @@ class LiveSupervisor:
             self._stopping = None
 
     def _kill_if_silent(self, name: str, now: float) -> str:
-        """Kill a node if it hangs, and return why; empty if it does not hang."""
+        """Kill a node if it hangs, and return the reason; empty if it does not hang."""
         node = self.nodes[name]
         limit = self._silence_s if node.has_reported else max(self._silence_s, START_LIMIT_S)
         at_rest = self.last.get(PUMP, {}).get("stands") is True  # read, or due to its timeout
@@ -440,7 +441,7 @@ class LiveSupervisor:
             if too_often:
                 raise NodeFailed(
                     f"node {name} {failure}; it was restarted {len(record.restarts)} times in the "
-                    f"last {_WINDOW_S / 60:g} minutes, and is given up",
+                    f"last {_WINDOW_S / 60:g} minutes, and is not restarted again",
                     self.last_lines_of(name), EXIT_FAILED,
                 )
         wait = _WINDOW_S if too_often else min(2.0 ** len(record.restarts), _MAX_WAIT_S)
@@ -453,7 +454,7 @@ class LiveSupervisor:
             self._stopping = self._stopper.submit(self._stop_drive, self.nodes[name].process.pid)
 
     def _reason(self, name: str, failure: str) -> str:
-        """Return how a node failed, and where its Python code was if Python has printed this."""
+        """Return a description of a failure, with its place in the code if Python printed it."""
         lines = map(str.strip, self.nodes[name].last_lines)
         places = [line for line in lines if line.startswith('File "')]
         return ", ".join([failure, *places[:1]])
@@ -466,7 +467,7 @@ class LiveSupervisor:
 
     @property
     def unready(self) -> str:
-        """The nodes that the pump needs but that are not ready, and why; empty if all are ready."""
+        """Text that names the nodes that the pump needs but that are not ready, with reasons."""
         return ", ".join(
             f"{node} {why}" for name, record in self._records.items() for node in record.start.nodes
             if node not in _NOT_REQUIRED and (why := self._why_unready(name, node))

@@ -1,6 +1,7 @@
 """Reports of nodes to the supervisor that started them.
 
-They travel over a socket, since discovery in the graph can take seconds. This module needs no ROS.
+The reports travel over a socket, since discovery in the graph can take seconds. This module needs
+no ROS.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def read_report(line: bytes) -> dict[str, Any] | None:
     """Return the report in a line from the socket; None if it is not a report of this version.
 
     A restarted node can have a different version from its supervisor if the package was updated in
-    between; it is not heard until the site is restarted.
+    between; its reports are ignored until the site is restarted.
     """
     try:
         report = json.loads(line)
@@ -53,8 +54,8 @@ class SupervisorSocket:
         """Send a report to the supervisor, if there is one.
 
         A stopped supervisor must not block the node: while a report waits, a newer one of the same
-        node replaces it.
-        A report that is larger than the socket's buffer is sent in pieces, and always whole.
+        node replaces it. A report that is larger than the socket's buffer is sent in pieces, and
+        always completely.
         """
         if self._enabled:
             line = json.dumps({**report, "version": __version__})

@@ -1,4 +1,4 @@
-"""Rejects sites with an outlet valve, which a live site cannot command yet."""
+"""Rejection of sites with an outlet valve, which a live site cannot command yet."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ def refuse_valve(site: Site, file: Path | None) -> None:
 
     Args:
         site: the site.
-        file: its file; None if it was not read from a file.
+        file: file of the site; None if the site was not read from a file.
 
     Raises:
         ConfigurationError: if the site has such a valve.
     """
     if site.low_outlet_valve:
         raise ConfigurationError(
-            "must be false: a live site cannot command the valve yet; it would stay as it is while "
-            "the controller plans to use it", file=file, key="low_outlet_valve", value=True,
+            "must be false: a live site cannot command the valve yet, so the valve would not "
+            "move although the controller plans to use "
+            "it", file=file, key="low_outlet_valve", value=True,
         )

@@ -1,6 +1,6 @@
 """The weather node of a live site, which publishes the weather and the forecast in every tick.
 
-They come from the site's gauges, and from forecasts in a file or from a service, if there are any.
+They come from the site's gauges, and from the forecasts of a file or a service, if there are any.
 A fetched forecast needs no disk: its file is only an archive, which is read once at the start.
 """
 
@@ -82,7 +82,7 @@ def parameters(site: Site) -> list[Parameter]:
 
 
 class LiveWeatherNode(LiveNode):
-    """Publishes weather and forecasts from gauges and a file."""
+    """Node that publishes weather and forecasts from gauges and from a file or a service."""
 
     def __init__(self) -> None:
         """Declare the parameters and open the topics.
@@ -119,7 +119,7 @@ class LiveWeatherNode(LiveNode):
         self._weather = WeatherOutputs(self, site, values["horizon"])
 
     def on_inputs(self) -> None:
-        """Publish what is known now; readers notice a missing value from its age."""
+        """Publish the values that are known now; readers notice a missing value by its age."""
         now = from_epoch_ns(self.get_clock().now().nanoseconds)
         rain = self._rain_gauge.value if self._rain_gauge.good else None
         if self._fetcher is not None:
@@ -127,7 +127,7 @@ class LiveWeatherNode(LiveNode):
             self.reports.diagnose("forecast service", unfetched, ATTRIBUTION, WARN)
             before, self._unkept = self._unkept, self._kept.problem
             if self._unkept not in ("", before):
-                self.get_logger().warning(f"the forecast is used, but not kept: {self._unkept}")
+                self.get_logger().warning(f"the forecast is used, but not saved: {self._unkept}")
         forecast = self._forecast
         outlook = None if forecast is None else self._outlook(forecast, now, rain)
         temperature = math.nan if outlook is None else outlook.temperature
@@ -135,7 +135,7 @@ class LiveWeatherNode(LiveNode):
             temperature = self._thermometer.value
         instead = "" if forecast is None else (
             ", and no forecast" if outlook is None
-            else ", and the forecast has no column of temperature"
+            else ", and the forecast has no temperature column"
         )
         thermometer = self._thermometer
         why = "no reading of a thermometer"
@@ -225,7 +225,7 @@ class LiveWeatherNode(LiveNode):
 
         Args:
             temperature: air temperature (degC); NaN if unknown.
-            why: why the temperature is unknown, if it is.
+            why: reason why the temperature is unknown, if it is.
         """
         if not math.isnan(temperature):
             self.reports.diagnose("frost", None, "the temperature is known")
@@ -236,7 +236,7 @@ class LiveWeatherNode(LiveNode):
         return self._unknown_frost
 
     def _temperature_code(self) -> str:
-        """Return the code for an unknown temperature, which depends on what the site has."""
+        """Return the code for an unknown temperature, which depends on the site's equipment."""
         thermometer = self._thermometer
         diagnosis = thermometer.diagnosis
         if thermometer.received and diagnosis is not None and diagnosis.code == "input_recovering":

@@ -62,19 +62,19 @@ DRIVE = "--drive abb_acs880 --drive-at tcp://127.0.0.1:1"
 # Its sensors, among them a thermometer, so that no other one is needed.
 SENSED = f"live --sensors {CHECKOUT}/config/sensors_mqtt.yaml --controller onoff"
 WRONG = {
-    "live --weather external --pump external": "--sensors FILE: is missing: a live site needs it",
-    "live --weather external --sensors external": "--drive NAME: is missing: a live site needs it",
+    "live --weather external --pump external": "--sensors FILE: is missing: a live site needs",
+    "live --weather external --sensors external": "--drive NAME: is missing: a live site needs",
     WEATHERED:
-        "--forecast FILE.csv: is missing: mpc needs a forecast; or use --weather external",
+        "--forecast FILE.csv: is missing: mpc needs a forecast; alternatively, use --weather",
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
-        "show whether there is frost; use it if your own node publishes /gauge/temperature",
+        "show whether there is frost; use this option if your own node publishes /gauge/temperature",
     f"{WEATHERED} --forecast no.json": "--forecast = 'no.json': must be a FILE.csv, which is",
     f"{SENSED} --drive no_such_drive --drive-at tcp://127.0.0.1:1": "drive = 'no_such_drive': is",
     f"{SENSED} --pump external --thermometer external":
         "--thermometer = 'external': contradicts the file of --sensors, which contains a therm",
     f"{SENSED} --pump external {DRIVE}":
-        "--pump = 'external': leaves the pump to someone else's node",
+        "--pump = 'external': leaves the pump to your own node",
     "run --pump external --pump-min-on 60": "minimum on and off times: must be set in the pump",
 }
 
@@ -242,10 +242,10 @@ def test_a_drive_of_another_program_is_left_to_it() -> None:
         assert stop(1) == (
             False,
             f"another program (process {os.getpid()}) runs the drive, and may run the pump: "
-            "the drive is left to it",
+            "the drive is left to that program",
         )
         assert wire.connections == 0
-        message = "bringup ordered the drive to stop; it then reported: speed 0.0%"
+        message = "bringup commanded the drive to stop; the drive then reported: speed 0.0%"
         assert stop(os.getpid())[0] and stop(os.getpid())[1].startswith(message)
         driver.close()
         assert stop(1)[0] and stop(1)[1].startswith(message)

@@ -194,7 +194,7 @@ def test_a_live_site_with_drive_and_sensors(
         hardware.inject("refused")
     assert hardware.speed() > 0.9
     printed = process.stderr()
-    assert "did not stop the drive; bringup ordered the drive to stop" in printed
+    assert "did not stop the drive; bringup commanded the drive to stop" in printed
     assert "waiting for the pump to come to rest" in printed
     assert "error: interrupted by SIGTERM; bringup could not stop the drive: " in printed
     assert "THE PUMP MAY BE RUNNING" in printed
@@ -392,7 +392,7 @@ def test_nodes_read_what_the_site_was_started_with_on_a_full_disk(
             "site.yaml",
         )
         with live(domain, tmp_path, *options) as process:
-            process.until_printed("for 0 MB of it, which is less than --bag-limit 10000", 60)
+            process.until_printed("for 0 MB of the bag, which is less than --bag-limit 10000", 60)
             process.until_printed("the configuration of this start is not kept", 60)
             process.until_printed("/recorder: recording: nothing is recorded: ", 60)
             for restart in (True, False):

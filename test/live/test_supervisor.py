@@ -187,7 +187,7 @@ def test_a_silent_pump_node_whose_pump_may_turn_is_killed_sooner(site: Site) -> 
     ("kind", "code", "tried", "reason"),
     [
         ("fails", 1, 2, "ended (exit code 1); it was restarted 2 times in the last 10 minutes, and "
-         "is given up"),
+         "is not restarted again"),
         ("wrong", 2, 0, "ended (exit code 2): parameter x must be a number"),
     ],
 )
