@@ -81,8 +81,8 @@ def add_drive_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the drive to a command's parser."""
     group = parser.add_argument_group(
         "the drive",
-        "The pump node receives the commands, and runs a real or simulated drive over Modbus, or a\n"
-        "relay over MQTT.",
+        "The pump node receives the commands, and runs a real or simulated drive over Modbus, or\n"
+        "a relay over MQTT.",
     )
     for parameter, option, metavar in zip(
         CHOICE, ("--drive", "--drive-at", "--broker-login", "--broker-authority"),

@@ -68,7 +68,7 @@ WRONG = {
         "--forecast FILE.csv: is missing: mpc needs a forecast; alternatively, use --weather",
     f"{WEATHERED} --controller onoff":
         "--thermometer external: is missing: without --forecast FILE.csv only a thermometer can "
-        "show whether there is frost; use this option if your own node publishes /gauge/temperature",
+        "show whether there is frost; use this option if your own node publishes",
     f"{WEATHERED} --forecast no.json": "--forecast = 'no.json': must be a FILE.csv, which is",
     f"{SENSED} --drive no_such_drive --drive-at tcp://127.0.0.1:1": "drive = 'no_such_drive': is",
     f"{SENSED} --pump external --thermometer external":

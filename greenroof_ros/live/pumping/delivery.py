@@ -4,32 +4,33 @@ It keeps three balances of water (m3) that the levels do not explain:
 
 - *missing on the roof*: a share ``min_delivery`` of the pumped volume (the measured volume, or what
   the speed should deliver if that is more, since a meter shows no flow behind a closed valve),
-  minus the rise of the roof, minus ``max_loss`` for evapotranspiration. It grows if a pump runs and
-  the roof does not rise, because a pipe has burst or a valve is closed. Rain can only lower it.
-- *lost from the cistern*: the fall of the cistern, minus the pumped volume and what a low outlet
-  may have drawn, both divided by ``min_delivery``, minus ``max_loss`` for a drifting sensor. It
-  grows if water leaves while the pump is stopped, because of a leak or a stuck contactor. Rain can
-  only lower it. The upper outlet does not matter, since the cistern's volume counts only up to it.
-  While the level is above a low outlet, or unknown, any other loss is seen only if it exceeds what
-  that outlet takes. That may not be so until the level has fallen and the outlet takes less. A
-  clogged low outlet is not a fault.
+  minus the rise of the roof, minus ``max_loss`` for evapotranspiration. This balance grows if a
+  pump runs and the roof's level does not rise, because a pipe has burst or a valve is closed. Rain
+  can only lower it.
+- *lost from the cistern*: the fall of the cistern, minus the pumped volume and the volume that a
+  low outlet may have drawn, both divided by ``min_delivery``, minus ``max_loss`` for a drifting
+  sensor. This balance grows if water leaves while the pump is stopped, because of a leak or a stuck
+  contactor. Rain can only lower it. The upper outlet does not matter, since the cistern's volume
+  counts only up to that outlet. While the level is above a low outlet, or unknown, any other loss
+  is detected only if it exceeds the flow of that outlet. This may be the case only after the level
+  has fallen and the outlet's flow has decreased. A clogged low outlet is not a fault.
 - *not from the cistern*: a share ``min_delivery`` of the pumped volume, minus the fall of the
-  cistern, minus ``max_loss`` for a drifting sensor, minus what the mains may have let in while the
-  reading was below the level of their valve, or unknown. It grows if a pump runs and the cistern
-  does not fall: its sensor is stuck, perhaps with some noise, or drifts upward, so the pump would
-  eventually run dry. It is at most that share of the pumped volume, so rain while the pump is
-  stopped does not cause a fault. Rain while it runs explains ``a_in / a2`` times the roof's rise
-  beyond that share, as if all the rain ran off, because a storm's runoff coefficient may be above
-  the mean. If a_in is at least a2, this explains so much that only the first balance remains
-  effective.
+  cistern, minus ``max_loss`` for a drifting sensor, minus the mains water that may have entered
+  while the reading was below the level of the mains valve, or unknown. This balance grows if a pump
+  runs and the cistern does not fall: its sensor is stuck, perhaps with some noise, or drifts
+  upward, so the pump would eventually run dry. The balance is at most that share of the pumped
+  volume, so rain while the pump is stopped does not cause a fault. Rain while it runs explains
+  ``a_in / a2`` times the roof's rise beyond that share, as if all the rain ran off, because a
+  storm's runoff coefficient may be above the mean. If a_in is at least a2, this explains so much
+  that only the first balance remains effective.
 
 Water is counted even while a level is unknown, and the balances resume when the level is known
-again, so a sensor that is silent now and then hides nothing. Jumps of a level that water cannot
+again, so a sensor that is silent now and then hides no loss. Jumps of a level that water cannot
 cause do not count, except that the third balance treats a downward jump of the cistern as a fall. A
 drift that ends with a jump back therefore does not become a fault later.
 
 On a field-capacity soil, only the share of the pumped volume that the soil retains at the target
-counts; the rest percolates. This is the smallest share at any level at which the roof is watered.
+counts; the rest percolates. At no other level at which the roof is watered is this share smaller.
 To infer rain, the third balance instead uses the share that the soil retains at its present
 wetness: a drier roof retains more of the pumped water, and that is not rain.
 
@@ -71,7 +72,7 @@ _M_PER_S = 1e-3 / 3600
 
 
 class _Sums(NamedTuple):
-    """Totals since the check began, or a change of them."""
+    """Totals since the check began, or changes of these totals."""
 
     elapsed: float = 0.0
     """s"""
@@ -111,7 +112,7 @@ class _Balance:
         Args:
             unaccounted: unexplained part of the change (m3).
             change: change of the sums.
-            share: share of the pumped volume above which the balance cannot rise.
+            share: share of the pumped volume that limits the rise of the balance.
         """
         self.rise, self.since_min = self.rise + unaccounted, self.since_min.add(change)
         if share is not None:
@@ -122,7 +123,7 @@ class _Balance:
 
 
 class DeliveryCheck:
-    """Updates the three balances at every step."""
+    """Delivery check, which updates the three balances at every step."""
 
     def __init__(self, site: Site, settings: PumpSettings) -> None:
         self._site, self._soil = site, soil_of(site)
@@ -156,7 +157,7 @@ class DeliveryCheck:
         max_pumped: float,
         displacements: tuple[float, float] = (0.0, 0.0),
     ) -> Diagnosis | None:
-        """Update with the sensors' readings, and return the fault, or None.
+        """Update the balances with the sensors' readings, and return the fault, or None.
 
         Args:
             dt: time since the last step (s).
@@ -165,7 +166,8 @@ class DeliveryCheck:
             min_pumped: volume that was or should have been pumped since the last step (m3).
             max_pumped: largest volume that can have been pumped (m3): the worst case if the speed
                 was unknown.
-            displacements: how far jumps have moved the readings of cistern and roof so far (m).
+            displacements: total displacements of the readings of cistern and roof by jumps so far
+                (m).
         """
         site, settings = self._site, self._settings
         if roof_level is not None:
@@ -242,7 +244,7 @@ class DeliveryCheck:
     def _change_of_mean(self, dt: float, present: _Sums) -> _Sums:
         """Return the change of the moving mean.
 
-        Until there are enough readings, it is the plain mean, and its changes do not count.
+        Until there are enough readings, the plain mean is used, and its changes do not count.
         """
         before, averaging = self._mean, self._settings.averaging_time
         if before is None or self._watched == 0:

@@ -1,7 +1,7 @@
 """A dose: a volume that a person requests, delivered once instead of the controller's command.
 
 Anything that would stop the pump ends the dose, and a restart of the node discards it; the person
-must then request another. This way, no dose starts later than expected, and none continues
+must then request another dose. This way, no dose starts later than expected, and none continues
 unwatched.
 """
 
@@ -34,9 +34,9 @@ class Dose:
         volume: requested volume (m3).
         age: time since the request, or, once the dose is over, since its end (s).
         delivered: volume delivered so far (m3).
-        begun: whether the pump has run for it.
-        over: how it ended, a machine-readable word; empty until it ends.
-        why: what the pump does for it, or why the dose waits or has ended.
+        begun: whether the pump has run for the dose.
+        over: outcome of the dose, as a machine-readable word; empty until the dose ends.
+        why: action of the pump for the dose, or the reason why the dose waits or has ended.
         cause: code of the interlock that ended it.
     """
 
@@ -61,14 +61,14 @@ class Dose:
 
     @property
     def ended_early(self) -> Diagnosis:
-        """A message that the dose ended before all of it was delivered."""
+        """Diagnosis of a dose that ended before all of its volume was delivered."""
         return Diagnosis.of(
             "dose_ended_early", volume=self.volume, delivered=self.delivered, why=self.why
         )
 
 
 class Doses:
-    """Accepts requests, and tracks the newest dose.
+    """Requests for doses, and the progress of the newest dose.
 
     A request is identified by the time at which it was made. It must be newer than the previous
     request and newer than this object, so a repeated request is carried out neither twice nor after
@@ -82,7 +82,7 @@ class Doses:
         """Begin without a dose.
 
         Args:
-            site: states whether doses are allowed, and how large they may be.
+            site: site, which determines whether doses are allowed, and their maximum volume.
             now: system time (s since 1970).
         """
         self._largest = site.max_dose
@@ -95,7 +95,7 @@ class Doses:
         return None if self.last is None or self.last.over else self.last
 
     def refusal(self, inhibit_reason: str) -> str:
-        """Return why any request would be rejected now; empty if it would not be.
+        """Return the reason why any request would be rejected now; empty if there is none.
 
         Args:
             inhibit_reason: why the pump must not run now; empty if it may.
@@ -109,7 +109,7 @@ class Doses:
     def request(
         self, requested_at: float, volume: float, now: float, minimum: float, inhibit_reason: str
     ) -> str:
-        """Accept a request and return an empty string, or return why it is rejected.
+        """Accept a request and return an empty string, or return the reason for its rejection.
 
         Args:
             requested_at: time at which it was made (s since 1970), which is its id.
@@ -125,14 +125,14 @@ class Doses:
         age = now - requested_at
         if not -_AHEAD_S <= age <= EXPIRES_S:
             return (
-                f"the request is {age:.0f} s old; the limit is {EXPIRES_S:g} s: ask again, "
-                "or set the clocks"
+                f"the request is {age:.0f} s old; the limit is {EXPIRES_S:g} s: repeat the "
+                "request, or set the clocks"
             )
         if requested_at <= self._newest:
             self._newest = min(self._newest, now + _AHEAD_S)  # this machine's clock was ahead
             return (
                 "the request was made before the last one, or before the pump node was started: "
-                "ask again"
+                "repeat the request"
             )
         self._newest = requested_at  # even if it is refused below
         if refusal := self.refusal(inhibit_reason):
@@ -164,7 +164,7 @@ class Doses:
             self.end(EXPIRED, f"it could not begin within {EXPIRES_S:g} s: {dose.why}")
 
     def share(self, max_flow: float) -> float:
-        """Return which share of the maximum flow (m3/s) the present dose calls for."""
+        """Return the share of the maximum flow (m3/s) that the present dose requires."""
         dose = self.present
         assert dose is not None
         return min(1.0, (dose.volume - dose.delivered) / (_SLOWS_S * max_flow))
@@ -173,7 +173,7 @@ class Doses:
         """End the present dose, if there is one.
 
         Args:
-            how: how it ended, one of this module's constants such as ``DONE``.
+            how: outcome of the dose, one of this module's constants such as ``DONE``.
             why: the reason, as a clause.
             cause: code of the interlock that ended it.
         """

@@ -1,4 +1,4 @@
-"""Rules for when a live input may be acted on: its age, its publishers, and what water can do.
+"""Rules for the use of live inputs: their age, their publishers, and the movement of water.
 
 The caller passes the time of a steady clock (s).
 """
@@ -42,11 +42,11 @@ _WAITING, _RECOVERING = AWAITED = "input_waiting", "input_recovering"
 
 
 class LevelBounds(NamedTuple):
-    """How fast the level of a tank can change, and its maximum plausible value.
+    """Maximum rates of change of a tank's level, and its maximum plausible value.
 
     Attributes:
-        rise: returns the fastest rise at a level in m (m/s, not negative).
-        fall: returns the fastest fall at a level in m (m/s, not negative).
+        rise: function that returns the fastest rise at a level in m (m/s, not negative).
+        fall: function that returns the fastest fall at a level in m (m/s, not negative).
         max: maximum plausible level (m).
     """
 
@@ -56,7 +56,7 @@ class LevelBounds(NamedTuple):
 
 
 def cistern_bounds(site: Site) -> LevelBounds:
-    """Return the bounds of the cistern: rain and mains fill it; pumps and outlets empty it.
+    """Return the bounds of the cistern, which rain and mains fill, and pumps and outlets empty.
 
     All the rain on the catchment counts, since a storm's runoff coefficient may be above the mean.
     """
@@ -70,7 +70,7 @@ def cistern_bounds(site: Site) -> LevelBounds:
 
 
 def roof_bounds(site: Site) -> LevelBounds:
-    """Return the bounds of the roof: rain and pumps; evapotranspiration and drainage."""
+    """Return the bounds of the roof, given by rain, pumps, evapotranspiration and drainage."""
     pump, soil = maximum_pump_flow(site, site.cistern_volume(site.z_o)) / site.a2, soil_of(site)
 
     def fall(level: float) -> float:
@@ -80,7 +80,7 @@ def roof_bounds(site: Site) -> LevelBounds:
 
 
 class Movement(NamedTuple):
-    """Bounds of how fast a level must rise.
+    """Bounds on the rate at which a level must rise.
 
     Attributes:
         min: slowest rise (m/s).
@@ -103,7 +103,7 @@ class Wetting:
 
         Args:
             rain: rain rate (m/s).
-            passed: how long it has rained at this rate (s).
+            passed: duration of the rain at this rate (s).
         """
         retained = max(0.0, self._retained + (rain - _LOSS) * passed)
         self._retained = min(retained, _WETTING)
@@ -114,18 +114,18 @@ def expected_movement(
     site: Site, flow: float, rain: float, running_off: float, cistern_level: float,
     roof_level: float, frozen_movement: float = 0.0,
 ) -> tuple[Movement, Movement]:
-    """Return how the levels of cistern and roof must move.
+    """Return the movements that the levels of cistern and roof must make.
 
-    A rise is reduced by everything that may be lost: evapotranspiration from the roof, what a low
-    outlet takes, mains that are shut, and rain that surfaces hold back. A fall is reduced by all
-    the rain on the catchment, and by the mains. Both are reduced by the drift of a sensor, so small
-    amounts do not add up over days.
+    A rise is reduced by all possible losses: evapotranspiration from the roof, the flow of a low
+    outlet, mains that are shut, and rain that surfaces hold back. A fall is reduced by all the rain
+    on the catchment, and by the mains. Both are reduced by the drift of a sensor, so small amounts
+    do not add up over days.
 
-    A tank that spills is not expected to move, since what enters it leaves it. This is the cistern
-    at its outlet, the roof at the depth of its soil, and a field-capacity soil once it retains no
-    more water. No fall through the low outlet is expected, since a narrow outlet can clog. A coarse
-    sensor may be off by half of `frozen_movement`, so a tank is treated as spilling, and the mains
-    as open, as soon as that is possible.
+    A tank that overflows is not expected to move, since its inflow leaves it again. This applies to
+    the cistern at its outlet, the roof at the depth of its soil, and a field-capacity soil once it
+    retains no more water. No fall through the low outlet is expected, since a narrow outlet can
+    clog. A coarse sensor may be off by half of `frozen_movement`, so a tank is treated as
+    overflowing, and the mains as open, as soon as that is possible.
 
     Args:
         site: the site.
@@ -155,7 +155,7 @@ def expected_movement(
 
 
 class LevelRule:
-    """Detects what no level can do: not change while its tank fills or empties, jump, or be absurd.
+    """Rule that rejects impossible levels: frozen, jumping, or above any plausible level.
 
     A value above the maximum plausible level is rejected and otherwise ignored, as its unit is
     wrong.
@@ -167,8 +167,8 @@ class LevelRule:
     half the tolerance is never a jump.
 
     Attributes:
-        displacement: how far jumps have moved the readings (m). If a value returns to the interval
-            from before a jump, that jump was a spike and its displacement is undone.
+        displacement: total displacement of the readings by jumps (m). If a value returns to the
+            interval from before a jump, that jump was a spike and its displacement is undone.
     """
 
     def __init__(self, bounds: LevelBounds, frozen_movement: float, jump_tolerance: float) -> None:
@@ -178,7 +178,8 @@ class LevelRule:
             bounds: bounds of the tank.
             frozen_movement: movement (m) beyond which a reading that has not changed is frozen; it
                 must exceed the sensor's resolution.
-            jump_tolerance: by how much two values may differ beyond what water can do (m).
+            jump_tolerance: maximum difference between two values beyond the change that water can
+                cause (m).
         """
         self.displacement = 0.0
         self._bounds = bounds
@@ -196,14 +197,14 @@ class LevelRule:
         self._frozen = False
 
     def expect(self, movement: Movement, passed: float) -> None:
-        """Update how far the level must have moved, given its movement for a time (s)."""
+        """Update the distance that the level must have moved, from its movement over a time (s)."""
         self._risen = max(0.0, self._risen + movement.min * passed)
         self._fallen = max(0.0, self._fallen - movement.max * passed)
         moved = max(self._risen, self._fallen)
         self._frozen = self._frozen or moved > self._frozen_movement
 
     def check(self, now: float, value: float) -> Diagnosis | None:
-        """Check a new value (m), and return why water cannot have reached it; None if it can.
+        """Check a new value (m), and return a diagnosis if water cannot have reached it, or None.
 
         The returned diagnosis does not contain the topic yet.
         """
@@ -247,7 +248,7 @@ class LevelRule:
 
 
 class InputRules:
-    """The rules of one input; after breaking one, it must keep all for a time to be good again."""
+    """Rules of one input, which is valid again after it has obeyed all of them for a time."""
 
     def __init__(
         self, now: float, limit: float, recovery: float, *, topic: str = "",
@@ -258,7 +259,7 @@ class InputRules:
         Args:
             now: time of a steady clock (s).
             limit: maximum age (s).
-            recovery: how long all rules must have been kept (s).
+            recovery: time for which all rules must have been obeyed (s).
             topic: full name of the topic, for messages.
             limit_name: name of the limit's parameter, for messages.
             level: an additional rule, if the input is a level.
@@ -282,7 +283,7 @@ class InputRules:
         Args:
             now: time of a steady clock (s).
             value: the value.
-            refused: why it is rejected; None if it counts.
+            refused: diagnosis of a value that is rejected; None if the value is accepted.
         """
         self.check(now)  # the input may have been silent until now
         self._received_at = now
@@ -306,11 +307,11 @@ class InputRules:
             self._newest = Diagnosis.of("input_paused", time=seconds)
 
     def check(self, now: float, publishers: str = "") -> Diagnosis | None:
-        """Return why the input must not be acted on; None if it may be.
+        """Return the diagnosis of an input that must not be used; None if it may be used.
 
         Args:
             now: time of a steady clock (s).
-            publishers: what is wrong with the publishers; empty if there is only one.
+            publishers: problem with the publishers; empty if there is only one publisher.
         """
         diagnosis = self._broken_rule(now, publishers)
         if diagnosis is not None:

@@ -1,6 +1,7 @@
-"""Evaluates the interlocks in the order in which ``msg_defs/conditions.yaml`` lists them.
+"""Evaluation of the interlocks in the order in which ``msg_defs/conditions.yaml`` lists them.
 
-An interlock is active while there is a reason for it. The pump does not run while any is active.
+An interlock is active while there is a reason for it. The pump does not run while any interlock is
+active.
 """
 
 from __future__ import annotations

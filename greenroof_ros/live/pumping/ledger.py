@@ -1,12 +1,12 @@
 """The state of the pump node that must survive a restart: hold, fault, starts, use in 24 h.
 
-A hold keeps the pump off. Its owner is whoever requested it; its reason may be empty, and it may
-have no end. The ledger promises:
+A hold keeps the pump off. The owner of a hold is whoever requested it; its reason may be empty, and
+it may have no end. The ledger promises:
 
-- It is read before the pump may run. Neither a restart nor a power cut ends it.
+- The hold is read before the pump may run. Neither a restart nor a power cut ends it.
 - There is one hold at a time. A later request replaces its owner and reason, but never shortens it:
   the later end counts, and having no end counts as the latest.
-- It ends at its time of the system clock, or when anyone releases it.
+- A hold ends at its time on the system clock, or when anyone releases it.
 - If it is unknown whether there was a hold or a fault, the pump stays off until someone who has
   checked the pump clears this state.
 
@@ -14,17 +14,17 @@ The file has two lines of fixed length, padded with blanks and overwritten in pl
 space is allocated when the file is made, so a hold or a fault can be saved even if the disk is full
 later (except on file systems that never write in place: btrfs, zfs). Each line begins with its
 checksum and is one page long. Killing the process does not tear a page, but a power cut may. The
-other line is then intact, but the torn one may have contained a hold or a fault, so this is
-unknown. It is also unknown if the file cannot be read, has a later format, is an older copy or that
-of another site, or is missing while another file shows that there was a pump node before. Keys that
-this version does not know are ignored, and some keys may be missing. The file is made under another
-name, then renamed.
+other line is then intact, but the torn line may have contained a hold or a fault, so it is unknown
+whether there was one. This is also unknown if the file cannot be read, has a later format, is an
+older copy or that of another site, or is missing while another file shows that there was a pump
+node before. Keys that this version does not know are ignored, and some keys may be missing. The
+file is made under another name, then renamed.
 
-The disk thread writes, so a slow disk does not delay the control of the pump. A lock on a file next
-to it ensures that only one ledger writes, since the record of a second one would erase a hold or a
-fault. The lock's file also contains the number of the last line that was written. The first number
-is random, so the numbers differ between sites. If another program removes or changes the file, it
-is written again.
+The disk thread writes the file, so a slow disk does not delay the control of the pump. A lock on a
+file next to it ensures that only one ledger writes, since the record of a second one would erase a
+hold or a fault. The lock's file also contains the number of the last line that was written. The
+first number is random, so the numbers differ between sites. If another program removes or changes
+the file, it is written again.
 
 Use is counted in slots of half an hour, over the last 24 h of the ledger's clock, which starts at
 its first step and follows the machine's steady clock, whether or not the node runs. Time before the
@@ -89,22 +89,23 @@ _WAIT_S = 0.5
 
 @dataclass(frozen=True)
 class PumpRecord:
-    """The state that is kept.
+    """State of the pump that is kept across restarts.
 
     Attributes:
-        hold_owner: who holds the pump; empty if no one does.
-        hold_reason: why; may be empty.
+        hold_owner: owner of the hold; empty if there is no hold.
+        hold_reason: reason for the hold; may be empty.
         hold_until: end of the hold on the system clock (s since 1970); None if it has no end.
-        unknown: why it is unknown whether there was a hold or a fault; empty if it is known.
+        unknown: reason why it is unknown whether there was a hold or a fault; empty if this is
+            known.
         fault: the latched fault; empty if there is none.
-        fault_code: code of its interlock.
+        fault_code: code of the fault's interlock.
         elapsed: time since the ledger's first step (s).
-        use: how long the pump was on (s), and how much it pumped (m3), in each of the last slots of
-            ``elapsed``; the present slot is the last.
+        use: time on (s) and pumped volume (m3) in each of the last slots of ``elapsed``; the last
+            entry is the present slot.
         starts: times of the pump's last starts (s, as ``elapsed``); the file keeps the last
             hundred.
-        on: whether the pump was on when this was written.
-        boot: identity of the machine's start after which this was written; empty if unknown.
+        on: whether the pump was on when the record was written.
+        boot: identity of the machine's start after which the record was written; empty if unknown.
         boot_s: time between that start and the writing (s).
     """
 
@@ -128,16 +129,16 @@ class PumpRecord:
 
     @property
     def day_run(self) -> float:
-        """How long the pump was on in the last 24 h (s)."""
+        """Time for which the pump was on in the last 24 h (s)."""
         return math.fsum(run for run, _ in self.use)
 
     @property
     def day_volume(self) -> float:
-        """How much it pumped in the last 24 h (m3)."""
+        """Volume that was pumped in the last 24 h (m3)."""
         return math.fsum(volume for _, volume in self.use)
 
     def clears_in(self, *, run: float = math.inf, volume: float = math.inf) -> float:
-        """Return how long to wait (s) until the use in 24 h is below both limits (s, m3)."""
+        """Return the time (s) until the use in 24 h is below both limits (s, m3)."""
         left = self
         while left.day_run >= run or left.day_volume >= volume:
             left = replace(left, use=left.use[1:])
@@ -146,7 +147,7 @@ class PumpRecord:
 
 
 class Ledger:
-    """Keeps the record, in a file if one is specified.
+    """The pump's record, kept in a file if a file is specified.
 
     If the file is missing, the record is fresh and the file is made immediately. The first ledger
     of a file owns it until the ledger is closed or its process ends. A second ledger reads the file
@@ -177,10 +178,10 @@ class Ledger:
             self._load(file, noted)
 
     def acquire(self) -> bool:
-        """Acquire the file if another ledger had it or it could not be made; return whether it did.
+        """Acquire a file that another ledger had or that could not be created; return the success.
 
         The file's present content counts, plus any hold and fault that arrived here meanwhile. An
-        earlier release does not apply to it, even if it is unreadable.
+        earlier release does not apply to the file's content, even if that is unreadable.
         """
         if self._file is None or self._file_lock is not None:
             return False
@@ -222,7 +223,10 @@ class Ledger:
 
     @property
     def problem(self) -> str:
-        """Why the file could not be written; empty if it was. Control continues regardless."""
+        """Reason why the file could not be written; empty if it was written.
+
+        Control continues regardless.
+        """
         if self._file is None:
             return ""
         if self._file_lock is not None and DISK.late:
@@ -236,7 +240,7 @@ class Ledger:
 
     @property
     def active_hold(self) -> Diagnosis | None:
-        """Who holds the pump, until when and why; None if no one does."""
+        """Owner, end and reason of the hold as a diagnosis; None if there is no hold."""
         owner, reason, until = self.record.hold
         if not owner or (until is not None and self.now >= until):
             return None
@@ -257,7 +261,7 @@ class Ledger:
         self._save()
 
     def release(self) -> None:
-        """End the hold, whoever made it."""
+        """End the hold, whoever its owner is."""
         self.record = replace(self.record, hold_owner="", hold_reason="", hold_until=None)
         self._save()
 
@@ -280,7 +284,7 @@ class Ledger:
         self._save()
 
     def count(self, dt: float, run: float, volume: float) -> None:
-        """Count elapsed time (s), the pump's time on in it (s), and the pumped volume (m3)."""
+        """Count elapsed time (s), the pump's time on during it (s), and the pumped volume (m3)."""
         self._advance(dt)
         *earlier, (before_run, before_volume) = self.record.use or ((0.0, 0.0),)
         present = before_run + run, before_volume + volume
@@ -295,7 +299,7 @@ class Ledger:
         """Count the worst-case use after a node ended before it had seen the pump off.
 
         Args:
-            max_run: longest time that it may have run since the record was written (s).
+            max_run: longest time for which the pump may have run since the record was written (s).
             flow: maximum flow (m3/s).
         """
         if self.record.on:
@@ -313,7 +317,7 @@ class Ledger:
         return self._lines.changed
 
     def flush(self, within: float = _WAIT_S) -> str:
-        """Write the record, and return why it is not on the disk; empty if it is.
+        """Write the record, and return the reason if it is not on the disk, or an empty text.
 
         Args:
             within: longest wait for the disk (s); the write continues after that.
@@ -349,7 +353,7 @@ class Ledger:
 def make_record(file: Path) -> None:
     """Make the file if it is missing, before other files would show that there was a pump node.
 
-    An existing file is left as it is, since the age of its last line counts as unseen use.
+    An existing file is left unchanged, since the age of its last line counts as unseen use.
     """
     if not os.path.lexists(file):
         Ledger(file, time.time).close()
@@ -409,8 +413,8 @@ def _error_text(file: Path, error: Exception) -> str:
         )
     why = getattr(error, "strerror", None) or repr(error)
     return (
-        f"{file} cannot be written: {why}; after a restart, a hold, a fault and how "
-        "much was pumped would be unknown"
+        f"{file} cannot be written: {why}; after a restart, a hold, a fault and the pumped "
+        "volume would be unknown"
     )
 
 
@@ -547,7 +551,7 @@ def _read(file: Path, noted: int | None) -> tuple[PumpRecord, int, bool]:
 
 
 def _traces(file: Path, noted: int | None) -> list[str]:
-    """Return what shows that a missing file existed before; see `_read`."""
+    """Return the evidence that a missing file existed before; see `_read`."""
     if file.is_symlink():
         return [f"it is a link to {file.readlink()}, which is missing"]
     names = *(file.name + ending for ending in _LEFTOVERS), *_OF_SITE

@@ -1,4 +1,4 @@
-"""The limits of a pump: settings, whether it may run within them, and pulses below minimum flow.
+"""Limits of a pump: their settings, the reasons against running, and pulses below minimum flow.
 
 Every inhibit that comes from a limit clears automatically.
 """
@@ -29,15 +29,15 @@ _MAX_EVAPOTRANSPIRATION = 0.010
 _MARGIN = 1.5
 # How far above the level of a dry-run cut the cistern must be before the pump runs again (m).
 _HYSTERESIS = 0.02
-# By how much the speed may differ from the requested one, share of the rated speed.
+# Permitted difference between the speed and the requested speed, as a share of the rated speed.
 _FAR = 0.1
 
 
 def _volume_per_day(site: Site) -> float:
     """Return the volume (m3) that fills an empty roof and replaces a day's loss, with the margin.
 
-    The loss is the maximum evapotranspiration. A field-capacity soil needs more, as it keeps only a
-    share of what is pumped.
+    The loss is the maximum evapotranspiration. A field-capacity soil needs more, as it retains only
+    a share of the pumped water.
     """
     evapotranspiration = _MAX_EVAPOTRANSPIRATION * site.crop_coefficient * site.a2
     replaced = evapotranspiration / soil_of(site).retained_share(site.x2_star)
@@ -138,10 +138,10 @@ class PumpSettings:
 
     @property
     def follow_tolerance(self) -> float:
-        """By how much the speed may differ from the requested one, share of the rated speed.
+        """Permitted difference from the requested speed, as a share of the rated speed.
 
-        It is below the minimum speed, so a stopped pump is never treated as running, and one that
-        runs on after a stop is never treated as stopped.
+        The tolerance is below the minimum speed, so a stopped pump is never treated as running, and
+        a pump that runs on after a stop is never treated as stopped.
         """
         return min(_FAR, self.min_speed / 2)
 
@@ -161,7 +161,7 @@ def pump_parameters(site: Site) -> tuple[Parameter, ...]:
 
 
 class PumpLimits:
-    """Minimum time off, starts per hour, longest run, use in 24 h, dry-run cut, frost, quiet hours.
+    """Limits on time off, starts, run time, use in 24 h, cistern level, frost and quiet hours.
 
     After the node starts, the pump first waits for the minimum time off, since it is unknown how
     long it has been off.
@@ -189,7 +189,7 @@ class PumpLimits:
             self._off_since = self._ledger.record.elapsed
 
     def wait(self) -> tuple[float, str]:
-        """Return how long a pump that is off must wait before it may start (s), and why."""
+        """Return the time until a pump that is off may start (s), and the reason."""
         now, starts = self._ledger.record.elapsed, self._ledger.record.starts
         min_off, allowed = self._settings.min_off, int(self._settings.starts_per_hour)
         waits = [
@@ -212,7 +212,7 @@ class PumpLimits:
             self._rests_for = max(0.0, self._rests_for - dt)
 
     def reasons(self, command: float | None, observed: Observation) -> Iterator[Diagnosis]:
-        """Yield the reasons against running now; to be called at every step.
+        """Yield the present reasons against running; must be called at every step.
 
         Args:
             command: share of the maximum flow; 0 ends the rest after the longest run, and None (no
@@ -259,15 +259,15 @@ class PumpLimits:
 
 
 class Pulses:
-    """Turns a command into a share of flow that the pump can deliver, continuously or in pulses.
+    """Conversion of a command into a flow that the pump can deliver, continuously or in pulses.
 
     Below its minimum flow a pump overheats, and below its minimum speed it delivers nothing; the
     larger of these flows is the minimum share. A smaller command is delivered in pulses at the
     minimum share. A minimum pulse is the volume that this share delivers in the minimum time on.
-    The outstanding volume is the commanded volume minus that delivered by the actual flow. A pulse
-    begins when a minimum pulse will be outstanding by its end, and ends when nothing is
-    outstanding. The pump therefore lags the command by at most a minimum pulse, and exceeds it only
-    by the flow of one step and the flow while coming to rest.
+    The outstanding volume is the commanded volume minus the volume that the actual flow has
+    delivered. A pulse begins when a minimum pulse will be outstanding by its end, and ends when
+    nothing is outstanding. The pump therefore lags the command by at most a minimum pulse, and
+    exceeds it only by the flow of one step and the flow while coming to rest.
 
     The outstanding volume is limited, so that the pump does not catch up on obsolete demand:
 
@@ -278,8 +278,8 @@ class Pulses:
       to the next (in 180 s with 20 starts an hour), or a minimum pulse if that is more.
 
     Attributes:
-        outstanding: commanded minus delivered (m3), within its limits; negative if the minimum time
-            on delivered more than was commanded.
+        outstanding: commanded minus delivered volume (m3), within its limits; negative if the
+            minimum time on delivered more than was commanded.
     """
 
     def __init__(self, site: Site, settings: PumpSettings) -> None:
@@ -311,7 +311,7 @@ class Pulses:
         self._wanted = self._maximum = self.outstanding = 0.0
 
     def update(self, command: float, cistern_level: float, on: bool, since_start: float) -> float:
-        """Update the demand; return the share of the maximum flow to request, 0 for off.
+        """Update the demand, and return the requested share of the maximum flow, 0 for off.
 
         Args:
             command: share of the maximum flow, 0 to 1.

@@ -35,24 +35,24 @@ _STATES = {LATCHED: "fault", INHIBIT: "held", PERMISSIVE: "off"}
 
 @dataclass(frozen=True)
 class Decision:
-    """The order to the drive and what is reported.
+    """Command to the drive, and the values that are reported.
 
     Attributes:
         speed: requested speed, share of the rated speed; None means off.
-        state: off, starting, running, stopping, fault, held, or unknown: the pump is ordered off,
-            but may not be stopped.
+        state: off, starting, running, stopping, fault, held, or unknown, if the pump is commanded
+            off, but may still turn.
         why: reason for the state, in words.
         interlocks: the active interlocks by code, in the order of their table.
         flow: best present estimate of the flow (m3/s).
-        source: how the flow is known.
-        warnings: what an operator should know although it stops nothing.
+        source: source of the flow, in words.
+        warnings: conditions that an operator should know although they do not stop the pump.
         at_rest: whether the pump is stopped, either as reported or because of the drive's own
             timeout.
         reported_speed: speed that the drive reports, share of the rated speed, negative if
             backwards; None if the drive does not answer or its value is implausible.
         flow_known: whether ``flow`` is known; if not, ``flow`` is 0.
-        blind_for: how long the delivery check has been unable to judge (s), because a level is
-            unknown or the levels have not been known for long enough.
+        blind_for: time for which the delivery check has been unable to judge (s), because a level
+            is unknown or the levels have not been known for long enough.
     """
 
     speed: float | None
@@ -76,7 +76,7 @@ class Decision:
 
 
 class PumpControl:
-    """Turns commands into speeds, and keeps the pump off while an interlock is active.
+    """Conversion of commands into speeds, with the pump kept off while an interlock is active.
 
     Attributes:
         doses: the dose that is waiting, is running or ended a moment ago.
@@ -92,7 +92,7 @@ class PumpControl:
         Args:
             site: the site.
             settings: the pump's limits.
-            ledger: the state before this start.
+            ledger: ledger with the state before this start.
             drive_stops_after: time after which a drive that does not answer has stopped (s);
                 infinite if it may run on.
         """
@@ -123,11 +123,11 @@ class PumpControl:
 
     @property
     def dose_refusal(self) -> str:
-        """Why a dose of any volume would be rejected now; empty if it would be accepted."""
+        """Reason why a dose of any volume would be rejected now; empty if there is none."""
         return self.doses.refusal(self._inhibit_reason)
 
     def request_dose(self, request: float, volume: float) -> str:
-        """Accept a request for a dose and return an empty string, or return why it is rejected.
+        """Accept a request for a dose and return an empty string, or return the reason against it.
 
         Args:
             request: time at which it was made (s since 1970), which is its id.
@@ -149,13 +149,13 @@ class PumpControl:
 
     @property
     def clear_refusal(self) -> str:
-        """Why the latched fault must not be cleared from the page; empty if it may be."""
+        """Reason against clearing the latched fault from the page; empty if there is none."""
         record = self._ledger.record
         if not record.fault:
             return "there is no fault"
         row = read_interlocks().get(record.fault_code)
         if row is None or not row.on_page:
-            return "such a fault is reset at the pump node, by someone who has checked the pump"
+            return "someone who has checked the pump must reset this fault at the pump node"
         return ""
 
     def clear(self) -> None:
@@ -170,8 +170,8 @@ class PumpControl:
         """Count unseen time, such as a suspension of the machine; the pump is off after it.
 
         In the worst case, the pump ran on until the drive's own timeout stopped it. This time does
-        not count as time without an answer from the drive: whether it is stopped must be read
-        again.
+        not count as time without an answer from the drive: whether the drive is stopped must be
+        read again.
 
         Args:
             dt: time since the last step (s).
@@ -198,9 +198,9 @@ class PumpControl:
         Args:
             dt: time since the last step (s), 0 at the first.
             observed: present observations.
-            drive_dt: for how long the drive was watched since the last step (s); None if that
-                equals ``dt``. It differs after the machine was suspended, since the drive is then
-                not watched.
+            drive_dt: time for which the drive was watched since the last step (s); None if it
+                equals ``dt``. The two times differ after the machine was suspended, since the drive
+                was then not watched.
         """
         drive_dt = dt if drive_dt is None else drive_dt
         speed_known, backwards, reported = (
@@ -286,7 +286,7 @@ class PumpControl:
         elif state == "off" and turning:
             state = "stopping"
         elif state in ("fault", "held") and turning:
-            why += f"; the pump still turns, at {observed.speed:.2f} of its speed"
+            why += f"; the pump still turns, at {observed.speed:.2f} of its rated speed"
         if observed.speed is None:
             # A drive that answers but reports an implausible speed has not timed out.
             at_rest = not speed_known and self._must_be_at_rest()
@@ -309,7 +309,7 @@ class PumpControl:
     def _flow(
         self, observed: Observation, computed: float | None, warnings: list[Diagnosis]
     ) -> tuple[float | None, str]:
-        """Return the present flow (m3/s; None if unknown), and how it is known.
+        """Return the present flow (m3/s; None if unknown), and its source.
 
         Args:
             observed: the measurements.
@@ -341,7 +341,7 @@ class PumpControl:
         return flow_at(self._site, min(1.0, self._max_speed), level)
 
     def _must_be_at_rest(self) -> bool:
-        """Whether a pump of unknown speed was stopped before, or by now by the drive's timeout."""
+        """Whether a pump of unknown speed has stopped, at the latest by the drive's timeout."""
         return self._max_speed <= STANDSTILL or self._unknown_for > self._drive_stops_after
 
     def _count(self, dt: float, speed: float | None, unseen: float, measured: float) -> None:
@@ -359,9 +359,9 @@ class PumpControl:
     def _is_beyond_ramp(self, speed: float, drive_dt: float) -> bool:
         """Whether the drive's ramp cannot explain the speed of the pump.
 
-        The speed of a drive that obeys is between what the slowest ramp has reached and the
-        requested speed. The ramp continues from the drive's speed, so a new request counts from
-        there. It begins when the pump begins to turn.
+        The speed of a drive that obeys is between the speed that the slowest ramp has reached and
+        the requested speed. The ramp continues from the drive's speed, so a new request counts from
+        there. The ramp begins when the pump begins to turn.
         """
         if self._setpoint is not None and speed <= STANDSTILL:
             self._ramped = speed
@@ -384,7 +384,8 @@ class PumpControl:
     def _flows_at_rest(self, drive_dt: float, observed: Observation) -> Diagnosis | None:
         """Return a fault if a meter shows flow although the drive reports rest.
 
-        A drive knows its motor, and a relay its last order; neither detects a welded contact.
+        A drive knows the state of its motor, and a relay its last command; neither detects a welded
+        contact.
         """
         level = self._site.z_o if observed.cistern_level is None else observed.cistern_level
         minimum = self._settings.min_flow * flow_at(self._site, 1.0, level)
@@ -453,7 +454,7 @@ class PumpControl:
     def _follow(
         self, command: float, full: bool, cistern_level: float, warnings: list[Diagnosis]
     ) -> tuple[float | None, str]:
-        """Return the speed for a command (None means off), and why; no interlock may be active."""
+        """Return the speed for a command (None for off), and why; no interlock may be active."""
         pulses, on = self._pulses, self._setpoint is not None
         demanded = 0.0 if full else command
         since_start = self._limits.since_start

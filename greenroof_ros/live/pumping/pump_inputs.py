@@ -1,6 +1,6 @@
 """The inputs of the pump node, and everything that its control knows at a step.
 
-A new input needs a row and a field here, its topic with the maximum age in
+A new input needs a row and a field in this module, its topic with the maximum age in
 ``msg_defs/topics.yaml``, and its conditions in ``msg_defs/conditions.yaml``.
 """
 
@@ -45,15 +45,16 @@ class Observation:
         command: share of the maximum flow, as received.
         cistern_level: level of the cistern (m).
         roof_level: level of the roof (m).
-        displacements: how far jumps that water cannot cause have moved both readings so far (m).
-        frost: whether there is frost: 1 if so, 0 if there is none.
-        time_ns: time at the site (ns since 1970): system time if live, else simulated time.
+        displacements: total displacements of both readings by jumps that water cannot cause (m).
+        frost: frost signal: 1 if there is frost, otherwise 0.
+        time_ns: time at the site (ns since 1970): system time at a live site, otherwise simulated
+            time.
         speed: speed of the drive, share of the rated speed.
         flow: flow that a flow meter measures (m3/s).
         drive_flow: flow that the drive itself reports (m3/s).
-        drive_ready: whether the drive runs, or would run if asked to.
+        drive_ready: whether the drive runs, or would run if requested.
         drive_fault: the drive's fault, as text; empty if there is none.
-        runs_on: whether that fault is that the drive does not obey a stop.
+        runs_on: whether the fault means that the drive does not obey a stop.
         reasons: the pump node's own reasons against running.
     """
 

@@ -109,7 +109,7 @@ def test_a_clock_that_was_ahead_refuses_one_request(rig: Rig) -> None:
     a_day = 86_400.0
     assert doses.request(now + a_day, 0.1, now + a_day, 0.0, "the pump is held") != ""
     for later in (0.0, 4.9):
-        assert "ask again" in doses.request(now + later, 0.1, now + later, 0.0, "")
+        assert "repeat the request" in doses.request(now + later, 0.1, now + later, 0.0, "")
     assert doses.request(now + 5.1, 0.1, now + 5.1, 0.0, "") == ""
 
 
