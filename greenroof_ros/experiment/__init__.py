@@ -1,1 +1,1 @@
-"""Runs: their options, the closed loop in one process, the clairvoyant bound and summaries."""
+"""Runs: options, the closed loop in one process, the clairvoyant bound, and summaries."""

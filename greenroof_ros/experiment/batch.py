@@ -1,7 +1,7 @@
-"""Simulate many sites together, under on/off control and outlet policies, over whole seasons.
+"""Simulations of many sites together, under on/off control and outlet policies.
 
-Ticks, metrics and forecasts are those of :class:`.closed_loop.Simulation` for one site, but on
-arrays. :mod:`greenroof_ros.model.plants` states how closely the results agree.
+Ticks, metrics and forecasts are the same as in :class:`.closed_loop.Simulation` for a single site,
+but on arrays. :mod:`greenroof_ros.model.plants` states how closely the results agree.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _BLOCK = 1440
 
 
 class Observer(Protocol):
-    """Observe sites that are stepped together."""
+    """Observer of sites that are stepped together."""
 
     def add(self, tick: int) -> None:
         """Add the water that moved in a tick, and the state at its end."""
@@ -53,10 +53,10 @@ class Observer(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class BatchWeather:
-    """Weather tick by tick for all sites that share it; every array has shape (steps + 1,).
+    """Weather, tick by tick, of all sites that share it; every array has shape (steps + 1,).
 
     Attributes:
-        run: run with this weather, whose forecasts the plans use.
+        run: run with this weather; the plans use its forecasts.
         rain: rain rate (m/s).
         evapotranspiration: evapotranspiration of a bed with crop coefficient 1 (m/s).
         frost: 1 in frost, otherwise 0.
@@ -69,7 +69,7 @@ class BatchWeather:
 
     @classmethod
     def of_run(cls, run: Run) -> BatchWeather:
-        """Return the weather of a run, as its readers provide it."""
+        """Return the weather of a run that has been built."""
         series, ticks = run.series, slice(0, run.steps + 1)
         rain, evaporated, frost = (
             np.array(values[ticks])
@@ -82,7 +82,7 @@ class BatchWeather:
         """Read the weather of a run.
 
         Raises:
-            ConfigurationError: if the run is wrong; see :meth:`.RunInputs.build`.
+            ConfigurationError: if an input of the run is invalid; see :meth:`.RunInputs.build`.
         """
         return cls.of_run(inputs.build())
 
@@ -119,7 +119,8 @@ class BatchWeather:
 
         Args:
             tick: number of the tick.
-            with_rain: whether rain is foreseen; otherwise only the current rain is known.
+            with_rain: whether the forecast contains future rain; otherwise only the current rain is
+                known.
 
         Returns:
             Rain (m/s), shape (members, steps), and evapotranspiration of a bed with crop
@@ -136,7 +137,7 @@ class BatchWeather:
 def find_bed(method: str, site: Any) -> Any:
     """Return the area with crop coefficient 1 that evaporates as much as a site's bed (m2).
 
-    A crop coefficient applies to computed evapotranspiration; a column of a file is used as it is.
+    A crop coefficient applies to computed evapotranspiration; a column of a file is used unchanged.
     """
     return site.a2 * site.crop_coefficient if method in COMPUTED else site.a2
 
@@ -147,15 +148,15 @@ class Batch:
 
     Attributes:
         sites: n sites with the same tau.
-        weather: weather of the sites, all with the same number of steps; they may start at
-            different times.
+        weather: different weather of the sites, each with the same number of steps; the starting
+            times may differ.
         weather_of: index of each site's weather, shape (n,).
-        parameters: parameters of each site's controller, ``onoff``, and of its outlet's valve;
-            those left out have their defaults.
+        parameters: parameters of each site's controller, ``onoff``, and of its outlet valve;
+            omitted parameters have their defaults.
         x1: initial volume in each cistern (m3), shape (n,).
         x2: initial volume on each roof (m3), shape (n,).
-        with_forecast: whether plans use the forecasts of the weather's run; otherwise they know
-            the evapotranspiration and the current rain, and foresee no further rain.
+        with_forecast: whether plans use the forecasts of the weather's run; otherwise the plans
+            know the evapotranspiration and the current rain, and expect no more rain.
     """
 
     sites: Sequence[Site]
@@ -177,7 +178,7 @@ class BatchResult:
         hydrograph: discharge of each group's sites to the sewer in each interval of
             :func:`greenroof_ros.model.storm_water.interval_seconds` (m3), shape (groups,
             intervals); None without groups.
-        low_outlet: part of that discharge that leaves through low outlets (m3), in the same form.
+        low_outlet: part of the hydrograph that leaves through low outlets (m3), in the same form.
     """
 
     metrics: dict[str, Values]
@@ -192,11 +193,11 @@ def simulate_batch(
 
     Args:
         batch: batch to simulate.
-        groups: number of each site's group, from 0; None for no hydrograph.
-        progress: called now and then with the share that is done (1).
+        groups: number of each site's group, counted from 0; None for no hydrograph.
+        progress: callback that regularly receives the share of the work that is done (1).
 
     Raises:
-        ConfigurationError: if a parameter is wrong, or the sites differ in tau or number of steps.
+        ConfigurationError: if a parameter is invalid, or the sites differ in tau or in their steps.
     """
     count = len(batch.sites)
     shape = (
@@ -219,15 +220,15 @@ def simulate_parts(
     batch: Batch, begin: Callable[[Part], _Observer],
     progress: Callable[[float], None] | None = None,
 ) -> Iterator[tuple[Part, _Observer]]:
-    """Simulate a batch in this process, and yield every part when it is done.
+    """Simulate a batch in this process, and yield every part after its simulation.
 
     Args:
         batch: batch to simulate.
-        begin: function that returns the observer of a part, which is in its initial state.
-        progress: called now and then with the share that is done (1).
+        begin: function that returns the observer of a part; the part is then in its initial state.
+        progress: callback that regularly receives the share of the work that is done (1).
 
     Raises:
-        ConfigurationError: if a parameter is wrong, or the sites differ in tau or number of steps.
+        ConfigurationError: if a parameter is invalid, or the sites differ in tau or in their steps.
     """
     if len({site.tau for site in batch.sites}) > 1 or len({
         weather.steps for weather in batch.weather
@@ -249,7 +250,7 @@ def _count_per_interval(site: Site) -> int:
 
 
 def _split(sites: Sites, weather_of: Rows) -> Iterator[Rows]:
-    """Yield rows that can be stepped together; those with the same weather are adjacent."""
+    """Yield rows that can be stepped together; rows with the same weather are adjacent."""
     kept = sites.drainage_to_cistern > 0  # needs more steps
     kind = 4 * kept + 2 * sites.has_field_capacity + sites.has_short_ticks
     for value in np.unique(kind):
@@ -263,7 +264,7 @@ class Part:
 
     Attributes:
         rows: indices of the sites in the batch.
-        plants: cisterns and roofs of these sites.
+        plants: cisterns and roofs of the sites.
     """
 
     def __init__(self, batch: Batch, every: Sites, rows: Rows) -> None:
@@ -328,7 +329,7 @@ class Part:
             )
 
     def _find_wet(self) -> Iterator[tuple[Rows, NDArray[np.bool_]]]:
-        """Yield sites, and whether the weather is wet for them in each interval."""
+        """Yield groups of sites, and whether their weather is wet in each interval."""
         tau = float(self._sites.tau[0])
         for weather, wet_after, rows in self._by_wet_after():
             depths = tau * weather.rain[: self._steps]
@@ -350,10 +351,10 @@ class Part:
         ]
 
     def simulate(self, observe: Callable[[int], None]) -> Iterator[int]:
-        """Simulate, and now and then yield the number of ticks since the last time.
+        """Simulate, and regularly yield the number of ticks since the previous yield.
 
         Args:
-            observe: called after every tick with its number.
+            observe: callback that receives the number of every tick after the tick.
         """
         plants, outlets = self.plants, self._outlets
         for tick in range(self._steps):
@@ -373,7 +374,7 @@ class Part:
         yield self._steps % _BLOCK
 
     def _find_changes(self) -> NDArray[np.bool_]:
-        """Return whether the weather differs from the previous tick's, for every tick."""
+        """Return for every tick whether the weather differs from that of the previous tick."""
         changes = np.zeros(self._steps + 1, bool)
         changes[0] = True
         for number in np.unique(self._weather_of):
@@ -394,7 +395,7 @@ class Part:
         self._closed = closed if closed.any() else None
 
     def _find_quiet(self, tick: int) -> NDArray[np.bool_]:
-        """Return which pumps must not run in a tick because of their quiet hours."""
+        """Return for every pump whether quiet hours prevent it from running in a tick."""
         quiet = np.zeros(len(self._sites), bool)
         tick_ns = round(self._sites.tau[0] * 1e9)
         for rows, site, start in self._clocks:
@@ -412,7 +413,7 @@ class Part:
 
 
 def _complete(sites: Sequence[Site], given: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return every parameter of on/off control and the outlet as an array over the sites."""
+    """Return every parameter of on/off control and the outlet, as arrays over the sites."""
     onoff = find_controller("onoff")
     names = [parameter.name for parameter in (*OnOff.parameters, *PARAMETERS)]
     complete = [

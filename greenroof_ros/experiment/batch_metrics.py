@@ -1,7 +1,7 @@
-"""The metrics of many runs together: those of :mod:`greenroof_ros.model.metrics` on arrays.
+"""The metrics of :mod:`greenroof_ros.model.metrics` for many runs together, on arrays.
 
-They are added up tick by tick, and discharges in blocks, so they need no memory that grows with
-the length of a run.
+The metrics are added up tick by tick, and discharges in blocks, so that the memory needed does not
+grow with the length of a run.
 """
 
 from __future__ import annotations
@@ -52,12 +52,13 @@ class BatchMetrics:
             plants: cisterns and roofs of n sites.
             ticks: number of steps of the runs, N.
             per_interval: ticks in an interval of :mod:`greenroof_ros.model.storm_water`.
-            wet: rows, and whether the weather is wet for them in each interval.
-            clocks: groups of runs; every row is in one of them.
+            wet: groups of rows, and whether their weather is wet in each interval.
+            clocks: groups of runs with the same clock; every row is in one group.
             groups: number of each row's group; None without a hydrograph.
             hydrograph: array to which each group's discharge is added (m3), shape (groups,
                 intervals).
-            low_outlet: array to which the part through low outlets is added, in the same form.
+            low_outlet: array to which the part of the discharge through low outlets is added, in
+                the same form.
         """
         self._plants, self._sites = plants, (sites := plants.sites)
         self._tau, self._per_interval, n = float(sites.tau[0]), per_interval, len(sites)
@@ -129,7 +130,7 @@ class BatchMetrics:
         self._near_now[:] = self._stress_now[:] = 0
 
     def _add_intervals(self) -> None:
-        """Add the discharge of the intervals that are complete."""
+        """Add the discharge of all complete intervals."""
         before = self._before
         flows = self._flows[before : self._filled]
         first, last = self._interval, self._interval + len(flows)
@@ -150,7 +151,7 @@ class BatchMetrics:
         self._filled, self._interval = before, last
 
     def _find_peaks(self, flows: Values) -> None:
-        """Find the peaks in the windows that end after the first of these intervals (m3).
+        """Update the peaks (m3) from the windows that end within the given intervals.
 
         The mean over constant pieces is largest where the window begins or ends with a piece.
         """
@@ -175,7 +176,7 @@ class BatchMetrics:
             peak[rows] = np.maximum(peak[rows], largest)
 
     def _end_day(self, rows: Rows) -> None:
-        """Count a day of overflow for the runs in which there was one."""
+        """Count the day as a day of overflow for the runs in which the cistern overflowed."""
         self._overflow_days[rows] += self._of_day[rows] >= MIN_DEPTH * self._area[rows]
         self._of_day[rows] = 0.0
 
@@ -236,7 +237,7 @@ class BatchMetrics:
 
 
 def _find_midnights(clocks: Sequence[Clock], tau: float, ticks: int) -> dict[int, Rows]:
-    """Return the ticks in which a calendar day begins, and the rows for which it begins."""
+    """Return the ticks in which a calendar day begins, each with the rows for which it begins."""
     midnights: dict[int, list[Rows]] = {}
     times = tau * np.arange(ticks, dtype=float)
     for rows, site, start in clocks:
@@ -247,6 +248,6 @@ def _find_midnights(clocks: Sequence[Clock], tau: float, ticks: int) -> dict[int
 
 
 def _share_without(part: Values, whole: Values) -> Values:
-    """Return the share of a whole outside a part of it, at least 0; NaN if the whole is zero."""
+    """Return the share of a whole outside a part, at least 0; NaN if the whole is zero."""
     share = np.divide(part, whole, out=np.full_like(whole, np.nan), where=whole > 0)
     return np.asarray(np.maximum(1 - share, 0.0))

@@ -1,7 +1,7 @@
-"""Simulate many runs under on/off control together, with all the results of :mod:`.closed_loop`.
+"""Simulations of many runs under on/off control, with all the results of :mod:`.closed_loop`.
 
 :mod:`.batch` steps the plants, and :class:`.metrics.BlockMetrics` adds up the results, run by run.
-They equal the results of a single run apart from the rounding of its ticks; see :mod:`.plants`.
+The results equal those of single runs apart from the rounding in each tick; see :mod:`.plants`.
 Only the time with a command above 1 can differ by whole ticks: if the roof is at its target,
 nothing flows, but rounding can put the roof above or below the target.
 """
@@ -37,10 +37,10 @@ _STATE = ("cistern", "roof", "layer")
 def is_covered(
     site: Site, controller: ControllerClass, sensor_and_pump: SensorAndPump, steps: int
 ) -> bool:
-    """Return whether a run can be simulated together with others.
+    """Return whether a run can be simulated together with other runs.
 
-    Runs with short ticks cannot: Euler's method lets an outlet take more than the water above it
-    in one tick and less in the next, which makes rounding errors grow.
+    Runs with short ticks cannot be simulated together: Euler's method lets an outlet take more than
+    the water above it in one tick and less in the next tick, which makes rounding errors grow.
 
     Args:
         site: site of the run.
@@ -61,7 +61,7 @@ def simulate_runs(
 
     Args:
         runs: runs with the same tau and number of steps, all of which :func:`is_covered` accepts.
-        progress: called now and then with the share that is done (1).
+        progress: callback that regularly receives the share of the work that is done (1).
     """
     summaries: dict[int, dict[str, Any]] = {}
     for rows in _split(runs):
@@ -87,7 +87,7 @@ def _weather_key(run: Run) -> tuple[Any, ...]:
 
 
 def _split(runs: Sequence[Run]) -> Iterator[list[int]]:
-    """Yield the indices of runs whose weather is kept at the same time."""
+    """Yield the indices of runs whose weather is held in memory at the same time."""
     if not runs:
         return
     places: dict[tuple[Any, ...], list[int]] = {}
@@ -113,14 +113,14 @@ def _make_batch(runs: Sequence[Run]) -> Batch:
 
 
 class _Records:
-    """Records of runs that are stepped together, until they are added up."""
+    """Records of the ticks of runs that are stepped together, until the records are added up."""
 
     def __init__(self, part: Part, runs: Sequence[Run]) -> None:
-        """Begin with the initial state.
+        """Record the initial state.
 
         Args:
             part: part of a batch.
-            runs: runs of its rows.
+            runs: runs of the part's rows.
         """
         self._plants, self._runs = part.plants, runs
         self._metrics = [BlockMetrics(run.site, run.time_ns(0) / 1e9) for run in runs]

@@ -1,4 +1,4 @@
-"""The minimum total deviation that any controller could reach: a linear program."""
+"""A lower bound of the total deviation that any controller can reach, by a linear program."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BLOCK_S = 60.0
 
 
 class NoBoundError(Exception):
-    """The solver found no optimum; its own message states why."""
+    """The solver found no optimum; the message of the solver states the reason."""
 
 
 def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> float:
@@ -29,45 +29,48 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     The bound is the optimum of a linear program in the roof's volume x2 alone. Every run that the
     plant allows satisfies its constraints, so the bound is at most the deviation of the best run:
 
-    - In a tick the volume changes at most by tau (r a2 - e - q_drain) plus what the pumps can
-      lift. That is tau times the maximum command times the full flow, Eq. (3e), at the initial
-      cistern volume plus all rain until then, since outflow and pumping only lower it. It is 0 in
-      frost and quiet hours, below the pumps' suction level, and if even the roof's minimum volume
-      reaches a2 z_veg. A roof that runs dry loses all the water that it held, which is at least its
-      minimum volume.
-    - It changes at least by tau (r a2 - e - q_drain). The range of q_drain, Eq. (4), covers the
-      volumes that the roof can have; it is 0 if they are all below z_cap.
+    - In a tick, the volume changes at most by tau (r a2 - e - q_drain) plus the volume that the
+      pumps can lift. This volume is tau times the maximum command times the full flow, Eq. (3e), at
+      the initial cistern volume plus all rain until then, since outflow and pumping only lower the
+      cistern. It is 0 in frost and quiet hours, below the pumps' suction level, and if even the
+      roof's minimum volume reaches a2 z_veg. A roof that runs dry loses all the water that it held,
+      which is at least its minimum volume.
+    - In a tick, the volume changes at least by tau (r a2 - e - q_drain). The range of q_drain, Eq.
+      (4), covers the volumes that the roof can have; q_drain is 0 if they are all below z_cap.
     - The volumes that the roof can have are found by following both ends of their range with the
-      same balance. Pumping ends at z_veg, so it lifts the upper end above it by at most one tick's
-      flow.
+      same balance. Pumping stops at z_veg, so it lifts the upper end above z_veg by at most one
+      tick's flow.
     - All water pumped before a tick is at most the initial volume plus all rain until then, minus
-      what stays below the suction level, plus one tick's flow, because the last tick that pumped
-      began at the suction level or above. It is also at most all that the cistern ever held.
+      the volume below the suction level, plus one tick's flow, because the last tick with pumping
+      began at the suction level or above. The water pumped is also at most all water that the
+      cistern ever held.
 
     On a field-capacity soil, the limits apply to the volume after a tick minus a slope times the
-    volume before it. The drainage layer plays no part. The proof is in doc/explanation/bound.md.
+    volume before it. The drainage layer does not matter. The proof is in doc/explanation/bound.md.
 
-    The program neglects several things, which can leave a gap: that the cistern overflows, that the
-    flow falls with its level, that pumping stops at z_veg if the roof can but need not be below it,
-    and that drainage and a dry roof follow from the volume. A plan that is carried out
+    The program neglects four facts, so there can be a gap between the bound and the best run. The
+    cistern can overflow, and the pump flow falls with the cistern's level. Pumping stops at z_veg,
+    even if the range of the roof's volume also extends below it. Drainage and dryness follow from
+    the roof's actual volume. A plan that is carried out
     (:func:`greenroof_ros.experiment.plan.simulate_plan`) shows the gap.
 
-    For blocks of n ticks, the program has one volume each: the mean. The sum of \|x - x*\| over
-    the block is at least n \|mean - x*\| (Jensen). With G_k the sum of the largest changes before
-    tick k, G_k - x_{k,2} never falls, and so neither do its means from block to block: the mean
-    volume rises at most as the mean of G does. The same holds for the minimum changes, and the
-    limits of the volume hold for its mean. So the bound stays valid. On the paper's soil, the bound
-    never rises if blocks are enlarged to whole multiples. On a field-capacity soil, whose limits
-    depend on the size of the blocks, it can rise by up to 0.4 %.
+    For each block of n ticks, the program has a single volume, the mean. The sum of \|x - x*\| over
+    the block is at least n \|mean - x*\| (Jensen). If G_k is the sum of the largest changes before
+    tick k, G_k - x_{k,2} never falls. Its mean therefore does not fall from block to block either,
+    so the mean volume rises by at most as much as the mean of G. The same argument holds for the
+    smallest changes, and the limits of the volume hold for its mean. The bound therefore stays
+    valid. On the paper's soil, the bound never rises if blocks are enlarged to whole multiples. On
+    a field-capacity soil, whose limits depend on the size of the blocks, the bound can rise by up
+    to 0.4 %.
 
     Args:
         run: weather, site, initial state and length; its controller and forecast do not matter.
-        block_s: time that shares one variable, rounded to at least one whole tick (s).
+        block_s: length of a block, rounded to whole ticks, and at least one tick (s).
         max_command: maximum command (share of the maximum flow), from 1e-9 to 100.
 
     Returns:
-        A total deviation (m3, summed over the ticks). No run with these inputs has a smaller one,
-        unless a command exceeds the maximum.
+        A total deviation (m3, summed over the ticks). No run with these inputs has a smaller total
+        deviation, unless a command exceeds the maximum.
 
     Raises:
         NoBoundError: if the solver finds no optimum.
@@ -108,18 +111,19 @@ def _limits(run: Run, max_command: float) -> RoofRange:
 def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
     """Solve the program of :func:`clairvoyant_bound`.
 
-    With y_b the mean of x2 - x2* in block b, in units of x2*, and n_b its ticks, it minimises the
-    sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} + c_b, where y_{-1} is 0 and p, m
-    and c have bounds. On a field-capacity soil, y_{b-1} has a factor. In the optimum either p_b or
-    m_b is 0, so the limits of y_b are limits of both.
+    Let y_b be the mean of x2 - x2* in block b, in units of x2*, and n_b the number of ticks in the
+    block. The program minimises the sum of n_b (p_b + m_b) subject to y_b = p_b - m_b = y_{b-1} +
+    c_b, where y_{-1} is 0, and p, m and c have bounds. On a field-capacity soil, y_{b-1} is
+    multiplied by a factor. In the optimum either p_b or m_b is 0, so the limits of y_b are limits
+    of both.
 
-    The cost is that of the dual: every variable z is between two numbers, and the balance A z is 0.
-    So for any multipliers v, the sum of the minimum values of (w - A'v) z is a lower bound of w z,
-    regardless of the solver's tolerance.
+    The result is the cost of the dual program. Every variable z is between two limits, and the
+    balance A z is 0. For any multipliers v, the sum of the minimum values of (w - A'v) z is a lower
+    bound of w z, regardless of the solver's tolerance.
 
     Args:
         run: the run.
-        limits: its limits.
+        limits: limits of the run.
         edges: first tick of each block, shape (B,).
 
     Returns:
@@ -171,12 +175,13 @@ def _solve(run: Run, limits: RoofRange, edges: NDArray[np.int64]) -> float:
 def _changes(
     limits: RoofRange, slope: Values, edges: NDArray[np.int64]
 ) -> tuple[Values, Values, Values]:
-    """Return how a block's mean follows from the previous block's on a field-capacity soil.
+    """Return limits of a block's mean, given the previous block's, on a field-capacity soil.
 
     Returns:
-        A factor, and the minimum and the maximum of a block's mean minus that factor times the
-        mean before (m3), each of shape (B,). The factor is 0 for blocks that do not follow one of
-        the same length; then these are the limits of the volume.
+        A factor, and the minimum and the maximum of a block's mean minus this factor times the
+        previous block's mean (m3), each of shape (B,). The factor is 0 for a block that does not
+        follow a block of the same length; the minimum and maximum are then the limits of the
+        volume.
     """
     floor, ceiling = limits.low, limits.high
     sizes = np.diff(edges, append=len(floor))
@@ -203,9 +208,9 @@ def _changes(
 def _compose(
     slope: Values, minimum: Values, maximum: Values, ticks: int
 ) -> tuple[Values, Values, Values]:
-    """Return slope, minimum and maximum of ``ticks`` ticks in a row, from each tick on.
+    """Return the slope, minimum and maximum over ``ticks`` consecutive ticks, from each tick on.
 
-    Slopes are not negative, so the minimum result follows from the minimum volume.
+    Slopes are not negative, so the minimum volume leads to the minimum result.
     """
     factor, low, high = slope, minimum, maximum
     for done in range(1, ticks):

@@ -62,7 +62,7 @@ class Simulation:
 
     Attributes:
         site: the simulated site, in the current tick.
-        metrics: metrics of the ticks so far.
+        metrics: metrics of the ticks that have been simulated.
     """
 
     def __init__(
@@ -72,8 +72,8 @@ class Simulation:
 
         Args:
             run: run to simulate.
-            controller: controller that replaces a new one of the run's class.
-            outlet: policy that replaces the run's own for the outlet's valve.
+            controller: controller to use; if None, a new controller of the run's class.
+            outlet: policy of the outlet valve to use; if None, the run's own policy.
         """
         self._run = run
         self._controller = run.make_controller() if controller is None else controller
@@ -84,7 +84,7 @@ class Simulation:
         self._wall_s = 0.0
 
     def ticks(self) -> Iterator[Tick]:
-        """Run the ticks from the current one to N, and yield each of them after its step."""
+        """Run the ticks from the current tick to N, and yield each tick after its step."""
         began = time.monotonic()
         run, site, controller, until = self._run, self.site, self._controller, self.site.tick
         policy, outlet, own_steps = self._outlet, 1.0, self._own_steps
@@ -122,7 +122,7 @@ class Simulation:
         self._wall_s = time.monotonic() - began
 
     def summary(self) -> dict[str, Any]:
-        """Return the content of ``summary.json``, after the last tick."""
+        """Return the content of ``summary.json``; call this after the last tick."""
         return summary.make_summary(
             self._run, self.metrics.results(), self.metrics.weekly_deviations(),
             self.metrics.events(),
@@ -131,12 +131,12 @@ class Simulation:
 
 
 def record(run: Run, ticks: Iterable[Tick], every: int = 1) -> Trajectory:
-    """Run the ticks to their end, and return the trajectory.
+    """Run all ticks, and return the trajectory.
 
     Args:
         run: the run.
         ticks: ticks of the run.
-        every: number of ticks of which the first is kept; the run's last tick is also kept.
+        every: interval of the ticks that are kept (ticks); the last tick of the run is also kept.
     """
     recorded = recorded_columns(run.site)
     values = attrgetter("k", *(column.tick for column in recorded))

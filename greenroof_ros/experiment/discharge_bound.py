@@ -1,9 +1,9 @@
-"""The minimum discharge in wet weather for an amount of mains water, with all weather known.
+"""The minimum discharge in wet weather for a given volume of mains water, in known weather.
 
 HiGHS solves a linear program over the hours of a run. The roof receives the water that the run
-pumps, while the valve of the low outlet and the mains are free. Every weight of mains water, from
-small to large, yields a point of the frontier: with the same irrigation, no control of the valve
-can discharge less in wet weather with as little mains water. The proof is in
+pumps, while the valve of the low outlet and the mains are free. Each weight of mains water, from
+small to large, yields a point of the frontier. With the same irrigation and as little mains water
+as at this point, no control of the valve can discharge less in wet weather. The proof is in
 doc/explanation/bound.md.
 """
 
@@ -66,7 +66,7 @@ class Frontier(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Steps of up to an hour, each in wet or in dry weather; arrays have shape (n,)."""
+    """Steps of up to an hour, each in either wet or dry weather; arrays have shape (n,)."""
 
     seconds: Values
     """duration (s)"""
@@ -83,11 +83,11 @@ class Steps(NamedTuple):
 
 
 def simulate_frontier(run: Run, watch: Callable[[Tick], object] | None = None) -> Frontier:
-    """Simulate a run, and return the frontier for its irrigation.
+    """Simulate a run, and return the frontier for the irrigation of the run.
 
     Args:
         run: run at a site with a valve.
-        watch: called with every tick.
+        watch: callback that receives every tick.
 
     Raises:
         ConfigurationError: if the site has no valve.
@@ -127,7 +127,7 @@ def bound_discharge(
     site, tau = run.site, run.site.tau
     if not site.low_outlet_valve:
         raise ConfigurationError(
-            "needs a valve that lets storm water out (low_outlet_valve: true)", key="site"
+            "must have a valve that releases storm water (low_outlet_valve: true)", key="site"
         )
     seconds = interval_seconds(site)
     ticks = round(seconds / tau)  # of an interval
@@ -170,14 +170,15 @@ def find_frontier(
 
         v' = v + inflow + mains - pumped - released - overflow.
 
-    - v' is at most full, or the volume with a closed valve if that is larger. It is at least the
-      volume that the pumps leave.
-    - Released is at most the volume that the open valve takes from the highest volume in the step.
-    - Overflow is at most the inflow plus the volume above the upper outlet at the beginning.
-    - Mains is at most the volume that its pipe can supply.
+    - v' is at most the full volume, or the volume with a closed valve if this is larger. v' is at
+      least the volume that the pumps leave.
+    - The water released is at most the volume that the open valve drains from the highest level in
+      the step.
+    - The overflow is at most the inflow plus the volume above the upper outlet at the beginning.
+    - The mains water is at most the volume that the mains can supply.
 
-    Every run with this irrigation satisfies these conditions, so its discharge in wet weather plus
-    the weighted mains water is not below the optimum.
+    Every run with the same irrigation satisfies these conditions, so its discharge in wet weather
+    plus the weighted mains water cannot be below the optimum.
 
     Args:
         site: site with a valve.

@@ -1,7 +1,7 @@
-"""The inputs of a run that a user specifies, and the one way to build a run from them.
+"""The inputs of a run that a user specifies, and the function that builds a run from them.
 
 The command line, Python and the grid of a study set the same inputs under the same names, which
-:func:`make_inputs` checks. A new input is a field of :class:`RunInputs`.
+:func:`make_inputs` checks. To add an input, add a field to :class:`RunInputs`.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ from greenroof_ros.weather.series import GAPS, REFUSE, Weather, WeatherSeries
 
 @dataclass(frozen=True)
 class RunInputs:
-    """The inputs of a run; no file has been read yet.
+    """The inputs of a run, before any file is read.
 
     Attributes:
         controller: choice of the controller, which decides how much to pump.
-        parameters: parameters of the controller; those left out have their defaults, some of which
-            depend on the site.
-        site: file of the site, or a site.
-        weather: weather files; or records, which are used unchanged if they are complete; or a
-            data frame.
-        forecast: what the controller knows about the coming weather.
-        sensor_and_pump: how the level sensor and the pumps differ from the paper's.
+        parameters: parameters of the controller; omitted parameters have their defaults, some of
+            which depend on the site.
+        site: site, or path of the site file.
+        weather: weather files, a data frame, or records, which are used unchanged if they are
+            complete.
+        forecast: choice of the forecasts that the controller receives.
+        sensor_and_pump: differences of the level sensor and the pumps from those of the paper.
     """
 
     controller: ControllerChoice = field(default_factory=partial(find_controller, DEFAULT))
@@ -64,8 +64,8 @@ class RunInputs:
     forecast: ForecastChoice = field(default_factory=ForecastChoice)
     sensor_and_pump: SensorAndPump = field(default_factory=SensorAndPump)
     start: str = entry(
-        "time of the first tick (ISO 8601); if it has no offset from UTC, it is in the site's "
-        "time_zone or, if there is none, in the weather's zone or offset",
+        "time of the first tick (ISO 8601); without an offset from UTC, the time is in the site's "
+        "time_zone or, if the site has none, in the zone or offset of the weather",
         default=DEFAULT_START,
     )
     hours: float | None = entry(
@@ -73,27 +73,29 @@ class RunInputs:
     )
     initial: str | None = entry(
         "initial levels of cistern and roof: the name of a state from Table II of the paper, or "
-        "'site' for those in the site file (default: site, or low-low if the file contains none)",
+        "'site' for the levels in the site file (default: site, or low-low if the file contains no "
+        "levels)",
         default=None,
     )
     cistern: float | None = entry(
-        "initial volume in the cistern, instead of a named state; roof must be given, too",
+        "initial volume in the cistern, instead of a named state; roof must also be set",
         0.0, 1e9,
         unit="m3", default=None,
     )
     roof: float | None = entry(
-        "initial volume on the roof, instead of a named state", 0.0, 1e9, unit="m3", default=None
+        "initial volume on the roof, instead of a named state; cistern must also be set",
+        0.0, 1e9, unit="m3", default=None,
     )
     evapotranspiration: str | None = entry(
-        "fao56: computed with FAO-56 Penman-Monteith; hargreaves: from temperature alone, with "
-        "FAO-56 Eq. 52; monthly: the site's monthly_evapotranspiration; or the name of a "
-        "column of the weather file, for example published (default: the file's own column, "
-        "otherwise the first of these three for which the data suffice)", default=None,
+        "source of evapotranspiration. fao56: FAO-56 Penman-Monteith; hargreaves: FAO-56 Eq. 52, "
+        "from temperature alone; monthly: the site's monthly_evapotranspiration; or the name of a "
+        "column of the weather file, for example published (default: the column of the file, "
+        "otherwise the first of these three methods for which the data suffice)", default=None,
     )
     gaps: str = entry(
-        "what to do if an hour of the run is missing from the weather and the gap is not short. "
-        "refuse: stop and list the hours; fill: treat missing rain as no rain, and replace other "
-        "values with the mean at that time of day over the three days before and after",
+        "treatment of hours that are missing from the weather if the gap is not short. refuse: "
+        "stop and list the hours; fill: treat missing rain as no rain, and replace other values "
+        "with the mean at that time of day over the three days before and after",
         choices=GAPS,
         default=REFUSE,
     )
@@ -102,7 +104,7 @@ class RunInputs:
         """Read and check the site.
 
         Raises:
-            ConfigurationError: if the site is wrong.
+            ConfigurationError: if the site is invalid.
         """
         return check_site(self.site) if isinstance(self.site, Site) else read_site(self.site)
 
@@ -110,14 +112,14 @@ class RunInputs:
         self, site: Site,
         read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather,
     ) -> tuple[Weather, Records | None]:
-        """Read the weather, and also return the records, or None if they are from files.
+        """Read the weather; also return the records, or None if the weather is from files.
 
         Args:
             site: the site.
             read: function that reads weather files; see :meth:`build`.
 
         Raises:
-            ConfigurationError: if the weather is wrong.
+            ConfigurationError: if the weather is invalid.
         """
         records = self.weather if isinstance(self.weather, Records) else None
         if is_frame(self.weather):
@@ -130,7 +132,7 @@ class RunInputs:
         return complete_records(records, *what), records
 
     def _find_zone(self, site: Site) -> tzinfo | None:
-        """Return the zone of times without an offset, if the site or the data frame has one."""
+        """Return the zone for times without an offset, if the site or the data frame has a zone."""
         if site.time_zone is not None:
             return site.zone
         return find_zone(self.weather) if is_frame(self.weather) else None
@@ -138,16 +140,16 @@ class RunInputs:
     def build(
         self, read: Callable[[tuple[Path, ...], Site, str | None, str], Weather] = read_weather
     ) -> Run:
-        """Read the files, check the run, and return it.
+        """Read the files, and build and check the run.
 
         Args:
-            read: function that reads weather files; runs that are built together can share what it
-                has read.
+            read: function that reads weather files; it can cache files for runs that are built
+                together.
 
         Raises:
-            ConfigurationError: if an input or a file is wrong, weather or forecasts do not cover
-                the run, or the nodes would reject a value. The error's key is the name of the
-                input, as for :func:`make_inputs`.
+            ConfigurationError: if an input or a file is invalid, if weather or forecasts do not
+                cover the run, or if the nodes would reject a value. The error's key is the name of
+                the input, as for :func:`make_inputs`.
         """
         file = self.site if isinstance(self.site, Path) else None
         site = self.read_site()
@@ -156,7 +158,7 @@ class RunInputs:
             given = self.cistern, self.roof
         elif self.cistern is not None or self.roof is not None:
             lacking = "cistern" if self.cistern is None else "roof"
-            raise ConfigurationError("is missing; specify both volumes", key=lacking)
+            raise ConfigurationError("is missing; set both cistern and roof", key=lacking)
         initial, (x1, x2) = find_state(site, self.initial, given)
         weather, records = self.read_records(site, read)
         start = read_start(self.start, self._find_zone(site) or weather.first.tzinfo)
@@ -178,7 +180,7 @@ class RunInputs:
 
 
 def find_needs(controller: ControllerChoice, parameters: Mapping[str, Any]) -> tuple[bool, float]:
-    """Return whether forecasts have all members, and the time an outlet's plan looks ahead (h)."""
+    """Return whether forecasts have all members, and the look-ahead of an outlet's plan (h)."""
     outlet_horizon = find_horizon(parameters)
     return controller.ensemble or outlet_horizon > 0, outlet_horizon
 
@@ -187,19 +189,20 @@ INPUTS: dict[str, Parameter] = {
     parameter.name: parameter for parameter in (
         Parameter("site", None, meaning="site file"),
         Parameter(
-            "weather", None, meaning="weather files, joined in chronological order, or a pattern "
-            "such as 'weather/2021_*.csv': CSV in this project's format, hourly bulk files from "
-            "Environment and Climate Change Canada, or hourly CSV from Open-Meteo's archive, whose "
-            "rain and radiation are moved from the end of their hour to its start (default: "
-            "config/weather/toronto_2021-07.csv)",
+            "weather", None, meaning="weather files, which are joined in chronological order, or a "
+            "pattern such as 'weather/2021_*.csv'. The files can be CSV in this project's format, "
+            "hourly bulk files from Environment and Climate Change Canada, or hourly CSV from "
+            "Open-Meteo's archive, whose rain and radiation are moved from the end of their hour "
+            "to its start (default: config/weather/toronto_2021-07.csv)",
         ),
         *parameters_of(RunInputs),
         Parameter(
-            "forecast", PERFECT, meaning="what the controller knows about the coming weather. "
-            "perfect: all of it; errors: a forecast as good as real ones; ensemble: several such "
-            "forecasts; a file, or a directory of files: archived forecasts in this project's CSV "
-            "format, or CSV or JSON from Open-Meteo. errors and ensemble are issued every 6 hours, "
-            "and archived forecasts at their own times",
+            "forecast", PERFECT, meaning="knowledge of the controller about the coming weather. "
+            "perfect: all of it; errors: a forecast with errors, by default as large as those of "
+            "real forecasts; ensemble: an ensemble of such forecasts; path of a file or a "
+            "directory of files: archived forecasts in this project's CSV format, or CSV or JSON "
+            "from Open-Meteo. errors and ensemble are issued every 6 hours, and archived forecasts "
+            "at their own times",
         ),
         *choice.INPUTS.values(),
         *sensor_and_pump.PARAMETERS.values(),
@@ -210,16 +213,16 @@ _SCALARS = {parameter.name for parameter in parameters_of(RunInputs)}
 
 
 def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunInputs:
-    """Return the inputs of a run from their values by name: options, keywords or a grid's keys.
+    """Make the inputs of a run from their values by name: options, keywords or a grid's keys.
 
     Args:
         controller: choice of the controller.
         given: values of :data:`INPUTS` and of the controller's parameters; None stands for the
-            default. ``site`` may be a site; ``weather`` the names of one or several files, records
-            or a data frame; ``start`` a date or a datetime; and ``initial`` the two volumes.
+            default. ``site`` may be a site, and ``weather`` can be one or more file names, records
+            or a data frame. ``start`` may be a date or a datetime, and ``initial`` the two volumes.
 
     Raises:
-        ConfigurationError: if a name is unknown or a value is wrong; the error's key is the name.
+        ConfigurationError: if a name is unknown or a value is invalid; the error's key is the name.
     """
     values = {name: value for name, value in given.items() if value is not None}
     own = {name: values.pop(name) for name in controller.parameters if name in values}
@@ -239,7 +242,7 @@ def make_inputs(controller: ControllerChoice, given: Mapping[str, Any]) -> RunIn
     text = values.get("forecast", PERFECT)
     if not isinstance(text, (str, os.PathLike)):
         raise ConfigurationError(
-            "must be the name of a kind of forecast, or a path",
+            "must be the name of a forecast model, or a path",
             key="forecast", value=text,
         )
     further: dict[str, Any] = {}
@@ -278,7 +281,7 @@ def _find_site(site: Any) -> Path | Site:
         return Path(site)
     if not isinstance(site, Site):
         raise ConfigurationError(
-            "must be a site file, or a site from gr.read_site", key="site", value=site
+            "must be the name of a site file, or a site from gr.read_site", key="site", value=site
         )
     return site
 
@@ -292,14 +295,14 @@ def _find_weather(weather: Any) -> Any:
     ):
         kind = type(weather)
         raise ConfigurationError(
-            "must be a file, a pattern or a list of them, or a polars or pandas data frame, not "
-            f"of type {kind.__module__}.{kind.__qualname__}", key="weather",
+            "must be a file name, a glob pattern or a list of these, or a polars or pandas data "
+            f"frame, not an object of type {kind.__module__}.{kind.__qualname__}", key="weather",
         )
     return tuple(find_files(map(os.fspath, names), "weather"))
 
 
 def _refuse_what_nodes_refuse(site: Site, series: WeatherSeries, x1: float, x2: float) -> None:
-    """Reject values that the graph's nodes reject, because both must produce the same numbers."""
+    """Reject values that the graph's nodes would reject, so that both produce the same numbers."""
     topics = read_topics()
     for name, value in (
         ("/cistern/level", site.cistern_level(x1)),

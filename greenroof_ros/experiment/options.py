@@ -1,4 +1,4 @@
-"""The options of a run and of its output, which are shared by several commands."""
+"""The options of a run and of its output, which more than one command has."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from greenroof_ros.model.initial_state import INITIAL_STATES
 def add_run_arguments(
     parser: Parser, arguments: Sequence[str] | None = None
 ) -> None:
-    """Add the options that decide a run's numbers, which are the same in ``simulate`` and ``run``.
+    """Add the options that determine a run's results, the same for ``simulate`` and ``run``.
 
     Args:
-        parser: the command's parser.
-        arguments: command line that it will parse; ``sys.argv`` if None.
+        parser: parser of the command.
+        arguments: command line that the parser will receive; ``sys.argv`` if None.
 
     Raises:
         ConfigurationError: if there is no such controller.
@@ -55,7 +55,7 @@ def add_controller_arguments(
     parser: Parser, group: argparse._ArgumentGroup,
     arguments: Sequence[str] | None = None, default: str = DEFAULT,
 ) -> None:
-    """Add the options for the controller's name and for the parameters of that controller.
+    """Add the options for the name of the controller and for its parameters.
 
     Args:
         parser: the command's parser.
@@ -68,8 +68,8 @@ def add_controller_arguments(
     """
     group.add_argument(
         "--controller", default=default, metavar="NAME",
-        help=f"{', '.join(BUILT_IN)}, or package.module:Class for your own; in a graph "
-        "also external, a node that you run yourself (default: %(default)s)",
+        help=f"{', '.join(BUILT_IN)}, or package.module:Class for your own controller; in a graph, "
+        "also external for a node that you run yourself (default: %(default)s)",
     )
     # The controller's parameters are options, so its name is needed before the rest is parsed.
     name = Parser(add_help=False, exit_on_error=False)
@@ -81,7 +81,7 @@ def add_controller_arguments(
     parser.hint = f"the parameters of {controller.name} are {options}"
     of_controller = parser.add_argument_group(
         f"parameters of {controller.name}",
-        "With another --controller, --help shows its parameters.",
+        "To see the parameters of another controller, add --controller to --help.",
     )
     of_controller.add_argument(
         "--parameters", type=Path, metavar="FILE",
@@ -119,7 +119,7 @@ def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings:
 
 
 def option_of(name: str) -> str:
-    """Return the name of an input's option."""
+    """Return the name of the option for an input."""
     return f"--{name.replace('_', '-')}"
 
 
@@ -151,7 +151,7 @@ def add_output_arguments(parser: Parser) -> argparse._ArgumentGroup:
 
 
 def _read_options(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
-    """Return the values of the options that the command has and the command line contains."""
+    """Return the values of the options that occur in the command line."""
     values = {name: getattr(arguments, name, None) for name in names}
     return {name: value for name, value in values.items() if value is not None}
 

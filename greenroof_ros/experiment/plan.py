@@ -1,4 +1,4 @@
-"""The plan of ``lookahead`` with perfect knowledge of the weather, carried out."""
+"""A simulation of the plan that ``lookahead`` makes with perfect knowledge of the weather."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class PlanResult(NamedTuple):
 
 
 class _PlanController:
-    """Fill the roof to the levels of a plan for the whole run."""
+    """Controller that fills the roof to the levels of a plan for the whole run."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
 
@@ -64,7 +64,7 @@ class _PlanController:
         self, cistern_level: float, roof_level: float, precipitation: Sequence[float],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Return the command for the current tick; the run ends in the state of the last tick."""
+        """Return the command for the current tick, which is 0 in the last tick of the run."""
         self._tick += 1
         if self._tick == self._steps:
             return 0.0
@@ -91,8 +91,8 @@ def simulate_plan(run: Run, max_command: float = 1.0) -> PlanResult:
 
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the run in steps of five
     minutes, or of a ten-thousandth of a long run. The time after the run does not count, and the
-    soil is not simplified. On every site, the total deviation of the plan is an upper bound of the
-    minimum possible total.
+    soil is not simplified. For every site, the total deviation of the plan is an upper bound of the
+    minimum possible total deviation.
 
     Args:
         run: weather, site, pumps, initial state and length; its controller, its forecast and the
@@ -111,12 +111,12 @@ def simulate_plan(run: Run, max_command: float = 1.0) -> PlanResult:
 
 
 def find_pumping_ticks(run: Run, first: int = 0, last: int | None = None) -> NDArray[np.bool_]:
-    """Return whether frost and quiet hours allow the pumps to run in each tick, shape (ticks,).
+    """Return for each tick whether frost and quiet hours allow pumping, shape (ticks,).
 
     Args:
         run: the run.
         first: first tick.
-        last: tick after the last one; by default N.
+        last: tick after the last tick; by default N.
     """
     n, hours = run.steps if last is None else last, run.site.quiet
     may_pump = np.asarray(np.frombuffer(run.series.frost[first:n]) == 0)

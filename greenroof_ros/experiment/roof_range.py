@@ -20,7 +20,7 @@ ROUNDING = 1e-9
 
 
 class RoofRange(NamedTuple):
-    """Limits of the roof's volume, regardless of what the controller does; volumes in m3."""
+    """Limits of the roof's volume for any controller; all volumes are in m3."""
 
     low: Values
     """minimum volume, shape (N+1,)"""
@@ -39,7 +39,7 @@ class RoofRange(NamedTuple):
 def roof_range(
     site: Site, x2: float, rain: Values, evapotranspiration: Values, pumped: Values
 ) -> RoofRange:
-    """Follow the range of the roof's volume for everything that the pumps can do.
+    """Compute the range of the roof's volume for all possible pumping, tick by tick.
 
     Args:
         site: parameters of the site.
@@ -74,13 +74,14 @@ def _limits_of_tick(
     site: Site, soil: Soil, low: float, high: float, rain: float, potential: float,
     max_pumped: float, short: bool,
 ) -> tuple[float, ...]:
-    """Follow the range of the roof's volume through a tick.
+    """Compute the range of the roof's volume after a tick.
 
-    On a field-capacity soil, the share of arriving water that stays falls with the volume, while
-    evaporation and the excess above field capacity rise with it. So the change without pumping is
-    largest at the minimum volume, as on the paper's soil, which drains above z_cap. The volume
-    after a tick rises with the volume before it, by about the slope of the chord over the range. If
-    this slope times the volume before the tick is subtracted, the limits are close together.
+    On a field-capacity soil, the retained share of arriving water falls with the volume, while
+    evaporation and the excess above field capacity rise with the volume. The change without pumping
+    is therefore largest at the minimum volume, as on the paper's soil, which drains above z_cap.
+    The volume after a tick rises with the volume before it, by about the slope of the chord over
+    the range. After subtraction of the slope times the volume before the tick, the limits are close
+    together.
 
     Args:
         site: parameters of the site.
@@ -90,7 +91,7 @@ def _limits_of_tick(
         rain: rain on the roof (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
         max_pumped: maximum volume that the pumps can lift in the tick (m3).
-        short: whether the tick is short, so the pumps can fill the roof above its target.
+        short: whether the tick is short, so that the pumps can fill the roof above its target.
 
     Returns:
         The fields of :class:`RoofRange`; the slope is 1 on the paper's soil.
@@ -128,13 +129,13 @@ def _ends(
 ) -> list[float]:
     """Return candidates for the minimum and maximum volume after a tick, minus a line (m3).
 
-    The drainage of the paper's soil begins at z_cap with a jump, and is linear above it. So the
-    extremes are at the ends of the range and on both sides of z_cap.
+    The drainage of the paper's soil begins at z_cap with a jump, and is linear above z_cap. The
+    extremes are therefore at the ends of the range and on both sides of z_cap.
 
-    On a field-capacity soil, the volume after a tick is a continuous and concave function of the
-    volume before it between the wilting point, the onset of stress and field capacity; subtracting
-    a line changes neither property. So the minimum is at an end of these pieces, and the maximum is
-    at an end or where the slope is 0.
+    On a field-capacity soil, the volume after a tick is a continuous function of the volume before
+    the tick. It is concave between the wilting point, the onset of stress and field capacity.
+    Subtracting a line changes neither property. The minimum is therefore at an end of one of these
+    pieces, and the maximum is at an end or where the slope is 0.
 
     Args:
         site: parameters of the site.
@@ -143,7 +144,7 @@ def _ends(
         high: maximum volume before the tick (m3).
         arriving: rain and pumped water (m3/s).
         potential: evapotranspiration of plants that lack no water (m3/s).
-        line: slope of the line: this many times the volume before the tick is subtracted.
+        line: slope of the line, by which the volume before the tick is multiplied.
     """
     if not soil.has_field_capacity:
         full, ends = site.z_cap, []

@@ -1,4 +1,4 @@
-"""A run: its site, weather, controller and initial state, its start and its length."""
+"""A run, with its site, weather, controller, initial state, start and length."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ _FAR_KM = 50.0
 
 @dataclass(frozen=True)
 class Run:
-    """Everything that decides a run's numbers.
+    """All data that determine the results of a run.
 
     Attributes:
         site_file: file of the site; None if a program passed the site.
         site: parameters of the site.
         weather: hourly records.
         series: the weather, tick by tick.
-        forecast: what the controller knows about the weather.
+        forecast: forecasts that the controller receives.
         start: time of tick 0.
         steps: number of steps, N; the states are x_0..x_N.
         controller: the chosen controller.
@@ -48,7 +48,7 @@ class Run:
         x1: initial volume in the cistern (m3).
         x2: initial volume on the roof (m3).
         forecast_choice: choice of the forecasts that the controller receives.
-        sensor_and_pump: how the level sensor and the pumps differ from the paper's.
+        sensor_and_pump: differences of the level sensor and the pumps from those of the paper.
         records: weather records that a program passed; None if they are from files.
     """
 
@@ -69,7 +69,7 @@ class Run:
     records: Records | None = None
 
     def __deepcopy__(self, _: object) -> Run:
-        """Return the run itself: it never changes, and its weather can cover years."""
+        """Return the run itself, which never changes and whose weather can be large."""
         return self
 
     def time_ns(self, tick: int) -> int:
@@ -77,7 +77,7 @@ class Run:
         return epoch_ns(self.start) + tick * round(self.site.tau * 1e9)
 
     def count_ticks_between(self, every_s: float) -> int:
-        """Return the number of ticks from one kept tick to the next, for a time (s), rounded."""
+        """Return the interval of the kept ticks (ticks) for a time between them (s), rounded."""
         return max(1, round(every_s / self.site.tau))
 
     @property
@@ -87,7 +87,7 @@ class Run:
         return float(look_ahead_ends(self.site, horizon, find_horizon(self.parameters))[-1])
 
     def notes(self) -> list[str]:
-        """Return sentences that a reader must know before the results."""
+        """Return notes that a reader should see before the results."""
         return [
             *self._note_short(), *_note_far(self.weather, self.site),
             *filter(None, [self.weather.rain_note]), *note_full_roof(self.site, self.x2),
@@ -95,7 +95,7 @@ class Run:
         ]
 
     def _note_short(self) -> Iterator[str]:
-        """Yield a sentence if the run is shorter than the look-ahead."""
+        """Yield a note if the run is shorter than the look-ahead."""
         length = self.steps * self.site.tau
         if length < self.look_ahead_s:
             end = self.start + timedelta(seconds=length)
@@ -110,7 +110,7 @@ class Run:
         return self.controller.make(self.site, self.parameters)
 
     def make_outlet(self, controller: Controller) -> OutletPolicy | None:
-        """Create the policy that commands the outlet's valve next to a controller, if any.
+        """Create the policy of the outlet valve; return None for a site without a valve.
 
         Args:
             controller: the run's controller.
@@ -119,7 +119,7 @@ class Run:
 
 
 def _note_far(weather: Weather, site: Site) -> Iterator[str]:
-    """Yield a sentence for every weather file whose place is far from the site."""
+    """Yield a note for every weather file whose place is far from the site."""
     if site.latitude is None or site.longitude is None:
         return
     for file, place in weather.places.items():
@@ -127,21 +127,22 @@ def _note_far(weather: Weather, site: Site) -> Iterator[str]:
         if away > _FAR_KM:
             yield (
                 f"{file} is from {format_place(*place)}, {away:.0f} km from the site at "
-                f"{format_place(site.latitude, site.longitude)}; is it the right weather?"
+                f"{format_place(site.latitude, site.longitude)}; check that this weather applies "
+                "to the site"
             )
 
 
 def count_ticks(site: Site, length: float | None, key: str, unit_s: float = 3600.0) -> int:
-    """Return the number of ticks in a length of time, such as N for a run.
+    """Return the number of ticks in a period, such as N for a run.
 
     Args:
         site: the site, which sets the duration of a tick.
-        length: length of the run (h), or of another time in its unit; None for the site's own N.
-        key: option or key that sets the length, for messages.
+        length: length of the period, in ``unit_s``; None for the N of the site.
+        key: option or key that sets the length, for error messages.
         unit_s: unit of the length (s).
 
     Raises:
-        ConfigurationError: if the length is not a whole number of ticks, or less than one.
+        ConfigurationError: if the length is not a whole number of ticks, or is less than one tick.
     """
     if length is None:
         return site.N
@@ -149,7 +150,7 @@ def count_ticks(site: Site, length: float | None, key: str, unit_s: float = 3600
     steps = round(seconds / site.tau) if math.isfinite(seconds) else 0
     if steps < 1 or not math.isclose(steps * site.tau, seconds, rel_tol=1e-9):
         raise ConfigurationError(
-            f"must be a whole number of ticks of {site.tau:g} s, and at least one",
+            f"must be a whole number of ticks of {site.tau:g} s, and at least one tick",
             key=key, value=length,
         )
     return steps

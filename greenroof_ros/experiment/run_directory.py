@@ -1,4 +1,4 @@
-"""The directory of a run: its bag, its summary, its logs and the exact configuration used."""
+"""The directory of a run, with its bag, its summary, its logs and its exact configuration."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _RUNS = Path("runs")
 
 
 def make_run_directory(output: Path | None, controller: str) -> Path:
-    """Create the directory of a run: ``output``, or a dated one under ``runs/``.
+    """Create the directory of a run: ``output``, or a dated directory in ``runs/``.
 
     Raises:
         ConfigurationError: if the directory is not empty, or cannot be created or written to.
@@ -34,7 +34,7 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
         directory.mkdir(parents=True, exist_ok=True)
         if any(directory.iterdir()):
             raise ConfigurationError(
-                "exists and is not empty; a run is never overwritten",
+                "exists and is not empty; a run never overwrites files",
                 key="--output", value=str(directory),
             )
         (directory / "configuration").mkdir()
@@ -43,11 +43,11 @@ def make_run_directory(output: Path | None, controller: str) -> Path:
 
 @contextmanager
 def writable(directory: Path, option: str = "--output") -> Iterator[None]:
-    """Turn a failure to write into a :class:`ConfigurationError` that names the directory.
+    """Convert a write error to a :class:`ConfigurationError` that names the directory.
 
     Args:
-        directory: the directory to which something is written.
-        option: option that names it.
+        directory: directory to which files are written.
+        option: option that sets the directory.
     """
     try:
         yield
@@ -58,7 +58,7 @@ def writable(directory: Path, option: str = "--output") -> Iterator[None]:
 
 
 def _make_dated_directory(controller: str) -> Path:
-    """Create a directory named after this second, with -2 and so on appended if it exists."""
+    """Create a directory named after the current second, with a suffix such as -2 if it exists."""
     name = f"{datetime.now().astimezone().strftime('%Y-%m-%dT%H-%M-%S')}-{controller}"
     _RUNS.mkdir(exist_ok=True)
     for number in count(1):
@@ -72,12 +72,13 @@ def _make_dated_directory(controller: str) -> Path:
 def write_configuration(
     directory: Path, run: Run, nodes: dict[str, object]
 ) -> Path:
-    """Copy the files from which a run was built, and write the parameters of its nodes.
+    """Copy the input files of a run, and write the parameters of its nodes.
 
     Args:
         directory: directory of the run.
         run: the run.
-        nodes: parameters of the plant that the run does not set; the recorder shares peer_limit.
+        nodes: parameters of the plant that the run does not set; peer_limit is also for the
+            recorder.
 
     Returns:
         The ROS 2 parameter file that all nodes of the run read.
@@ -141,7 +142,7 @@ def write_parameters(directory: Path, parameters: Mapping[str, Mapping[str, obje
 
     Args:
         directory: directory of the file.
-        parameters: parameters of each node, by the node's name.
+        parameters: parameters of each node, by the name of the node.
     """
     file = directory / "parameters.yaml"
     of_nodes = {f"/**/{name}": {"ros__parameters": values} for name, values in parameters.items()}

@@ -41,13 +41,13 @@ def make_summary(
 
     Args:
         run: the run.
-        metrics: its results, by their names in :data:`greenroof_ros.model.metrics.METRICS`.
+        metrics: results of the run, by their names in :data:`greenroof_ros.model.metrics.METRICS`.
         weeks: total deviation of each week (m3).
-        events: events of rain.
-        wall_s: duration in wall time (s).
-        solver: statistics of the controller; None if it has no solver.
+        events: rain events.
+        wall_s: wall time of the run (s).
+        solver: statistics of the controller's solver; None if there is no solver.
         messages: number of messages on each topic in the bag.
-        happened: what happened during the run, as for :func:`make_unfinished_summary`.
+        happened: other keyword arguments of :func:`make_unfinished_summary`.
     """
     return {
         **make_unfinished_summary(run, DONE, last_tick=run.steps, **happened),
@@ -73,16 +73,16 @@ def make_unfinished_summary(
     parameter_changes: Sequence[Mapping[str, Any]] = (),
     parameter_change_count: int = 0,
 ) -> dict[str, Any]:
-    """Assemble the summary of an unfinished run, without metrics, which describe whole runs.
+    """Assemble the summary of an unfinished run, without metrics, which apply to whole runs only.
 
     Args:
         run: the run.
-        status: one of the statuses above.
-        reason: why the run ended.
-        last_tick: last tick that the plant reported.
-        refused: number of values rejected until then, by topic.
-        parameter_changes: latest changes of parameters until then, with their ticks.
-        parameter_change_count: number of all changes.
+        status: status of the run, such as :data:`RUNNING`.
+        reason: reason for the end of the run.
+        last_tick: last tick reported by the plant.
+        refused: number of values rejected so far, by topic.
+        parameter_changes: latest changes of parameters so far, with their ticks.
+        parameter_change_count: number of all changes of parameters.
     """
     repeats_from = run.forecast.repeats_from
     choice = run.forecast_choice
@@ -114,7 +114,7 @@ def make_unfinished_summary(
 
 
 def describe_setting(run: Run) -> dict[str, Any]:
-    """Return the place and time of a run, and what a reader must know before its results."""
+    """Return the place and time of a run, and the notes that precede its results."""
     weather = run.weather
     layer = {} if run.site.drainage_storage is None else {"layer_m3": run.site.initial_layer}
     return {
@@ -135,11 +135,11 @@ def describe_setting(run: Run) -> dict[str, Any]:
 
 
 def write(summary: Mapping[str, Any], directory: Path) -> None:
-    """Write a summary to the directory of its run, if possible either whole or not at all.
+    """Write a summary to the directory of its run, atomically if possible.
 
     The table of events is written together with the summary of a completed run. If the disk is so
-    full that there is no room for a second file, the old file is overwritten, which allows the run
-    to record that it ended.
+    full that there is no room for a second file, the old file is overwritten, so that the end of
+    the run is still recorded.
 
     Raises:
         OSError: if the summary cannot be written.
@@ -161,16 +161,16 @@ def write(summary: Mapping[str, Any], directory: Path) -> None:
 
 
 def find_site_file(run: Path) -> Path:
-    """Return the path of a run's site file, which a live site keeps in a directory of its own."""
+    """Return the path of a run's site file, which is in its own directory for a live site."""
     configuration = run / "configuration"
     return next(iter((configuration / "site").glob("*")), configuration / SITE_FILE)
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the software that computes a run's numbers.
+    """Return the versions of the software that determines the results of a run.
 
     ``source`` is a hash of this package's source files and not a commit, because an installed
-    package does not know its commit, and changed files do not belong to one.
+    package does not know its commit, and edited files do not belong to any commit.
     """
     result = {
         "greenroof_ros": __version__,
@@ -186,14 +186,14 @@ def versions() -> dict[str, str]:
 
 
 def format_versions(by_name: Mapping[str, str]) -> str:
-    """Return versions as text for people, with a name for the hash that they understand."""
+    """Return versions as text for people, with an intelligible name for the hash."""
     names = {"source": "hash of its source files"}
     return ", ".join(f"{names.get(name, name)} {version}" for name, version in by_name.items())
 
 
 @functools.cache
 def _source() -> str:
-    """Return twelve digits that identify this package's code, since a version has many commits."""
+    """Return twelve digits that identify this package's code, as a version has many commits."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
     for file in sorted(package.rglob("*.py")):

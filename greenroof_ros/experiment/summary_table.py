@@ -1,4 +1,4 @@
-"""The summary of a run as a table on the screen."""
+"""The summary of a run, shown as a table on the screen."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _COLLECTED = 0.1
 
 
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield every metric: in capitals if it is above its limit, and not if it is 0 as expected."""
+    """Yield the metrics, without those that are 0 as expected, and in capitals above a limit."""
     left_out = _IN_FILES if _collects_storm_water(summary) else _IN_FILES | _STORM_WATER
     for metric in METRICS:
         value = summary.get(metric.name, 0)
@@ -41,20 +41,20 @@ def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def _collects_storm_water(summary: Mapping[str, Any]) -> bool:
-    """Return whether a catchment drains to the cistern, or a valve lets water out of it.
+    """Return whether a catchment drains to the cistern, or the cistern has an outlet valve.
 
-    The inlet of the paper's cistern, 0.3 m2, collects next to nothing.
+    The inlet of the paper's cistern, 0.3 m2, collects almost no rain.
     """
     rain = summary.get("rain_cistern_m3", 0.0), summary.get("rain_roof_m3", 0.0)
     return "outlet" in summary["parameters"] or 0 < _COLLECTED * rain[1] <= rain[0]
 
 
 def _event_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the number of events of rain, with a description of the largest."""
+    """Yield the number of rain events, with a description of the largest event."""
     events = summary.get("events")
     if events and _collects_storm_water(summary):
         largest = max(events, key=lambda event: float(event["rain_mm"]))
-        yield "events of rain", str(len(events)), (
+        yield "rain events", str(len(events)), (
             f"the largest of {largest['rain_mm']:.1f} mm, {largest['volume_reduction']:.0%} of its "
             f"volume and {largest['peak_reduction']:.0%} of its peak kept from the sewer"
         )
@@ -66,7 +66,7 @@ def _limit(value: float | None) -> str:
 
 
 def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the initial volumes of a run as text (m3), and their description."""
+    """Return the initial volumes of a run as text (m3), and a description of them."""
     volumes, tanks = [initial["cistern_m3"], initial["roof_m3"]], "in cistern / on roof"
     if initial.get("layer_m3"):
         volumes.append(initial["layer_m3"])
@@ -75,7 +75,7 @@ def _initial(initial: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
-    """Return a table in which every line is a word, a number and its description."""
+    """Return a table in which every row is a label, a number and a description."""
     table = Table(title=title, title_justify="left", show_header=False)
     table.add_column(style="bold")
     table.add_column(justify="right")
@@ -86,7 +86,7 @@ def grid(title: str, lines: Iterable[tuple[str, str, str]]) -> Table:
 
 
 def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the lines that are shown at the end of a run: a word, a number and its description."""
+    """Yield the rows of the table at the end of a run: a label, a number and a description."""
     parameters = {key: value for key, value in summary["parameters"].items() if value is not None}
     yield from setting_rows(summary)
     yield "controller", summary["controller"], _listed(parameters)
@@ -116,8 +116,8 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     if summary["frost_hours"]:
         yield (
             "FROST", f"{summary['frost_hours']:.1f} h",
-            "at or below 0 degC, in which nothing was pumped; "
-            f"{summary['precipitation_in_frost_mm']:.1f} mm of snow or rain treated as rain",
+            f"at or below 0 degC, without pumping; {summary['precipitation_in_frost_mm']:.1f} mm "
+            "of precipitation, treated as rain",
         )
     for quantity, hours in summary["filled"].items():
         yield "FILLED", quantity, ", ".join(hours)
@@ -147,7 +147,7 @@ def rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield lines on the site and the weather of a run, its initial state and its length."""
+    """Yield rows on the site and the weather of a run, its initial state and its length."""
     start = datetime.fromisoformat(summary["start"])
     end = start + timedelta(seconds=summary["steps"] * summary["tau_s"])
     places = [format_place(*place) for place in summary["weather_places"]]
@@ -167,7 +167,7 @@ def setting_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def print_notes(console: Console, summary: Mapping[str, Any]) -> None:
-    """Print the notes that a reader must know before the results."""
+    """Print the notes that a reader should see before the results."""
     for note in summary["notes"]:
         console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
 
@@ -180,7 +180,7 @@ def _listed(values: Mapping[str, Any]) -> str:
 
 
 def show(summary: Mapping[str, Any], directory: Path, *, as_json: bool) -> None:
-    """Print a summary: as a table with the run's directory, or as JSON without it."""
+    """Print a summary as a table, with the run's directory, or as JSON."""
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
     else:

@@ -25,7 +25,7 @@ OPTIONS = {
     "--controller onoff --weight 0.1": "--weight 0.1 (the parameters of onoff are --fraction",
     "--controller mpc --weight 0,1":
         "must be a number greater than 0 and at most 1000000, with a decimal point",
-    "--cistern 60": "--roof: is missing; specify both volumes",
+    "--cistern 60": "--roof: is missing; set both cistern and roof",
     "--initial low-low --cistern 60 --roof 2": "--initial",
     "--hours 0.0001": "whole number of ticks",
     "--start 2021-07-06T23:00-05:00": "2021-07-07T00:00-05:00",

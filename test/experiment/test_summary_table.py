@@ -31,7 +31,7 @@ def test_storm_water_is_shown_where_it_is_collected(
     assert {"outflow", "pumped", "rain kept"} <= words
     storm = {
         "discharge", "discharge in wet weather", "peak discharge, 5 min", "overflow",
-        "days of overflow", "retention", "events of rain",
+        "days of overflow", "retention", "rain events",
     }
     assert words & storm == (storm if shown else set())
     assert sum("peak" in word for word in words) == shown

@@ -43,7 +43,7 @@ def test_a_sites_own_state_is_what_a_run_begins_in(tmp_path: Path) -> None:
     assert paper_run().initial == "low-low"
     for others, wrong in (
         (("--initial", "low-low", "--cistern", "60", "--roof", "2"), "has volumes that differ"),
-        (("--cistern", "60"), "--roof: is missing; specify both volumes"),
+        (("--cistern", "60"), "--roof: is missing; set both cistern and roof"),
     ):
         with pytest.raises(ConfigurationError, match=wrong):
             paper_run(*others)
