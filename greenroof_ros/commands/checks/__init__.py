@@ -1,1 +1,1 @@
-"""Checks of whether nodes from other packages conform to the interface."""
+"""Checks of nodes from other packages against the interface."""

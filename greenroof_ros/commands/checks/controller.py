@@ -1,4 +1,4 @@
-"""Check, by topics only, of whether a controller node obeys the rules of a lockstep graph."""
+"""Check of a controller node against the rules of a lockstep graph, through topics only."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class ControllerCheck(NodeCheck):
         Args:
             node: the node that plays the controller's peers.
             controller: name of the controller's node, without namespace.
-            site: site that sets the levels.
+            site: site from which the levels of the check are derived.
             horizon: length of the forecasts (h), with steps of growing length; 0 for the next M
                 ticks.
         """
@@ -102,7 +102,7 @@ class ControllerCheck(NodeCheck):
             for topic in _FORECASTS:
                 for value in _NOT_FINITE:
                     self._valid_command({topic: value})
-        with self.check("awaits each input, and sends the same command whatever their order"):
+        with self.check("awaits each input, and sends the same command for any order of inputs"):
             require(not self.hindered, self.hindered)
             for topic in filter(self.endpoints, (*self.inputs, *self.optional)):
                 self._publish_last(topic)

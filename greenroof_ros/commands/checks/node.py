@@ -1,4 +1,4 @@
-"""Check of a running node, by topics only, which plays the other nodes of its lockstep graph.
+"""Check of a running node through topics only; the check plays all other nodes of the graph.
 
 The check requires no more of a node than a graph does, and works with a node in any language.
 """
@@ -73,7 +73,7 @@ class NodeCheck(ABC):
         answers: values received on ``output`` and not counted yet.
         surplus: message about the first tick with too many answers; empty if there is none.
         results: results of the checks so far.
-        result: what the current check measured, as text for the table; empty for nothing.
+        result: measurement of the current check, as text for the table; empty for none.
         hindered: reason why no more ticks are published; empty if there is none.
         ticks: number of ticks published.
         live: whether the node belongs to a live graph.

@@ -1,4 +1,4 @@
-"""Check, by topics only, of whether a pump driver conforms to the interface."""
+"""Check of a pump driver against the interface, through topics only."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class PumpCheck(NodeCheck):
         Args:
             node: the node that plays the driver's peers.
             driver: name of the driver's node, without namespace.
-            site: site that sets the levels.
+            site: site from which the levels of the check are derived.
             command: command with which the pump is made to run (share of its maximum flow).
             period: minimum time between two commands (s).
             live: whether the driver publishes its flow at its own pace, not once per command.
@@ -282,7 +282,9 @@ class PumpCheck(NodeCheck):
             f"of silence, and was {before:.3g} before: the pump had not stopped",
         )
         require(state not in _ON, f"/pump/state reports {state!r} at the end of the silence")
-        self.result = f"{after:.3g} m3/s at the first command after silence, {before:.3g} before"
+        self.result = (
+            f"{after:.3g} m3/s at the first command after the silence, {before:.3g} m3/s before it"
+        )
 
     @contextmanager
     def _intruder(self) -> Iterator[None]:

@@ -132,7 +132,7 @@ class Drive:
         raw = self._read_raw(timeout.register)
         seconds = self._scaled(timeout.register, raw)
         if raw in timeout.off_values or seconds is None or seconds <= 0:
-            return None, f"{self._named(timeout.register)} is {raw}: off"
+            return None, f"{self._named(timeout.register)} is {raw}, which means off"
         for setting in (timeout.action, timeout.mode):
             if setting is None:
                 continue
@@ -210,12 +210,14 @@ class Drive:
         self._perform(self.file.sequences.run, may_continue, speed, values)
 
     def stop(self) -> None:
-        """Ramp the pump down, and switch it off. The caller repeats this while it must be off.
+        """Ramp the pump down, and switch it off.
+
+        The caller repeats the call while the pump must be off.
 
         If the drive rejects a step, the later steps are still written, since it may accept a speed
-        of 0 even if it rejects the control word. Then the drive must also answer a read of its
-        status. The answer to a write is no proof: it equals the request, so it may be an echo from
-        the line.
+        of 0 even if it rejects the control word. After that, the drive must also answer a request
+        for its status. The answer to a write is not sufficient, because it equals the request and
+        may therefore be an echo from the line.
 
         Raises:
             DriveError: if no valid answer arrives.

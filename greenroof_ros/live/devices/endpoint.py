@@ -21,17 +21,18 @@ CHOICE = (
         "drive", "", meaning="make of the drive: a name in config/drives/, or a drive file",
     ),
     Parameter(
-        "address", "", meaning="address of the drive: tcp://HOST:PORT if it has its own Ethernet "
-        "port, gateway://HOST:PORT for a gateway to its serial port, or a serial line such as "
-        "/dev/ttyUSB0; append a comma and the device id if it differs from that in the drive "
-        "file, such as "
-        "" "gateway://HOST:PORT,17; for a relay mqtt://HOST[:PORT]/DEVICE (its topic at a broker), "
-        "mqtts:// for TLS",
+        "address", "", meaning="address of the drive: tcp://HOST:PORT for its own Ethernet port, "
+        "gateway://HOST:PORT for a gateway to its serial port, or a serial line such as "
+        "/dev/ttyUSB0. If the device id differs from that in the drive file, append it after a "
+        "comma: gateway://HOST:PORT,17. For a relay: mqtt://HOST[:PORT]/DEVICE, with the relay's "
+        "topic at the broker, or mqtts:// for TLS",
     ),
-    Parameter("broker_login", "", meaning="for a relay: YAML file with username and password"),
     Parameter(
-        "broker_authority", "", meaning="for a relay: file of trusted certificates (PEM), if the "
-        "system does not trust the broker's certificate",
+        "broker_login", "", meaning="YAML file with username and password for a relay's broker",
+    ),
+    Parameter(
+        "broker_authority", "", meaning="file of trusted certificates (PEM) for a relay's broker, "
+        "if the system does not trust its certificate",
     ),
 )
 

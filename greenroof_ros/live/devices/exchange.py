@@ -69,7 +69,7 @@ class ExchangeState(enum.Enum):
 
 @dataclass(frozen=True)
 class DriveSnapshot(DeviceSnapshot):
-    """The state of knowledge about a drive at one moment.
+    """A snapshot of a drive and of the exchange with it.
 
     Attributes:
         read_at: time of the drive's last answer (s, `boot_time`, which continues during a
@@ -104,7 +104,7 @@ class DriveSnapshot(DeviceSnapshot):
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection, and the drive answers."""
+        """Whether the drive is connected and answers."""
         return self.state in (ExchangeState.STOPPED, ExchangeState.RUNNING, ExchangeState.STOPPING)
 
     def status_at(self, now: float) -> DriveStatus | None:
@@ -123,8 +123,8 @@ class DriveSnapshot(DeviceSnapshot):
 class DriveExchange(DeviceThread[DriveSnapshot]):
     """A thread that keeps a drive at the last requested speed, or off.
 
-    In every period, it writes the control word and reads the status, so the drive's own
-    communication timeout does not expire. If this thread dies, that timeout stops the drive:
+    In every period, the thread writes the control word and reads the status, so the drive's own
+    communication timeout does not expire. If the thread dies, that timeout stops the drive:
 
     .. code-block:: text
 
@@ -261,7 +261,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     def request_speed(self, speed: float | None) -> None:
         """Request a speed (share of the rated speed), or off (None); valid for `dead_man_s`.
 
-        A value that is not from 0 to 1 is reported as a problem, and treated as off.
+        A speed outside the range from 0 to 1 is reported as a problem, and treated as off.
         """
         if speed is not None and not 0 <= speed <= 1:
             self._fail(f"request rejected: {speed} is not a share of the rated speed (0 to 1)")
@@ -307,7 +307,8 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
     def _unguarded(self) -> Diagnosis | None:
         """Return the reason why the connected drive must not run yet; None if it may run.
 
-        The drive may have lost power since the last connection, which looks like a cut cable.
+        The drive may have lost power since the last connection; a cut cable cannot be distinguished
+        from a power failure.
         """
         if time.monotonic() >= self._guarded_from:
             return None
@@ -325,7 +326,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
             self._run_cycle()
 
     def _handle_failure(self, error: Exception, problem: str) -> None:
-        """Close the connection, and decide between a silence, another connection and the end."""
+        """Close the connection; then begin a silence, plan the next attempt or end the thread."""
         now, drive = time.monotonic(), self._drive
         if self._requested[0] is not None:
             self._update(start_failed=Diagnosis.of("start_failed", "lost", problem=problem))
@@ -496,7 +497,7 @@ class DriveExchange(DeviceThread[DriveSnapshot]):
         return status
 
     def _write_order(self) -> tuple[bool, str]:
-        """Write the present request; return whether the drive runs, or the reason why not."""
+        """Write the present request; return whether the drive runs, and the problem if not."""
         pause_s = PAUSE_S
         try:
             other = self._drive.second_master()
@@ -561,7 +562,7 @@ def _stop_until_at_rest(drive: Connection, until: float) -> DriveStatus:
 
 
 def stop_drive(endpoint: Endpoint, *, driver: int | None = None) -> DriveStatus:
-    """Stop a drive after its driver has died; this blocks for `REST_LIMIT_S` at most.
+    """Stop a drive after its driver has died; the call takes `REST_LIMIT_S` at most.
 
     The lock keeps other drivers away during the call. If the lock cannot be acquired because the
     hung driver or an unknown process holds it, the drive is stopped nevertheless, which is always

@@ -490,7 +490,7 @@ def encode(value: float, kind: str, word_order: str = "") -> list[int]:
 
 @dataclass(frozen=True)
 class DeviceSnapshot:
-    """The state of knowledge about a device at one moment.
+    """A snapshot of what is known about a device.
 
     Attributes:
         read_at: time of the device's last answer (s, `time.monotonic`).
@@ -525,7 +525,7 @@ class DeviceThread(ABC, Generic[S]):
 
     @property
     def snapshot(self) -> S:
-        """The present knowledge about the device."""
+        """The latest snapshot."""
         return self._snapshot
 
     @property
@@ -583,10 +583,10 @@ class DeviceThread(ABC, Generic[S]):
         self._wake.clear()
 
     def _pause_until(self, due: float) -> None:
-        """Wait until a time (s, `time.monotonic`), or until `_must_not_wait`."""
+        """Wait until a time (s, `time.monotonic`), or until `_must_not_wait` returns True."""
         while not self._must_not_wait() and (remaining := due - time.monotonic()) > 0:
             self._pause(remaining)
 
     def _must_not_wait(self) -> bool:
-        """Whether a wait for the next attempt must end now."""
+        """Return whether a wait for the next attempt must end now."""
         return self._closing

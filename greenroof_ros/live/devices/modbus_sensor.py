@@ -27,8 +27,8 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
     """A thread that reads the sensors on one line once per period, the most overdue sensor first.
 
     The thread connects if needed, and again after every failure. If the line has several sensors,
-    the thread then waits until three timeouts after the beginning of the failed reading, because a
-    gateway may label a late answer with the number of the next request, and that answer would be
+    the thread then waits until three timeouts after the beginning of the failed reading. Otherwise,
+    a gateway might label a late answer with the number of the next request, and the answer would be
     taken for the value of the next register. A sensor that is absent, hangs or sends invalid
     answers delays the others by three timeouts per reading. The timeout is 0.5 s, or shorter if
     needed so that reading all n sensors of the line takes at most half of the maximum age A of a
@@ -90,7 +90,7 @@ class SensorLine(DeviceThread[DeviceSnapshot]):
 
 
 class ModbusReader(SensorReader):
-    """A sensor on a line, with the present knowledge about its quantity.
+    """A sensor on a line, with the latest snapshot of its quantity.
 
     Attributes:
         sensor: the sensor to read.

@@ -89,7 +89,7 @@ class MqttReader(SensorReader):
 
     @property
     def snapshot(self) -> Reading:
-        """The present knowledge about the quantity."""
+        """The latest snapshot of the quantity."""
         with self._lock:
             age = time.monotonic() - self._reading.read_at
             if not self._reading.problem and age > self._sensor.max_age:

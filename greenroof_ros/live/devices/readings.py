@@ -24,7 +24,7 @@ _WINDOW_S, _MIN_REFUSED, _MAX_SHARE = 60.0, 5, 0.1
 
 @dataclass(frozen=True)
 class Reading(DeviceSnapshot):
-    """The state of knowledge about a quantity.
+    """A snapshot of a measured quantity.
 
     Attributes:
         read_at: time at which the last attempt ended or the sensor was lost (s, `time.monotonic`).
@@ -87,8 +87,8 @@ class Readings:
 
     A median removes single wrong readings, which a first-order filter would spread over many
     readings. The median follows a steady rise or fall of the level with a delay of half its
-    readings, and does not blur the beginning of a rise. The levels of tanks are slow enough for
-    that delay.
+    readings, and does not blur the beginning of a rise. The levels of tanks change slowly enough
+    for this delay.
 
     Attributes:
         share: counter of the rejected readings.
@@ -120,9 +120,10 @@ class Readings:
             self._total.sensor_lost()
 
     def clear_after_suspend(self) -> bool:
-        """Discard all readings if the machine was suspended; return whether it was.
+        """Discard all readings after a suspension of the machine.
 
-        The call considers the time since the last call.
+        Returns:
+            Whether the machine was suspended since the last call.
         """
         before, self._suspended = self._suspended, suspended_time()
         if self._suspended - before <= _SUSPEND_S:
@@ -165,7 +166,7 @@ class Readings:
 
 
 class SensorReader:
-    """Base class for the reader of a sensor, which keeps the knowledge about its quantity.
+    """Base class for the reader of a sensor, which keeps the latest snapshot of the quantity.
 
     A rejected value, a failure or a suspension of the machine empties the filter, so the next value
     comes from new readings only. The rise of a total is not affected.
@@ -185,7 +186,7 @@ class SensorReader:
 
     @property
     def snapshot(self) -> Reading:
-        """The present knowledge about the quantity."""
+        """The latest snapshot of the quantity."""
         with self._lock:
             self._reading = self._readings.current(self._reading)
             return self._reading

@@ -330,10 +330,11 @@ class Relay:
         return False
 
     def run(self, speed: float, may_continue: Callable[[], bool] = lambda: True) -> None:
-        """Switch the relay on, or keep it on. The caller repeats this while it must be on.
+        """Switch the relay on, or keep it on.
 
-        *On* is published again only after the relay has answered the last *on*. It is not published
-        if the relay is off although it was switched on: see `second_master`.
+        The caller repeats the call while the relay must be on. *On* is published again only after
+        the relay has answered the last *on*. *On* is not published if the relay is off although it
+        was switched on: see `second_master`.
 
         Args:
             speed: speed above 0 (share of the rated speed); a pump on a relay always runs at 1.
@@ -363,7 +364,7 @@ class Relay:
             self._wait_until_on(may_continue)
 
     def stop(self) -> None:
-        """Switch the relay off. The caller repeats this while it must be off.
+        """Switch the relay off; the caller repeats the call while the relay must be off.
 
         Raises:
             DriveError: if the connection has been lost.

@@ -57,7 +57,7 @@ class RelayState(Value):
 
 @dataclass(frozen=True)
 class Setting(Value):
-    """A setting that must have one value, so that the relay is never on without a command."""
+    """A setting with a required value, without which the relay could be on unintentionally."""
 
     value: str = entry("required value, written as in JSON")
     meaning: str = entry("description of the setting, for messages")
@@ -75,7 +75,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Timer(Value):
-    """The relay's own timer, which switches the relay off: its communication timeout."""
+    """The relay's own timer, which switches the relay off and is its communication timeout."""
 
     scales: tuple[Scale, ...] = entry(
         "conversions to seconds, by range of the raw value; a value outside all ranges means off"

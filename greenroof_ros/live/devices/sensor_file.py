@@ -259,7 +259,7 @@ def read_sensors(path: Path, max_ages: Mapping[str, float] | None = None) -> Sen
     Args:
         path: the file.
         max_ages: maximum ages of the quantities (s), as far as they are known, by name of their
-            parameters. Two periods of a sensor, or its ``max_age``, must not exceed them.
+            parameters. They limit ``max_age``, and twice the ``period`` of a sensor.
 
     Raises:
         ConfigurationError: if a key or value is missing, unknown, impossible or contradictory.

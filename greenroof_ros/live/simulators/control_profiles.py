@@ -26,11 +26,12 @@ class _Abb(enum.Enum):
 
 
 class AbbDrives(SimulatedDrive):
-    """ABB Drives profile: ACS880 firmware manual 3AUA0000085967, embedded fieldbus interface.
+    """ABB Drives profile on the embedded fieldbus interface of the ACS880.
 
-    Control Word, Status Word and State transition diagram, pages 617 to 620. After OFF1 the drive
-    must come to rest before it can be switched on again. Bits of the control word: 0 to 2 are OFF1
-    to OFF3, active low; 3 run; 4 to 6 ramp; 7 reset; 10 remote.
+    The source is the firmware manual 3AUA0000085967, "Control Word", "Status Word" and "State
+    transition diagram", pages 617 to 620. After OFF1, the drive must come to rest before it can be
+    switched on again. In the control word, bits 0 to 2 are OFF1 to OFF3 (active low), bit 3 is run,
+    bits 4 to 6 control the ramp, bit 7 is reset and bit 10 is remote.
     """
 
     DELIVERED = (30, 0)  # 58.16 3.0 s, 58.14 No action
@@ -88,7 +89,7 @@ class AbbDrives(SimulatedDrive):
         return state
 
     def _switched_on(self, state: _Abb) -> _Abb:
-        """Return the state to which the control word's bits for switching on lead."""
+        """Return the state to which a state leads with the switch-on bits of the control word."""
         word = self.word
         if state is _Abb.INHIBITED and not word & 0x0001:
             state = _Abb.NOT_READY
@@ -102,7 +103,7 @@ class AbbDrives(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """The motion: set by bits 4 to 6 in operation, a ramp in OFF1, OFF3 and local control."""
+        """The motion, which bits 4 to 6 of the control word determine during operation."""
         if self.fault:
             return Motion.COAST
         if self.local or self.state in (_Abb.OFF1, _Abb.OFF3):
@@ -128,11 +129,13 @@ class AbbDrives(SimulatedDrive):
 
 
 class FcProfile(SimulatedDrive):
-    """FC profile of Danfoss: VLT AQUA Drive FC 202, design guide, "Danfoss FC Control Profile".
+    """FC profile of the Danfoss VLT AQUA Drive FC 202.
 
-    Bits of the control word: 2 brake, 3 coast, 4 quick stop and 5 hold are active low; 6 starts; 7
-    resets. A word without bit 10, "data valid", is ignored. Parameter 8-04 takes effect after the
-    timeout: 5 stops and trips, 2 stops until there is a valid word, 1 freezes the output.
+    The source is the design guide, "Danfoss FC Control Profile". In the control word, bits 2
+    (brake), 3 (coast), 4 (quick stop) and 5 (hold) are active low, bit 6 is start and bit 7 is
+    reset. A word without bit 10 ("data valid") is ignored. After the timeout, parameter 8-04 takes
+    effect: 5 stops and trips the drive, 2 stops it until the next valid word, and 1 freezes the
+    output.
     """
 
     DELIVERED = (600, 0)  # 8-03 60 s, 8-04 Off
@@ -174,10 +177,11 @@ class FcProfile(SimulatedDrive):
 
 
 class CimProfile(SimulatedDrive):
-    """Modbus for Grundfos pumps (CIM 200, CIM 500): functional profile, sections 9.4 and 9.5.
+    """Modbus profile of Grundfos pumps with a CIM 200 or CIM 500 module.
 
-    Bits of the control word: 0 requests bus control, 1 on, 2 resets an alarm. Without bus control,
-    or after its loss, the pump follows its local setting: it stops if set up for this project, and
+    The source is the functional profile, sections 9.4 and 9.5. In the control word, bit 0 requests
+    bus control, bit 1 switches the pump on and bit 2 resets an alarm. Without bus control, or after
+    its loss, the pump follows its local setting: it stops if it is set up for this project, and
     runs with factory settings.
     """
 
@@ -203,7 +207,7 @@ class CimProfile(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """The motion: to the set-point if the pump is on, otherwise a ramp to rest."""
+        """The motion: the pump follows the set-point if it is on, and otherwise ramps to rest."""
         if self.fault:
             return Motion.COAST
         return Motion.FOLLOW if self._on else Motion.RAMP_DOWN
@@ -237,12 +241,13 @@ class _Cia(enum.Enum):
 
 
 class Cia402(SimulatedDrive):
-    """CiA 402 as in Schneider Electric's Altivar: BBV51701, state chart, pages 9 to 13.
+    """CiA 402 profile of the Schneider Electric Altivar drives.
 
-    The value of a state consists of bits 0 to 3, 5 and 6 of ETA. LFT contains the last error, which
-    a reset does not clear. Bits of the control word: 0 switch on, 1 voltage, 2 no quick stop, 3
-    enable, 7 reset, 8 halt. Values of SLL and ETHL: 1 freewheel, 6 ramp, 7 fast, 8 DC injection,
-    all with a trip; 2 stops without an error.
+    The source is BBV51701, state chart, pages 9 to 13. The value of a state consists of bits 0 to
+    3, 5 and 6 of the status word ETA. LFT contains the last error, which a reset does not clear. In
+    the control word, bit 0 is switch on, bit 1 enable voltage, bit 2 no quick stop, bit 3 enable
+    operation, bit 7 reset and bit 8 halt. After the timeout, the values 1 (freewheel), 6 (ramp), 7
+    (fast stop) and 8 (DC injection) of SLL and ETHL trip the drive; 2 stops it without an error.
     """
 
     DELIVERED = (100, 1)  # TTO and TTOB 10.0 s, SLL and ETHL freewheel stop
@@ -257,7 +262,7 @@ class Cia402(SimulatedDrive):
         return self.last_fault
 
     def next_state(self) -> _Cia:
-        """Return the next state of the chart; 'ready' always leads to 'switched on' first."""
+        """Return the next state of the state chart; 'ready' first leads to 'switched on'."""
         word, state = self.word, self.state
         if not word & 0x0002:  # disable voltage
             return _Cia.DISABLED
@@ -286,7 +291,7 @@ class Cia402(SimulatedDrive):
 
     @property
     def motion(self) -> Motion:
-        """The motion: to the reference if enabled, a ramp if on or stopping, otherwise coasting."""
+        """The motion: the drive follows its reference only in the state 'operation enabled'."""
         if self.state is _Cia.ENABLED and not self.local:
             stopped = self.word & 0x0100 or (self.lost and self.guard[1] == 2)
             return Motion.RAMP_DOWN if stopped else Motion.FOLLOW

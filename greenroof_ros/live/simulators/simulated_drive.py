@@ -33,7 +33,7 @@ class Motion(enum.Enum):
     FOLLOW = "ramps to its reference"
     HOLD = "keeps its speed"
     RAMP_DOWN = "ramps to rest"
-    COAST = "lets it coast"
+    COAST = "lets the motor coast"
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class DriveSettings:
     """The settings and properties of a simulated drive.
 
     Attributes:
-        ramp_s: time from rest to the rated speed, and back (s).
+        ramp_s: time of the ramp from rest to the rated speed, or back (s).
         coast_s: time from the rated speed to rest without torque (s).
         timeout_s: communication timeout that stops the drive (s); it is rounded to the resolution
             of its register.
@@ -53,13 +53,14 @@ class DriveSettings:
 
 
 class SimulatedDrive(ABC):
-    """A drive with its motor.
+    """Base class for a drive with its motor.
 
     Attributes:
         speed: speed of the motor (share of the rated speed).
-        flow: function that returns the pump's flow at a speed (m3/s), for drives that report it.
+        flow: function that returns the pump's flow at a speed (m3/s), for a drive that reports the
+            flow.
         log: function that prints a line about an event.
-        settings: the settings and properties.
+        settings: settings and properties of the drive.
         timeout: the communication timeout of the interface in use.
         guard: raw time and raw action of the timeout that are in force.
         local: whether the drive is controlled from its panel.
@@ -195,7 +196,7 @@ class SimulatedDrive(ABC):
             self.state = self.next_state()
 
     def trip(self, fault: int) -> None:
-        """Trip, or clear the fault if it is 0."""
+        """Trip with a fault; 0 clears the present fault."""
         self.fault = fault
         self.last_fault = fault or self.last_fault
         if not fault:
@@ -249,7 +250,7 @@ class SimulatedDrive(ABC):
             self.communication_lost()
             self.log(
                 f"communication timeout: silence for {loss - (self._last_request or 0):.3g} s; "
-                f"{self.motion.value}"
+                f"the drive {self.motion.value}"
             )
         self._move(now)
 
@@ -345,7 +346,7 @@ class SimulatedDrive(ABC):
             if self.restarts_timeout(name):
                 self._restart_timeout()
             if self.motion is not before:
-                self.log(f"{name} = 0x{value:04X}: {self.motion.value}")
+                self.log(f"{name} = 0x{value:04X}: the drive {self.motion.value}")
         self._move(self._at)
         return None
 
@@ -362,7 +363,7 @@ def drive_server(drive: SimulatedDrive, file: DriveFile, address: Address) -> Se
     Args:
         drive: the drive.
         file: drive file of the drive.
-        address: address of the drive, as for the pump node; 0 selects a free port.
+        address: address of the drive, as for the pump node; port 0 selects a free port.
     """
 
     def on_request(register: int) -> bool:

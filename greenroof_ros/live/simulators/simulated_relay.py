@@ -61,7 +61,7 @@ class SimulatedRelay(ABC):
         """Simulate the relay until now: switch off if its timer has expired."""
         if self._clock() >= self._off_at:
             self._set(False)
-            self.log("its timer has expired: off")
+            self.log("the timer has expired: off")
 
     def switch(self, on: bool, seconds: float | None) -> None:
         """Switch the relay off, or on for a time (s; None for no limit)."""
@@ -210,7 +210,7 @@ class RelayOnBroker:
         return f"{self._broker}/{self._device}"
 
     async def run(self, ended: asyncio.Event) -> None:
-        """Run the relay until the simulator ends."""
+        """Run the relay until the simulator stops."""
         self._loop = asyncio.get_running_loop()
         self.client.loop_start()
         try:

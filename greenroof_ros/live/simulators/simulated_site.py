@@ -46,7 +46,7 @@ class SimulatedSite:
         sensors: Sensors,
         speed: Callable[[], float],
     ) -> None:
-        """Prepare the sensors without opening anything.
+        """Prepare the sensors without opening ports, lines or connections.
 
         Args:
             site: parameters of the site.
