@@ -1,8 +1,8 @@
 """Adoption: which buildings have a green roof and a cistern, and which of them have a valve.
 
-Buildings adopt in a random order: one that has a green roof at a low adoption also has one at every
-higher adoption. Buildings that adopt at the same share form a group. Every building is simulated
-once, and the district at any adoption is a sum of groups.
+Buildings adopt in a random order: a building that has a green roof at a low adoption also has a
+green roof at every higher adoption. Buildings that adopt at the same share form a group. Every
+building is simulated once, and the district at any adoption is a sum of groups.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Adoption:
     Attributes:
         buildings: number of all buildings.
         shares: shares of the buildings with a green roof and a cistern (1), in ascending order.
-        valve_share: share of these that have a valve (1).
+        valve_share: share of these buildings that have a valve (1).
     """
 
     buildings: int
@@ -37,7 +37,7 @@ class Adoption:
     def groups(self, ranks: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the index of the first share at which each building has a green roof.
 
-        For a building that never has one, it is the number of shares.
+        For a building that never has a green roof, the index is the number of shares.
 
         Args:
             ranks: places of the buildings in the order of adoption.
@@ -45,9 +45,9 @@ class Adoption:
         return np.searchsorted(self.counts, ranks, side="right")
 
     def have_valve(self, ranks: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return which buildings have a valve once they have a cistern.
+        """Return a mask of the buildings that have a valve once they have a cistern.
 
-        Their share is the same at every adoption, to within one building.
+        The share of these buildings is the same at every adoption, to within one building.
 
         Args:
             ranks: places of the buildings in the order of adoption.

@@ -31,13 +31,13 @@ class Buildings:
 
     Attributes:
         ids: names of the buildings.
-        cells: indices of their weather cells.
-        ranks: their places in the order of adoption.
-        values: the values in which they differ, by key.
-        file: the file that lists them, or the district's file if they are drawn.
-        lines: their lines in that file; None if they are drawn.
+        cells: indices of the buildings' weather cells.
+        ranks: places of the buildings in the order of adoption.
+        values: values in which the buildings differ, by key.
+        file: file that lists the buildings, or the district's file if the buildings are drawn.
+        lines: lines of the buildings in the file; None if the buildings are drawn.
         drawn: lines of the distributions in the district's file, by key.
-        district_file: the district's file.
+        district_file: path of the district's file.
     """
 
     ids: Sequence[str]
@@ -64,12 +64,12 @@ class Buildings:
     def refuse(self, place: int, error: ConfigurationError) -> ConfigurationError:
         """Return an error about a building's site that names the building and the value's source.
 
-        The source of a drawn value is the district's file. If the key is one that all buildings
-        share, it is wrong because of other keys, so the error names the drawn ones.
+        The source of a drawn value is the district's file. If all buildings share the key, its
+        value is wrong because of other keys, so the error names the drawn values.
 
         Args:
             place: the building's place in the sequences.
-            error: the error about its site.
+            error: error about the building's site.
         """
         building, key = f"building {self.ids[place]}", error.key
         name = (key or "").partition(" ")[0]  # the paper's name may follow a plain key
@@ -125,7 +125,7 @@ def make_buildings(
             factor = {**listed, **values}.get(draw.times, getattr(site, draw.times, None))
             if not np.issubdtype(np.asarray(factor).dtype, np.number):
                 raise district.refuse(
-                    f"draw.{name}.times", "must be a key that is a number in every building"
+                    f"draw.{name}.times", "must be a key that has a number in every building"
                 )
             values[name] = (np.asarray(values[name]) * np.asarray(factor, dtype=float)).tolist()
         if bool(draw.names) != bool(known[name].among):
@@ -214,7 +214,7 @@ def _read(
         if not name:
             raise table.refuse("must be a name or number for every building", ID, row)
         if name in ids:
-            raise table.refuse(f"is also the building in line {ids[name]}", ID, row)
+            raise table.refuse(f"is also the name of the building in line {ids[name]}", ID, row)
         ids[name] = line
         if cells:
             places.append(_find_cell(table, row, cells))

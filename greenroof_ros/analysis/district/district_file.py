@@ -1,4 +1,4 @@
-"""Read and check the file of a district: its buildings, weather, adoption and sewer."""
+"""Reading and checking of a district's file: its buildings, weather, adoption and sewer."""
 
 from __future__ import annotations
 
@@ -62,11 +62,13 @@ class Draw:
         "standard deviation of the log-normal distribution", 0.0, 1e9, default=None
     )
     low: float | None = entry(
-        "minimum of a uniform distribution, or lower limit of the log-normal one", -1e9, 1e9,
+        "minimum of a uniform distribution, or lower limit of the log-normal distribution",
+        -1e9, 1e9,
         default=None,
     )
     high: float | None = entry(
-        "maximum of a uniform distribution, or upper limit of the log-normal one", -1e9, 1e9,
+        "maximum of a uniform distribution, or upper limit of the log-normal distribution",
+        -1e9, 1e9,
         default=None,
     )
     values: tuple[float, ...] | None = entry(
@@ -82,7 +84,7 @@ class Draw:
 
     @property
     def mistakes(self) -> Iterator[tuple[str, str]]:
-        """Yield the key of each contradiction, and what would be right."""
+        """Yield the key of each contradiction, and a sentence that states what would be right."""
         kinds = {
             "mean": self.mean is not None, "values": self.values is not None,
             "names": self.names is not None,
@@ -106,7 +108,7 @@ class Draw:
             yield "times", "can multiply numbers, but not names"
         for name in ("values", "names"):
             if getattr(self, name) == ():
-                yield name, "must list at least one"
+                yield name, "must list at least one entry"
 
 
 @dataclass(frozen=True)
@@ -114,25 +116,25 @@ class DistrictWeather:
     """The weather of all cells, and the period that is simulated."""
 
     start: str = entry(
-        "time of the first tick (ISO 8601), the same instant in all cells; if it has no offset "
-        "from UTC, it is in the site's time_zone or, if there is none, in the zone or offset of "
-        "the first cell's weather"
+        "time of the first tick (ISO 8601), the same instant in all cells; a time without an "
+        "offset from UTC is in the site's time_zone or, if there is none, in the zone or offset "
+        "of the first cell's weather"
     )
     hours: float = entry("length of the run", 1e-9, 1e6, unit="h")
     file: str | None = entry(
         "weather file, or a pattern such as '2021_*.csv', for all buildings", default=None
     )
     cells: dict[str, str] | None = entry(
-        "the weather file or pattern of each cell, listed under the cell's name, instead of file",
+        "weather file or pattern of each cell, by the name of the cell; replaces file",
         default=None,
     )
     evapotranspiration: str | None = entry("method of evapotranspiration", default=None)
-    gaps: str = entry("what to do about missing hours", choices=GAPS, default=REFUSE)
+    gaps: str = entry("treatment of missing hours", choices=GAPS, default=REFUSE)
 
 
 @dataclass(frozen=True)
 class Orifice:
-    """An orifice that is always open, in place of a valve; the valve's values are the default."""
+    """An orifice that is always open, in place of a valve; the valve's values are the defaults."""
 
     low_outlet_level: float | None = entry(
         "level of the orifice above the cistern's base", 0.001, 100.0, unit="m", default=None
@@ -152,14 +154,14 @@ class District:
         "number of buildings, drawn from the distributions", 1, _MAX_BUILDINGS, default=None
     )
     file: str | None = entry(
-        "CSV file with one row per building, instead of buildings", default=None
+        "CSV file with one row per building; replaces buildings", default=None
     )
     seed: int = entry(
         "random seed of the distributions and of the order of adoption", 0, 2**32, default=1
     )
     draw: dict[str, Draw] = entry(
         "distributions of site keys and of outlet_reserve, outlet_price, outlet_reach and level, "
-        "listed under the key", factory=dict,
+        "by key", factory=dict,
     )
     tau: float = entry("duration of a tick", 1.0, 300.0, unit="s", default=60.0)
     outlets: tuple[str, ...] = entry(
@@ -172,15 +174,15 @@ class District:
         default=(0.0, 0.1, 0.25, 0.5, 1.0),
     )
     valve_share: float = entry(
-        "share of the cisterns that have a low outlet, which is a valve, or the orifice in its "
-        "place; the others only overflow", 0.0, 1.0, unit="1", default=1.0,
+        "share of the cisterns that have a low outlet, which is a valve or the orifice in place "
+        "of it; the other cisterns only overflow", 0.0, 1.0, unit="1", default=1.0,
     )
     forecast: str = entry(
-        "what plan knows about the coming rain: all of it (perfect), or nothing",
+        "forecast that plan uses: all the coming rain (perfect), or no rain (none)",
         choices=(PERFECT, NO_FORECAST), default=PERFECT,
     )
     sewer_capacity: float | None = entry(
-        "flow that the sewer can take, per connected area of all buildings; above it, the sewer "
+        "maximum flow of the sewer, per connected area of all buildings; any flow above this "
         "overflows", 1e-6, 1000.0, unit="mm/h", default=None,
     )
     path: Path = Path()
@@ -193,7 +195,7 @@ class District:
         """The site file.
 
         Raises:
-            ConfigurationError: if it does not exist.
+            ConfigurationError: if the file does not exist.
         """
         return self.find_files("site", self.site)[0]
 
@@ -221,12 +223,12 @@ class District:
         return find(self.content, key)[0]
 
     def find_files(self, key: str, name: str, places: Sequence[Path] = ()) -> list[Path]:
-        """Return the files with a name or pattern, from next to this file or from this package.
+        """Return the files with a name or pattern, next to the district's file or in this package.
 
         Args:
-            key: key under which the name stands, for the error.
+            key: key that contains the name, for the error.
             name: name or pattern of the files.
-            places: further directories to search.
+            places: additional directories to search.
 
         Raises:
             ConfigurationError: if there is no such file.
@@ -246,8 +248,8 @@ def read_district(path: Path) -> tuple[District, Site]:
     """Read and check the file of a district, and its site.
 
     Raises:
-        ConfigurationError: if a key is unknown, missing or wrong, or contradicts another one, or
-            if the site is wrong.
+        ConfigurationError: if a key is unknown, missing or wrong, if two keys contradict each
+            other, or if the site is wrong.
     """
     content = YamlMapping()
 
@@ -262,19 +264,19 @@ def read_district(path: Path) -> tuple[District, Site]:
     if not site.low_outlet_valve and valves:
         raise district.refuse(
             "site", f"needs a valve for {' and '.join(sorted(valves))}: low_outlet_level, "
-            "low_outlet_radius and low_outlet_valve, as in site_valve.yaml; or leave "
+            "low_outlet_radius and low_outlet_valve, as in site_valve.yaml; alternatively, leave "
             f"{'them' if len(valves) > 1 else 'it'} out of outlets"
         )
     if site.low_outlet_level is None and ORIFICE in district.outlets:
         raise district.refuse(
-            "site", "needs low_outlet_level and low_outlet_radius for orifice; or leave it out of "
-            "outlets"
+            "site", "needs low_outlet_level and low_outlet_radius for orifice; alternatively, "
+            "leave orifice out of outlets"
         )
     return district, site
 
 
 def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
-    """Yield the key of each contradiction, and what would be right."""
+    """Yield the key of each contradiction, and a sentence that states what would be right."""
     if (district.buildings is None) == (district.file is None):
         yield "buildings", (
             "is missing; set it, or set file to a CSV file that lists the buildings"
@@ -292,7 +294,7 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
     for name, draw in district.draw.items():
         if name not in known:
             why = (
-                "all buildings share it" if name in _COMMON else suggest_names(name, known)
+                "all buildings share this key" if name in _COMMON else suggest_names(name, known)
             )
             yield f"draw.{name}", f"cannot differ between buildings; {why}"
         for key, expected in draw.mistakes:
@@ -302,7 +304,7 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
             if draw.times not in known:
                 yield f"draw.{name}.times", suggest_names(draw.times, known)
             elif draw.times == name or (other is not None and other.times is not None):
-                yield f"draw.{name}.times", "must be a key that is not multiplied itself"
+                yield f"draw.{name}.times", "must be a key whose value is not multiplied itself"
     if not district.adoption:
         yield "adoption", "must list at least one share"
     named: dict[str, float] = {}

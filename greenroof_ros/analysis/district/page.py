@@ -66,7 +66,7 @@ COLUMNS = {
     "sewer_overflow_reduction": "less",
     "sewer_overflow_hours": "hours of overflow",
     "wet_low_outlet_m3": "through low outlets in wet weather (m³)",
-    "low_outlet_peak_5min_mm_h": "their peak, 5 min (mm/h)",
+    "low_outlet_peak_5min_mm_h": "peak through low outlets, 5 min (mm/h)",
     "mains_m3": "mains water (m³)",
     "demand_met_share": "irrigation without mains water",
 }
@@ -113,7 +113,7 @@ _COMPARED = (
      "{percent} {less} storm water reaches the sewer in wet weather", ("less", "more")),
     ("sewer_overflow_m3", "the sewer no longer overflows", "the sewer overflows just as much",
      "the sewer overflows {percent} {less}", ("less", "more")),
-    ("peak_60min_l_s", "nothing reaches the sewer in any hour",
+    ("peak_60min_l_s", "no water reaches the sewer in any hour",
      "the peak over an hour is the same", "the peak over an hour is {percent} {less}",
      ("lower", "higher")),
 )
@@ -138,7 +138,7 @@ def _compare(reference: dict[str, Any], row: dict[str, Any]) -> str:
 
 
 def describe_valves(rows: Sequence[dict[str, Any]], count: int) -> list[str]:
-    """Return, for each valve policy, sentences that state when and how fast it lets water out.
+    """Return sentences about the time and the rate at which each valve policy lets water out.
 
     Args:
         rows: rows of the results.
@@ -155,15 +155,15 @@ def describe_valves(rows: Sequence[dict[str, Any]], count: int) -> list[str]:
             wet = row["wet_low_outlet_m3"] / row["low_outlet_m3"]
             sentences.append(
                 f"{LABELS[outlet].capitalize()}, {name_share(row['adoption'], count)}: "
-                f"{percent(wet) if wet else 'none'} of the water that the valves let out leaves "
-                f"them in wet weather. Together they let out at most {peak:.3g} mm/h"
-                + (f", {percent(peak / storm)} of the storm's peak." if storm else ".")
+                f"{percent(wet) if wet else 'none'} of the water that the valves let out flows "
+                f"in wet weather. Together, the valves let out at most {peak:.3g} mm/h"
+                + (f", which is {percent(peak / storm)} of the storm's peak." if storm else ".")
             )
     return sentences
 
 
 def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a warning if all valves together let out more in dry weather than the sewer takes."""
+    """Return a warning if all valves let out more in dry weather than the sewer can take."""
     capacity = run.district.sewer_capacity
     if capacity is None:
         return []
@@ -214,8 +214,9 @@ def draw_figures(
         ("mains_m3", "Mains water for irrigation", "m³", None),
     ]
     yield _draw_over_adoption(
-        "adoption", "What reaches the sewer, by adoption",
-        "All buildings together, each with its connected area. " + _capacity_note(capacity),
+        "adoption", "Discharge to the sewer, by adoption",
+        "The values are for all buildings together, over their connected area. "
+        + _capacity_note(capacity),
         rows, names, amounts,
     )
     valves = describe_valves(rows, len(run.buildings))
@@ -224,7 +225,8 @@ def draw_figures(
         "Do the valves open together?" if valves else "The highest flow over five minutes",
         " ".join([
             *(
-                ["They do, in dry weather.", *valves, "Drawn: the highest flow over five minutes."]
+                ["They open together in dry weather.", *valves,
+                 "The figure shows the highest flow over five minutes."]
                 if valves else ["No valve opens."]
             ),
             _capacity_note(capacity),
@@ -238,7 +240,7 @@ def draw_figures(
 
 
 def _capacity_note(capacity: float | None) -> str:
-    return f"Dashed line: the sewer's capacity, {capacity:g} mm/h." if capacity else ""
+    return f"The dashed line is the sewer's capacity, {capacity:g} mm/h." if capacity else ""
 
 
 def _draw_over_adoption(
@@ -312,7 +314,7 @@ def _draw_storm(run: DistrictRun, totals: Totals, names: list[str]) -> Figure:
     )
     capacity = run.district.sewer_capacity
     below = [] if capacity is None else [_draw_level(capacity)]
-    panel = series_panel(lines, "outlet", names, f"Means of {_POINT_MIN} minutes", below)
+    panel = series_panel(lines, "outlet", names, f"Means over {_POINT_MIN} minutes", below)
     return Figure(
         "storm", "The hour with the highest flow, and the days after it",
         f"With green roofs and cisterns on {name_share(highest, len(run.buildings))}. "

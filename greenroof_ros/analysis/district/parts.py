@@ -1,4 +1,4 @@
-"""Part of a district: some of its buildings, simulated together on any machine."""
+"""A part of a district: a group of buildings that are simulated together on any machine."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Part:
     """Some buildings, and the outlets with which they are simulated.
 
     Attributes:
-        places: places of the buildings among all those of the district.
+        places: places of the buildings among all buildings of the district.
         district: the district, with the values that all buildings share.
         outlets: kinds of outlets to simulate, one after the other.
         buildings: the buildings.
@@ -77,9 +77,10 @@ class PartResult:
     Attributes:
         areas: connected area of each building (m2), shape (n,).
         hydrographs: discharge of each group to the sewer in each interval (m3), by outlet, shape
-            (groups, intervals). For none, the groups of buildings with a valve come first, then
-            those of the others.
-        low_outlets: share of that discharge that leaves through low outlets (m3), in the same form.
+            (groups, intervals). For the outlet ``none``, the groups of buildings with a valve come
+            first, and then the groups of buildings without a valve.
+        low_outlets: part of the discharge that leaves through low outlets (m3), in the same form as
+            ``hydrographs``.
         metrics: metrics of each building, by outlet and name, shape (n,); NaN if the building has
             another outlet.
     """
@@ -199,7 +200,7 @@ def with_outlet(
         outlet: kind of outlet.
         sites: sites of the buildings.
         buildings: the buildings.
-        place: the building's place among them.
+        place: place of the building among ``buildings``.
 
     Raises:
         ConfigurationError: if the building's site is wrong with this outlet.

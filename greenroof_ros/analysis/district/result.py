@@ -1,4 +1,4 @@
-"""The results of a district: tables, hydrographs, page, and the directory that holds them."""
+"""The results of a district: tables, hydrographs, page, and the directory that contains them."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ def make_directory(directory: Path) -> None:
         directory.mkdir(parents=True, exist_ok=True)
         if any(directory.iterdir()):
             raise ConfigurationError(
-                "exists and is not empty, and nothing is overwritten", key="--output",
+                "exists and is not empty; choose a new or empty directory", key="--output",
                 value=str(directory),
             )
 
 
 @dataclass(frozen=True, eq=False)
 class DistrictResult:
-    """What many buildings discharge to one sewer.
+    """The discharge of many buildings to one sewer.
 
     Attributes:
         run: the simulated district.
-        totals: the sums over its buildings.
+        totals: sums over the district's buildings.
     """
 
     run: DistrictRun
@@ -66,7 +66,7 @@ class DistrictResult:
 
     @property
     def warnings(self) -> list[str]:
-        """Sentences that state what would go wrong; usually there are none."""
+        """Warnings about the district; usually there are none."""
         return page.warn(self.run, self.rows)
 
     @property
@@ -105,7 +105,7 @@ class DistrictResult:
         """Write all results to a directory.
 
         Args:
-            directory: where to write; it is created if it does not exist, and must be empty.
+            directory: output directory, which is created if it does not exist, and must be empty.
             with_swmm: whether time series for SWMM are also written.
 
         Raises:
@@ -153,7 +153,7 @@ class DistrictResult:
             }
 
     def _save_for_swmm(self, directory: Path) -> None:
-        """Write a time series for every flow, and a network that receives the first of them."""
+        """Write a time series for every flow, and a network that receives the first time series."""
         directory.mkdir()
         run, totals = self.run, self.totals
         start = run.runs[0].start.replace(tzinfo=None)

@@ -54,12 +54,12 @@ class DistrictRun:
     """A district that has been read and can be simulated.
 
     Attributes:
-        district: the contents of its file.
+        district: contents of the district's file.
         site: the site that all buildings have in common.
         buildings: all buildings.
-        runs: the site's run in each cell, with the cell's weather.
+        runs: run of the site in each cell, with the weather of the cell.
         cells: names of the cells; empty if all buildings have the same weather.
-        notes: sentences that a reader must know before the results.
+        notes: sentences that a reader must read before the results.
     """
 
     district: District
@@ -82,7 +82,7 @@ class DistrictRun:
 
     @property
     def outlets(self) -> tuple[str, ...]:
-        """Kinds of outlets; none is always included, since some cisterns have no valve."""
+        """Kinds of outlets; ``none`` is always included, since some cisterns have no valve."""
         return tuple(name for name in OUTLETS if name in (NONE, *self.district.outlets))
 
     @property
@@ -103,7 +103,8 @@ class DistrictRun:
     def parts(self, scratch: Path) -> Iterator[Part]:
         """Yield the parts.
 
-        The outlet plan takes as long as all others together, so it has parts of its own.
+        The simulation of the outlet ``plan`` takes as long as that of all other outlets together,
+        so ``plan`` has parts of its own.
 
         Args:
             scratch: directory where workers on this machine write their progress.
@@ -130,7 +131,7 @@ def read_run(path: Path, places: Sequence[Path] = ()) -> DistrictRun:
 
     Args:
         path: path of the district's file.
-        places: further directories in which weather files are sought.
+        places: additional directories to search for weather files.
 
     Raises:
         ConfigurationError: if a file is wrong.
@@ -170,13 +171,13 @@ def simulate_district(
     progress: Callable[[str, float], None] = lambda text, share: None,
     check: Callable[[], None] = lambda: None,
 ) -> Totals:
-    """Simulate all parts and add them up.
+    """Simulate all parts and add up their results.
 
     Args:
         run: the district.
         workers: workers that have the input files.
-        progress: called with a text on what is done, and its share of all the work.
-        check: called often; an error that it raises ends the run.
+        progress: callback that receives a text about the completed work, and its share of all work.
+        check: callback that is called often; an error that it raises stops the run.
 
     Raises:
         ConfigurationError: if a building's site is wrong.

@@ -1,4 +1,4 @@
-"""The sums over a district: what reaches the sewer at every adoption with every kind of outlet.
+"""The sums over a district: the discharge at every adoption with every kind of outlet.
 
 Flows are added without routing, so the peaks in a real sewer are lower and later. Weather is wet if
 it is wet in any cell, because all cells share one sewer.
@@ -51,7 +51,7 @@ AS_IS = Flow(NONE, 0.0)
 
 
 class Totals:
-    """Add up the results of parts, in any order.
+    """The sums of the results of parts, which can be added in any order.
 
     Volumes are added as whole multiples of 2^-40 m3, which makes the sums identical to the bit in
     any order. The results of every building are stored at its own place.
@@ -66,8 +66,8 @@ class Totals:
         Args:
             site: the site that all buildings have in common.
             buildings: all buildings.
-            adoption: their groups.
-            outlets: kinds of outlets, which include none.
+            adoption: groups of the buildings.
+            outlets: kinds of outlets, including ``none``.
             rain: depth of rain in each cell and interval (m), shape (cells, intervals).
             capacity: capacity of the sewer, over the connected area (mm/h); None if unknown.
         """
@@ -133,7 +133,7 @@ class Totals:
         return np.asarray(self._add_groups(self._volumes, flow) + areas @ self.rain)
 
     def let_out(self, flow: Flow) -> Values:
-        """Return the water that leaves by low outlets in each interval (m3), shape (intervals,)."""
+        """Return the water from low outlets in each interval (m3), shape (intervals,)."""
         return self._add_groups(self._let_out, flow)
 
     def _add_groups(self, sums: Mapping[str, NDArray[np.int64]], flow: Flow) -> Values:
@@ -160,7 +160,7 @@ class Totals:
         return [(flow.outlet, slice(adopted)), (NONE, slice(count, count + adopted))]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the results, one row per entry of :attr:`flows`; their names include the units."""
+        """Return the results, one row per entry of :attr:`flows`; the names include the units."""
         reference = self._row(AS_IS, {})
         return [self._row(flow, reference) for flow in self.flows]
 

@@ -164,7 +164,7 @@ weather: {{file: {WEATHER}, start: 2021-07-07T00:00, hours: 72}}
 
 
 WRONG_CSV = {
-    "line 3: id = 'A': is also the building in line 2": CSV.replace("B,", "A,"),
+    "line 3: id = 'A': is also the name of the building in line 2": CSV.replace("B,", "A,"),
     "line 1: must have a column 'id'": CSV.replace("id,", "name,"),
     "line 1: must have a column 'cell'": CSV.replace("cell,", "zone,"),
     "line 1: 'catchment_area': is the name of more than": CSV.replace("a1", "catchment_area"),
@@ -213,7 +213,7 @@ WRONG = {
     "draw.catchment: cannot differ between buildings; did you mean catchment_area": (
         "catchment_area:", "catchment:",
     ),
-    "draw.tau: cannot differ between buildings; all buildings share it":
+    "draw.tau: cannot differ between buildings; all buildings share this key":
         ("  cistern_volume:", "  tau:"),
     "draw.cistern_volume.low = 7: must be below high = 6": ("low: 1.0", "low: 7"),
     "draw.cistern_volume.low = 1.0: needs low and high, or mean and sd": (", high: 6.0", ""),
@@ -225,7 +225,8 @@ WRONG = {
     "draw.cistern_volume: must be a number from 0.01 to 100000 m3, but": ("low: 1.0", "low: -5"),
     "draw.substrate_depth.values: must list at least one": ("[0.08, 0.108]", "[]"),
     "draw.substrate_depth.values.2 = 'deep': must be": ("0.108", "deep"),
-    "draw.cistern_volume.times = 'cistern_volume': must be a key that is not multiplied itself": (
+    "draw.cistern_volume.times = 'cistern_volume': "
+    "must be a key whose value is not multiplied itself": (
         "high: 6.0", "high: 6.0, times: cistern_volume",
     ),
     "draw.cistern_volume.times = 'roof': did you mean roof_area": (

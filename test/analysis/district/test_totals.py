@@ -123,7 +123,7 @@ def test_a_warning_of_valves_that_are_too_large(simulated: Simulated) -> None:
     )
     (of_drain, of_plan) = describe_valves(rows, 8)
     assert of_drain.startswith(
-        "Valve, drain, all 8 buildings: none of the water that the valves let out leaves them in "
+        "Valve, drain, all 8 buildings: none of the water that the valves let out flows in "
         "wet weather."
     )
     assert of_plan.startswith("Valve, plan")
