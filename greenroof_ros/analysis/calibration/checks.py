@@ -71,7 +71,7 @@ def check_fit(scores: Sequence[FitScores], source: Path) -> list[str]:
     advice = "Check the units, the clocks, the sensors, and the site's a2 and z_soil."
     if all(nse < 0 for _, of_row in nses for nse in of_row):
         best = ", ".join(
-            f"{row.quantity} in {row.part} {max(of_row):.2f}f" for row, of_row in nses if of_row
+            f"{row.quantity} in {row.part} {max(of_row):.2f}" for row, of_row in nses if of_row
         )
         raise ConfigurationError(
             f"no roof fits this record: the best NSE is {best}, although the mean of the "

@@ -119,7 +119,7 @@ def find_runs(
             if not read_about(run_directory(path)).ending:
                 raise
             sources.failed.append(
-                {"run": name, "case": "", "from": "", "window": "", "errorf": str(error)}
+                {"run": name, "case": "", "from": "", "window": "", "error": str(error)}
             )
     _name_by_difference(single)
     sources.runs += single.values()

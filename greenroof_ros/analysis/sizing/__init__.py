@@ -1,1 +1,1 @@
-"""Size a cistern: compare many volumes, targets and outlets over all seasons of a record."""
+"""Sizing of a cistern: volumes, targets and outlets, compared over all seasons of a record."""

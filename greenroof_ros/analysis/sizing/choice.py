@@ -1,7 +1,7 @@
-"""Choose the recommended design: the target from water stress, the cistern from its last m3.
+"""Choice of the recommended design: the target from water stress, the cistern from its last m3.
 
-The knee is the smallest cistern beyond which every further m3 saves less than a stated amount. For
-volumes V_1 < V_2 < ... that save the water or the money S_1, S_2, ... in a season,
+The knee is the smallest cistern beyond which every additional m3 saves less than a stated amount.
+For volumes V_1 < V_2 < ... that save the water or the money S_1, S_2, ... in a season,
 
     knee = the smallest V_i with (S_{j+1} - S_j) / (V_{j+1} - V_j) < amount for all j >= i.
 
@@ -29,11 +29,11 @@ MAX_STRESS = 0.01
 
 @dataclass(frozen=True)
 class Prices:
-    """What water and cistern cost, in any currency; without prices no costs are calculated.
+    """Prices of water and cistern, in any currency; without prices no costs are calculated.
 
     Waste-water fees are charged on the metered mains water, and storm-water fees on the connected
     area. No meter counts what a cistern lets out, in dry or in wet weather, so the price of storm
-    water is usually one that a city sets for what it must treat or store.
+    water is usually a price that a city sets for the water it must treat or store.
     """
 
     mains_price: float = entry(
@@ -67,13 +67,13 @@ class Prices:
 
 
 def find_knee(volumes: Sequence[float], saved: Values, amount: float) -> int | None:
-    """Return the index of the knee, or None if even the largest cistern is below it.
+    """Return the index of the knee, or None if the largest cistern is smaller than the knee.
 
     Args:
         volumes: volumes of the cisterns (m3), in ascending order.
-        saved: what each of them saves in a season, relative to any one of them (m3, or money),
-            shape (n,).
-        amount: what another m3 of cistern must save (m3, or money).
+        saved: savings of each cistern in a season, relative to any one of the cisterns (m3, or
+            money), shape (n,).
+        amount: minimum savings of another m3 of cistern (m3, or money).
     """
     brings = np.diff(saved) / np.diff(volumes)
     enough = np.flatnonzero(brings >= amount)
@@ -84,7 +84,7 @@ def find_knee(volumes: Sequence[float], saved: Values, amount: float) -> int | N
 def find_target(targets: Sequence[float], stress_shares: Values) -> float:
     """Return the lowest target at which plants lack water for at most 1 % of a season (mm).
 
-    If there is none, return the target with the least stress.
+    If there is no such target, return the target with the least stress.
 
     Args:
         targets: targets to choose from (mm), in ascending order.

@@ -26,13 +26,13 @@ class Spread(NamedTuple):
 
 
 class Column(NamedTuple):
-    """How a result is shown."""
+    """The presentation of a result."""
 
     label: str
     unit: str
     form: Callable[[float], str]
     per_roof: bool = False
-    """whether it is also shown per m2 of green roof"""
+    """whether the result is also shown per m2 of green roof"""
 
 
 def format_share(share: float) -> str:
@@ -67,7 +67,7 @@ COLUMNS = {
 
 
 def format_spread(spread: Spread, column: Column) -> str:
-    """Return mean, lowest and highest as text: ``3.5 (1.2 to 7.9)``."""
+    """Return the mean, the lowest and the highest value as text: ``3.5 (1.2 to 7.9)``."""
     if math.isnan(spread.mean):
         return "none"
     mean, low, high = map(column.form, spread)

@@ -44,7 +44,7 @@ class Design:
 
     Attributes:
         volume: volume of the cistern up to its overflow (m3).
-        target: desired water on the roof, as a depth (mm).
+        target: target for the water on the roof, as a depth (mm).
         outlet: one of :data:`OUTLETS`.
         site: the site with this cistern, target and outlet.
         parameters: parameters of the controller, and of the outlet's policy if there is a valve.
@@ -60,8 +60,8 @@ class Design:
 def choose_volumes(site: Site) -> list[float]:
     """Return the default volumes (m3).
 
-    They are eight preferred numbers, which hold from 4 to about 100 mm of rain on the connected
-    area.
+    The volumes are eight preferred numbers, which hold from 4 to about 100 mm of rain on the
+    connected area.
     """
     smallest = _SMALLEST_M * connected_area(site)
     decade = math.floor(math.log10(smallest))
@@ -74,7 +74,7 @@ def choose_volumes(site: Site) -> list[float]:
 
 
 def choose_targets(site: Site) -> list[float]:
-    """Return the default targets (mm): the site's, and one day's irrigation below and above it."""
+    """Return the default targets (mm): the site's, and a day's irrigation below and above it."""
     own, full = 1000 * site.z_veg, 1000 * site.roof_level(site.z_cap)
     wilting = 1000 * site.roof_level(site.wilting_volume)
     return [
@@ -87,7 +87,7 @@ def read_numbers(values: Sequence[Any] | None, key: str, allowed: Range) -> list
     """Return the numbers under a key in ascending order.
 
     Raises:
-        ConfigurationError: if a number is out of range or appears twice, or if there is none.
+        ConfigurationError: if a number is out of range or appears twice, or if there is no number.
     """
     if values is None:
         return None
@@ -103,10 +103,10 @@ def read_numbers(values: Sequence[Any] | None, key: str, allowed: Range) -> list
 
 
 def read_outlets(names: Sequence[str] | None) -> list[str]:
-    """Return the named outlets in the order of :data:`OUTLETS`, or all of them if none is named.
+    """Return the named outlets in the order of :data:`OUTLETS`, or all outlets if none is named.
 
     Raises:
-        ConfigurationError: if there is no outlet of a name.
+        ConfigurationError: if a name is not that of an outlet.
     """
     given = [names] if isinstance(names, str) else list(names or OUTLETS)
     for name in given:
@@ -118,7 +118,7 @@ def read_outlets(names: Sequence[str] | None) -> list[str]:
 
 
 def choose_outlet(site: Site, outlets: Sequence[str]) -> str:
-    """Return the recommended outlet: that of the site file, which is plan if it has a valve."""
+    """Return the recommended outlet: ``plan`` if the site file has a valve, or else ``none``."""
     own = PLAN if site.low_outlet_valve else NONE
     return own if own in outlets else outlets[0]
 
@@ -126,7 +126,7 @@ def choose_outlet(site: Site, outlets: Sequence[str]) -> str:
 def make_designs(
     site: Site, volumes: Sequence[float], targets: Sequence[float], outlets: Sequence[str]
 ) -> tuple[list[Design], list[str]]:
-    """Return the designs, by outlet, target and volume, and the assumptions, as sentences.
+    """Return the designs, sorted by outlet, target and volume, and the assumptions as sentences.
 
     Args:
         site: the site; only the height of its own cistern is used.
@@ -142,17 +142,17 @@ def make_designs(
     for target in targets:
         if not wilting < target / 1000 < full:
             raise ConfigurationError(
-                f"must be above {1000 * wilting:.4g} mm, where plants take up no more water, and "
+                f"must be above {1000 * wilting:.4g} mm, below which plants take up no water, and "
                 f"below {1000 * full:.4g} mm, above which the soil drains (field_capacity and "
                 "z_soil of the site)", key="targets", value=target,
             )
     notes = [
-        f"All cisterns are as high as the one in the site file, {site.z_o:g} m up to the overflow, "
-        "and differ in their area. A season begins with the cistern half full and the roof at its "
-        "target.",
+        f"All cisterns have the height of the cistern in the site file, {site.z_o:g} m up to the "
+        "overflow, and differ in their area. A season begins with the cistern half full and the "
+        "roof at its target.",
         f"An on/off controller, which fills the roof to its target, decides every {TAU:g} s "
-        "whether the pump runs. No forecast is used: plan keeps what the roof needs for 20 days, "
-        "and makes room in dry weather.",
+        "whether the pump runs. No forecast is used: plan keeps the water that the roof needs "
+        "for 20 days, and makes room in dry weather.",
     ]
     topped_up = _add_mains(site, notes)
     designs = []
@@ -182,7 +182,7 @@ def _make_design(site: Site, volume: float, target: float, outlet: str) -> Desig
 
 
 def _add_mains(site: Site, notes: list[str]) -> Site:
-    """Return a site with a mains top-up, without which no share of the demand is calculated."""
+    """Return a site with a mains top-up, which the share of the demand that is met requires."""
     if site.mains_level is not None:
         return site
     above = min(_MAINS_ABOVE_SUCTION_M, (site.min_outlet_level - site.suction_level) / 2)
@@ -205,14 +205,15 @@ def _without_outlet(site: Site) -> Site:
 def _add_valve(site: Site, notes: list[str]) -> Site:
     """Return a site with a valve on a low outlet.
 
-    Its radius is NaN if it is not in the site file, because it depends on the cistern.
+    The radius of the outlet is NaN if it is not in the site file, because it depends on the
+    cistern.
     """
     assert site.mains_level is not None
     if site.low_outlet_valve:
         return site
     if site.low_outlet_level is not None:
         notes.append(
-            "Assumed: the low outlet of the site file, which has no valve, is fitted with one for "
+            "Assumed: the low outlet of the site file, which has no valve, gets a valve for "
             "drain and plan, and is closed for none."
         )
         return replace(site, low_outlet_valve=True)
@@ -220,8 +221,8 @@ def _add_valve(site: Site, notes: list[str]) -> Site:
     level = site.mains_level + above
     notes.append(
         "Assumed, because the site file has no low outlet: drain and plan have a valve at a level "
-        f"of {level:.3g} m, {1000 * above:.3g} mm above the level of the mains top-up. It is large "
-        f"enough to empty a full cistern down to that level in {EMPTIED_H:g} h."
+        f"of {level:.3g} m, {1000 * above:.3g} mm above the level of the mains top-up. The valve "
+        f"is large enough to empty a full cistern down to its level in {EMPTIED_H:g} h."
     )
     return replace(
         site, low_outlet_level=level, low_outlet_radius=math.nan, low_outlet_valve=True

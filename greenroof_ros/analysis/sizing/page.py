@@ -1,4 +1,4 @@
-"""The page of a sizing, which can be handed to a client, and its figures."""
+"""The page that shows the result of a sizing to a client, and its figures."""
 
 from __future__ import annotations
 
@@ -61,8 +61,9 @@ def draw(sizes: Sizes, target: float) -> Figure:
     ]
     many = len(sizes.seasons)
     caption = (
-        f"Lines: means of {many} seasons. Bands: from the lowest season to the highest."
-        if many > 1 else f"The season {sizes.seasons[0]}."
+        f"Lines show the means of {many} seasons. Bands extend from the lowest to the highest "
+        "season."
+        if many > 1 else f"The lines show the season {sizes.seasons[0]}."
     )
     return Figure(name, f"Target {target:g} mm", caption, tuple(panels), 2, {name: rows})
 

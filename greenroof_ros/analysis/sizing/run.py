@@ -1,4 +1,4 @@
-"""Compare cisterns for a site and a weather record."""
+"""A comparison of cisterns for a site and a weather record."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ JOBS = Range(1, 1024, whole=True)
 _OF_RUN = ("site", "weather", "evapotranspiration", "gaps")
 _OWN = ("volumes", "targets", "outlets", "season", "knee", "jobs", *PRICES)
 OPTIONS = (*_OF_RUN, *_OWN)
-"""names of what a user can pass"""
+"""names of the options that a user can pass"""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Show what has been done, and end the runs if they must end.
+    """The display of the progress, and a check that can stop the runs.
 
     Attributes:
-        show: called with the current task and the share of all the work that is done, 0 to 1.
-        check: raises an error if the runs must end.
+        show: callback that receives the current task and the share of all work done, 0 to 1.
+        check: callback that raises an error if the runs must stop.
     """
 
     show: Callable[[str, float], None] = lambda text, share: None
@@ -50,9 +50,9 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
     """Compare the designs of a site over the seasons of its weather.
 
     Args:
-        given: values of :data:`OPTIONS`, by name; an option that is None or left out has its
+        given: values of :data:`OPTIONS`, by name; an option that is None or left out gets its
             default.
-        progress: shows the progress of the runs, and can end them.
+        progress: display of the progress, which can stop the runs.
 
     Raises:
         ConfigurationError: if an input is wrong; the key of the error is the option's name.
@@ -121,10 +121,10 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
 
 
 def _read_prices(given: Mapping[str, Any]) -> Prices | None:
-    """Return the prices, or None if there are none.
+    """Return the prices, or None if no price is given.
 
     Raises:
-        ConfigurationError: if a price is out of range, or only some are given.
+        ConfigurationError: if a price is out of range, or if only some of the prices are given.
     """
     if not given:
         return None

@@ -1,4 +1,4 @@
-"""The seasons of a record: the same days of every year for which it is complete."""
+"""The seasons of a record: the same days of every year in which the record is complete."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Window(NamedTuple):
     last: date
 
     def __str__(self) -> str:
-        """Return the days as a person would write them: ``1 May to 31 October``."""
+        """Return the days in words, such as ``1 May to 31 October``."""
         return " to ".join(f"{day.day} {day:%B}" for day in self)
 
     @property
@@ -43,11 +43,12 @@ class Window(NamedTuple):
 def read_window(text: str | None, site: Site) -> Window:
     """Return the days of a season; the default is the half of the year with irrigation.
 
-    This is May to October, or November to April south of the equator.
+    The default is May to October, or November to April south of the equator.
 
     Args:
         text: first and last day, as in ``05-01/10-31``; None for the default.
-        site: the site, whose latitude decides; without one, it is taken to be in the north.
+        site: the site, whose latitude determines the default; a site without a latitude counts as
+            north of the equator.
 
     Raises:
         ConfigurationError: if the text does not have this form.
@@ -61,15 +62,15 @@ def read_window(text: str | None, site: Site) -> Window:
         return Window(*(date.fromisoformat(f"{_YEAR}-{day}") for day in match.groups()))
     except ValueError:
         raise ConfigurationError(
-            "must be the first and the last day, month before day, such as 05-01/10-31 (29 "
-            "February is not allowed)", key="season", value=text,
+            "must be the first and the last day of the season, with the month before the day, "
+            "such as 05-01/10-31 (29 February is not allowed)", key="season", value=text,
         ) from None
 
 
 def find_seasons(
     inputs: RunInputs, site: Site, weather: Weather, window: Window
 ) -> tuple[dict[str, Run], dict[str, str]]:
-    """Return the run of every complete season, by name, and what the other seasons lack.
+    """Return the run of every complete season, and the gap in every other season, both by name.
 
     Args:
         inputs: inputs of a run of the site, whose start and length do not matter.
@@ -99,8 +100,9 @@ def find_seasons(
     if not runs:
         seasons = "".join(f"; {name}: {why}" for name, why in incomplete.items())
         raise ConfigurationError(
-            f"does not cover a complete season, {window}: it runs from {to_minutes(weather.first)} "
-            f"to {to_minutes(weather.end)}{seasons}. Choose other days with season, or fill "
+            f"does not cover a complete season, {window}: the record is from "
+            f"{to_minutes(weather.first)} to {to_minutes(weather.end)}{seasons}. Choose other "
+            "days with season, or fill "
             "missing hours (gaps: fill)", file=weather.source,
         )
     return runs, incomplete
@@ -109,9 +111,9 @@ def find_seasons(
 def _find_reason(
     weather: Weather, year: int, window: Window, error: ConfigurationError
 ) -> str:
-    """Return why the season that begins in a year is incomplete.
+    """Return the reason why the season that begins in a year is incomplete.
 
-    The text is empty if the record does not touch the season.
+    The reason is empty if the record contains no part of the season.
     """
     zone, day = weather.first.tzinfo, window.first.replace(year=year)
     start = datetime.combine(day, datetime.min.time(), zone)
@@ -127,16 +129,17 @@ def _find_reason(
 
 
 def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
-    """Return what a reader must know about the site and the weather, every sentence once.
+    """Return the notes about the site and the weather for the reader, every sentence once.
 
     Args:
         runs: the runs of the seasons, by name.
-        site: the user's site, because a note on the duration of a tick must not refer to ours.
+        site: the user's site, because a note on the duration of a tick must refer to this site.
     """
     own = (replace(run, site=site) for run in runs.values())
     notes = [note for run in own for note in (*run.weather.notes, *run.notes())]
     notes += [
-        f"{sentence}; used unchanged" for run in runs.values() for sentence in run.series.suspicious
+        f"{sentence}; this weather is used unchanged"
+        for run in runs.values() for sentence in run.series.suspicious
     ]
     filled = [
         f"{run.series.filled_hours} in {name}" for name, run in runs.items()
@@ -144,7 +147,7 @@ def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
     ]
     if filled:
         notes.append(
-            "missing hours of weather were filled in, and missing rain counts as no rain: "
+            "missing hours of weather were filled, and missing rain counts as no rain: "
             + ", ".join(filled)
         )
     return list(dict.fromkeys(notes))

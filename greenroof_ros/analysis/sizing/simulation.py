@@ -1,4 +1,4 @@
-"""Run all designs over all seasons, many of them at the same time."""
+"""The simulation of all designs in all seasons, many of them at the same time."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ class Case(NamedTuple):
     design: Design
     season: int
     filled: float = HALF
-    """share of the cistern that is full at its start"""
+    """share of the cistern that is full when the season begins"""
 
 
 def simulate_cases(
     cases: Sequence[Case], weather: Sequence[BatchWeather], jobs: int,
     show: Callable[[float], None], check: Callable[[], None],
 ) -> dict[str, Values]:
-    """Return the metrics of cases, by name, each of shape (cases,).
+    """Return the metrics of cases, by name, each with shape (cases,).
 
     Args:
         cases: the designs and seasons to run.
         weather: weather of the seasons.
         jobs: number of processes; with 1, this process does the work.
-        show: shows the share that is done, 0 to 1.
-        check: raises an error if the runs must end.
+        show: callback that receives the share of the work that is done, 0 to 1.
+        check: callback that raises an error if the runs must stop.
 
     Raises:
         WorkersLostError: if a process ended unexpectedly.

@@ -1,4 +1,4 @@
-"""The result of a sizing: its table, its sentence, its charts and its page."""
+"""The result of a sizing, with its table, sentence, charts and page."""
 
 from __future__ import annotations
 
@@ -56,17 +56,18 @@ class Sizes:
         site: the site that all designs share.
         designs: the designs, by outlet, target and volume.
         seasons: names of the seasons.
-        window: the days of a season, as a person would write them.
+        window: the days of a season, in words.
         hours: length of a season (h).
         values: every metric of each design in each season, by name, shape (designs, seasons).
-        incomplete: seasons that the record covers only in part, and what they lack.
-        notes: what was assumed, and what a reader must know about the weather.
+        incomplete: reason why each season that the record covers only in part is incomplete, by
+            name.
+        notes: assumptions, and notes about the weather for the reader.
         prices: prices of water and cistern; None if no costs are calculated.
-        knee_m3: water that another m3 of cistern must save in a season (m3).
+        knee_m3: minimum water that another m3 of cistern must save in a season (m3).
         tried: designs that were also run from other initial states: every second cistern, with
             one target and the recommended outlet.
-        starts: means of every metric of these designs from an empty and from a full cistern, by
-            name, shape (2, designs).
+        starts: means of every metric of the designs in ``tried``, which begin with an empty and
+            with a full cistern, by name, shape (2, designs).
     """
 
     site: Site
@@ -108,7 +109,7 @@ class Sizes:
         return {name: column for name, column in COLUMNS.items() if name in self.values}
 
     def spread(self, name: str, design: Design) -> Spread:
-        """Return the mean, the lowest and the highest of a column over the seasons."""
+        """Return the mean, the lowest and the highest value of a column over the seasons."""
         values = self.values[name][self.designs.index(design)]
         known = values[~np.isnan(values)]
         if not known.size:
@@ -134,7 +135,8 @@ class Sizes:
             outlet: one of :attr:`outlets`.
 
         Returns:
-            The design, or None if even a cistern larger than the largest would save enough.
+            The design, or None if even an additional m3 beyond the largest cistern would save
+            enough.
         """
         designs = self.select(target, outlet)
         means = [
@@ -162,13 +164,13 @@ class Sizes:
 
     @property
     def by_interest(self) -> list[float]:
-        """Targets (mm), beginning with the recommended one."""
+        """Targets (mm), beginning with the recommended target."""
         own = self.recommended.target
         return [own, *(target for target in self.targets if target != own)]
 
     @cached_property
     def sentence(self) -> str:
-        """The result in one sentence: the recommended cistern, and the next larger one."""
+        """The result in one sentence: the recommended cistern, and the next larger cistern."""
         own = self.recommended
         group = self.select(own.target, own.outlet)
         text = self.describe(own)
@@ -180,7 +182,7 @@ class Sizes:
         return f"{text}."
 
     def describe(self, design: Design) -> str:
-        """Return a clause that states what a design achieves."""
+        """Return a clause that states the benefits of a design."""
         met, kept = (self.spread(name, design) for name in ("demand_met_share", KEPT))
         return f"A cistern of {design.volume:g} m³ " + " and ".join((
             "has nothing to irrigate" if np.isnan(met.mean)
@@ -196,28 +198,28 @@ class Sizes:
         return float(np.mean(hours)) / self.hours
 
     def describe_target(self) -> str:
-        """Return a sentence that states why this target is recommended."""
+        """Return a sentence with the reason why this target is recommended."""
         stress, most = self._stress(self.recommended.target), f"{MAX_STRESS:.0%}".replace("%", " %")
         if stress > MAX_STRESS:
-            least = "" if len(self.targets) == 1 else ", and in the fewest at this target"
+            least = "" if len(self.targets) == 1 else ", and at this target in the fewest hours"
             return f"plants lack water in more than {most} of the hours of a season{least}."
         if len(self.targets) == 1:
             return f"plants lack water in at most {most} of the hours of a season."
         return (
-            f"the lowest of {len(self.targets)} targets at which plants lack water in at most "
-            f"{most} of the hours of a season."
+            f"this is the lowest of {len(self.targets)} targets at which plants lack water in at "
+            f"most {most} of the hours of a season."
         )
 
     def describe_outlet(self) -> str:
-        """Return a sentence that states why this outlet is recommended."""
+        """Return a sentence with the reason why this outlet is recommended."""
         if self.outlet == PLAN and self.site.low_outlet_valve:
             return "the site file has a valve on the low outlet."
         if self.outlet == NONE and not self.site.low_outlet_valve:
             return "the site file has no valve."
-        return "the first of the outlets that were compared."
+        return "this is the first of the outlets that were compared."
 
     def describe_knee(self) -> str:
-        """Return a sentence that states why this cistern is recommended."""
+        """Return a sentence with the reason why this cistern is recommended."""
         amount = f"another m³ of cistern saves less than {self.knee_m3:g} m³ of water in a season"
         what = "mains water and storm water in the sewer together"
         if self.prices is not None:
@@ -227,21 +229,21 @@ class Sizes:
                 f"{self.prices.yearly_cistern_price:.4g} a year"
             )
         if len(self.volumes) == 1:
-            return "the only one that was compared."
+            return "this is the only size that was compared."
         if self.find_knee(self.recommended.target, self.outlet) is None:
             return (
-                f"the largest of all: none of the sizes is one beyond which {amount} ({what}), so "
-                "larger ones are worth trying."
+                f"this is the largest of the sizes. There is no size beyond which {amount} "
+                f"({what}), so larger sizes are worth trying."
             )
         if self.recommended.volume == self.volumes[0]:
             return (
-                f"the smallest of all; beyond this size {amount} ({what}), so smaller ones are "
-                "worth trying."
+                f"this is the smallest of the sizes. Beyond it, {amount} ({what}), so smaller "
+                "sizes are worth trying."
             )
-        return f"beyond this size {amount} ({what})."
+        return f"beyond this size, {amount} ({what})."
 
     def format_knee(self, target: float, outlet: str) -> str:
-        """Return the knee as text; the smallest and the largest cistern only set limits to it."""
+        """Return the knee as text; for the smallest and the largest cistern, it is only a limit."""
         knee = self.find_knee(target, outlet)
         if knee is None:
             return f"above {self.volumes[-1]:g} m³"
@@ -249,7 +251,7 @@ class Sizes:
         return "at most " * is_limit + f"{knee.volume:g} m³"
 
     def describe_starts(self) -> str:
-        """Return sentences that state how much the initial state of a season matters."""
+        """Return sentences about the effect of the initial state of a season."""
         ratios = [abs(np.log(one.volume / self.recommended.volume)) for one in self.tried]
         place = int(np.argmin(ratios))  # the recommended cistern, or one next to it
         design = self.tried[place]
@@ -265,20 +267,20 @@ class Sizes:
             f"Every season begins with the cistern half full. With {design.volume:g} m³ and a "
             f"target of {design.target:g} mm, the result is {half_text}"
             f"{' on average' * (len(self.seasons) > 1)}. If the cistern is empty at the beginning, "
-            f"it is {empty_text}, and if it is full, {full_text}."
+            f"the result is {empty_text}, and if the cistern is full, {full_text}."
         )
 
     # --- tables and files -------------------------------------------------------------------------
 
     @property
     def _names(self) -> list[str]:
-        """Names of all results: the metrics, and those in addition to them."""
+        """Names of all results, which are the metrics and additional results."""
         order = [*(metric.name for metric in METRICS), KEPT, COST]
         return [name for name in order if name in self.values]
 
     @property
     def table(self) -> polars.DataFrame:
-        """Results, with one row per design: means over the seasons, with lowest and highest.
+        """Results, with one row per design: the means, lowest and highest values of the seasons.
 
         The columns are named as in ``summary.json``, with ``_min`` and ``_max`` added for the
         lowest and the highest season. ``storm_water_kept_share`` is the share of the rain on roof
@@ -321,10 +323,11 @@ class Sizes:
     def plot(self, target: float | None = None) -> altair.ConcatChart:
         """Return a chart of the results over the cistern's volume, with a line per outlet.
 
-        A line shows the mean of the seasons, and its band reaches from the lowest to the highest.
+        A line shows the mean of the seasons, and its band extends from the lowest to the highest
+        season.
 
         Args:
-            target: one of :attr:`targets` (mm); by default the recommended one.
+            target: one of :attr:`targets` (mm); by default the recommended target.
 
         Raises:
             ConfigurationError: if altair is not installed.
@@ -338,7 +341,7 @@ class Sizes:
         """Write the page ``sizes.html``, the table ``sizes.csv``, and the figures; return the page.
 
         Args:
-            directory: where to write; it is created if it does not exist. Files of an earlier
+            directory: output directory, which is created if it does not exist. Files of an earlier
                 result are replaced, and figures of targets that are no longer compared are removed.
 
         Raises:
@@ -376,7 +379,7 @@ class Sizes:
         return text.getvalue()
 
     def list_remarks(self) -> list[str]:
-        """Return :attr:`notes`, and a remark on every season that was left out.
+        """Return :attr:`notes`, and a remark about every season that was left out.
 
         Every remark begins with a capital letter, unless it begins with the name of a file.
         """

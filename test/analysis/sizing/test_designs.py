@@ -78,4 +78,4 @@ def test_an_orifice_gets_a_valve() -> None:
     site = read_site(VALVE, {"low_outlet_valve": False})
     designs, notes = make_designs(site, [5.0], [39.0], OUTLETS)
     assert [design.site.low_outlet_level is None for design in designs] == [True, False, False]
-    assert sum("which has no valve, is fitted with one" in note for note in notes) == 1
+    assert sum("which has no valve, gets a valve" in note for note in notes) == 1

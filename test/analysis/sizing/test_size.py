@@ -127,7 +127,7 @@ def test_the_table_has_each_design_and_season(sized: Path) -> None:
             2 * value["mains_m3"] + value["wet_discharge_m3"] + 20 * value["volume_m3"]
         )
     comments = (sized / "out" / "sizes.csv").read_text().partition("volume_m3")[0]
-    assert "the cistern half full" in comments and "filled in" in comments
+    assert "the cistern half full" in comments and "were filled" in comments
 
 
 def test_python_gives_the_same(sized: Path, sizes: Sizes) -> None:
@@ -219,7 +219,7 @@ def test_a_knee_at_the_ends_of_the_volumes(sizes: Sizes) -> None:
     """No cistern saves a million m3 for each m3, and each saves at least none."""
     never, always = (replace(sizes, knee_m3=amount) for amount in (1e6, 0.0))
     assert never.recommended.volume == 2
-    assert never.describe_knee().startswith("the smallest of all; beyond this size another")
+    assert never.describe_knee().startswith("this is the smallest of the sizes. Beyond it, another")
     assert never.format_knee(never.targets[0], "plan") == "at most 2 m³"
     assert always.recommended.volume == 10
     assert always.describe_knee().startswith("the largest of all")
