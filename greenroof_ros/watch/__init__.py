@@ -1,1 +1,1 @@
-"""Shows people what a running graph does: on a page, over MQTT and in a few lines of text."""
+"""Web page, MQTT bridge and short text summary that show people the state of a running graph."""

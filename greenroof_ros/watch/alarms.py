@@ -1,7 +1,7 @@
 """Alarms and events of a graph, as shown by the page, the status command and the bridge.
 
-:mod:`greenroof_ros.common.alarms` judges what is an alarm, as it does for the supervisor of a live
-site.
+:mod:`greenroof_ros.common.alarms` decides which conditions are alarms, as it does for the
+supervisor of a live site.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ _SEVERITY = {"error": 0, "stale": 1, "warn": 2}
 
 
 def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
-    """Return the alarms: causes, then what follows from them, other devices, and what is over.
+    """Return the alarms: causes, then their consequences, other devices and past alarms.
 
-    The order within each group is: the pump's state, alarms that are not acknowledged, the worst,
-    the newest. Older and acknowledged alarms are already known.
+    Within each group, the alarms of the pump node and of the pump's state come first. The others
+    are sorted by acknowledgement (unacknowledged first), severity (worst first) and time (newest
+    first), since operators already know older and acknowledged alarms.
 
-    ``plain`` states whether ``do`` is written for the alarm's code; if so, an operator reads ``do``
-    instead of the node's own words in ``what``.
+    ``plain`` states whether there is a text ``do`` for the alarm's code. If so, the page shows
+    ``do`` more prominently than ``what``, which is the node's own wording.
     """
 
     def order(alarm: Alarm) -> tuple[bool, bool, int, bool, int, float]:
@@ -53,7 +54,7 @@ def list_alarms(store: GraphStore) -> list[dict[str, Any]]:
 
 
 def list_events(store: GraphStore) -> list[dict[str, Any]]:
-    """Return the events, the newest first."""
+    """Return the events, newest first."""
     return [
         {"at": at, "what": what, "at_text": store.time_of_day(at)}
         for at, what in reversed(store.events)
@@ -61,9 +62,9 @@ def list_events(store: GraphStore) -> list[dict[str, Any]]:
 
 
 def count_alarms(store: GraphStore) -> tuple[int, int, int]:
-    """Return how many causes are alarms, how many are warnings, and how many alarms follow.
+    """Return the numbers of causes with an alarm, causes with a warning, and resulting alarms.
 
-    A cause counts with the worst level among itself and what follows from it.
+    A cause is counted at the most severe level among the cause itself and its consequences.
     """
     present = store.judge.present.values()
     following = sum(bool(alarm.follows) for alarm in present)
@@ -72,12 +73,12 @@ def count_alarms(store: GraphStore) -> tuple[int, int, int]:
 
 
 def choose_advice(present: Sequence[Mapping[str, Any]]) -> str:
-    """Return what to do now about the cause of the first alarm that is not acknowledged.
+    """Return the advice for the cause of the first unacknowledged alarm.
 
-    If the cause is only a hold, which is intended, what to do about a second alarm is added.
+    If that cause is only a hold, which is intended, the advice for a second alarm is added.
 
     Args:
-        present: the present alarms as they are listed, at least one.
+        present: the present alarms as returned by :func:`list_alarms`; at least one.
     """
     rows = sorted(present, key=lambda row: row["acknowledged"])
     first = next((row for row in rows if row["id"] == rows[0]["follows"]), rows[0])

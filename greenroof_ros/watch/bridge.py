@@ -1,4 +1,4 @@
-"""A site on MQTT, with what the page shows and a stop; see :class:`Bridge`."""
+"""MQTT bridge that publishes what the page shows and accepts a stop; see :class:`Bridge`."""
 
 from __future__ import annotations
 
@@ -46,31 +46,33 @@ _STOP_S = 60.0
 
 
 class Bridge:
-    """Publishes a site, and stops its pump on request; no other request is accepted.
+    """A bridge that publishes a site over MQTT and accepts one request: a stop of the pump.
 
-    It publishes ``state``, ``alarms`` and ``availability``, and subscribes to ``stop``, all under
-    ``greenroof/SITE/``. State and alarms are not retained, since a later reader would mistake an
-    old value for a present one. They are sent on every change, and at least every 10 s. A stop that
-    the broker has kept (retained) is ignored, since it would stop the pump at every connection.
-    While connected, the bridge obeys every stop: MQTT 3.1.1 does not tell a subscriber whether the
-    sender wanted the message to be retained, and a person's stop must count. No stop is queued for
-    this client.
+    The bridge publishes ``state``, ``alarms`` and ``availability``, and subscribes to ``stop``, all
+    under ``greenroof/SITE/``. The state and the alarms are sent on every change, and at least every
+    10 s. The state and the alarms are not retained, since a client that connects later would
+    mistake an old value for a present one. A stop that the broker has retained is ignored, since it
+    would stop the pump again at every connection. While connected, the bridge obeys every stop.
+    MQTT 3.1.1 does not tell a connected subscriber whether the sender asked for the message to be
+    retained, and a stop requested by a person must be obeyed. The broker queues no stop while the
+    bridge is disconnected.
 
-    The bridge receives what it publishes. If someone else has published there, it reports this,
-    publishes its own message again, and clears any state and alarms that the broker would keep.
+    The bridge subscribes to its own topics. If another client has published on one of these topics,
+    the bridge reports this, publishes its own message again, and clears any state and alarms that
+    the broker would retain.
     """
 
     def __init__(self, store: GraphStore, feed: Feed, broker: Broker) -> None:
-        """Start without a connection.
+        """Prepare the bridge without connecting to the broker.
 
         Args:
-            store: state of the graph, which is published.
-            feed: feed of the store, which stops the pump.
-            broker: broker at which to publish.
+            store: state of the graph to publish.
+            feed: feed of the store, through which the pump is stopped.
+            broker: MQTT broker to publish to.
 
         Raises:
             ConfigurationError: if the MQTT library is missing, or the login or certificate file is
-                wrong.
+                invalid.
         """
         site = store.namespace.strip("/").replace("/", "_") or "roof"
         self._store, self._feed, self._broker = store, feed, broker
@@ -96,10 +98,10 @@ class Bridge:
         """Publish the site until a signal arrives.
 
         Args:
-            signals: the signals that end it.
+            signals: signals that stop the bridge.
 
         Raises:
-            InterruptedRun: if a signal arrived.
+            InterruptedRun: if a signal arrives.
         """
         self._client.loop_start()
         try:
@@ -123,15 +125,15 @@ class Bridge:
     def _stop_pump(self) -> None:
         try:
             answer = self._feed.request_action("stop", owner="MQTT")
-            print_seldom("stop", f"stop, over MQTT: {answer}")
+            print_seldom("stop", f"stop requested over MQTT: {answer}")
             self._stop_until = -math.inf
         except PumpRequestError as failure:
-            print_seldom("no stop", f"stop, over MQTT: {failure}")
+            print_seldom("no stop", f"stop requested over MQTT: {failure}")
             if failure.answered:
                 self._stop_until = -math.inf
         except Exception as error:  # tried again: no other error ends a stop
             what = type(error).__name__
-            print_seldom(what, f"stop, over MQTT: {what}: {error}; trying again")
+            print_seldom(what, f"stop requested over MQTT: {what}: {error}; trying again")
 
     def _publish_state(self) -> None:
         parts = Parts()
@@ -155,7 +157,10 @@ class Bridge:
                 self._client.publish(f"{self._base}/{name}", text)
 
     def _restore_topics(self) -> None:
-        """Publish again where someone else has published; two programs that do so take turns."""
+        """Publish again on topics where another client has published, at most once every 10 s.
+
+        If two bridges publish on the same topics, they take turns.
+        """
         now = time.monotonic()
         if not self._foreign or now - self._restored_at < _RENEW_S:
             return
@@ -179,17 +184,17 @@ class Bridge:
         self._publish_all()
 
     def _publish_all(self) -> None:
-        """Publish everything, since the broker is back or Home Assistant has started."""
+        """Publish all messages, after a connection to the broker or a start of Home Assistant."""
         for topic, text in self._kept.items():
             self._client.publish(topic, text, retain=True)
         self._publish_availability()
         self._again.set()
 
     def _publish_availability(self) -> Any:
-        """Publish whether this bridge runs, and return the message so that one can wait for it.
+        """Publish the bridge's availability, and return the message so that a caller can await it.
 
-        A bridge that connects while it is ending is offline. It then disconnects normally, so the
-        broker would not publish its will.
+        A bridge that connects while it is shutting down publishes ``offline`` itself. It
+        disconnects normally afterwards, so the broker would not publish the bridge's will.
         """
         with self._availability:
             word = OFFLINE if self._ending else ONLINE
@@ -207,33 +212,35 @@ class Bridge:
         elif topic != self._stops_on:
             self._check_own(topic, payload, retained)
         elif payload != STOP.encode():
-            print_seldom("other", f"{topic}: ignored, since it is not {STOP}")
+            print_seldom("other", f"{topic}: message ignored, since its payload is not {STOP}")
         elif retained:
             print_seldom(
                 "kept",
-                f"{topic}: ignored, because a stop must not be retained: clear the topic",
+                f"{topic}: message ignored, since a stop must not be retained; clear the retained "
+                "message",
             )
         else:
             self._stop.set()
 
     def _check_own(self, topic: str, payload: bytes, retained: bool) -> None:
-        """Note a message on a topic of this bridge that is not its own."""
+        """Record a message that another client has published on a topic of this bridge."""
         kept = self._kept.get(topic, "").encode()
         if self._ending or payload == kept or payload in self._recent or (kept and retained):
             return  # what the broker had kept was replaced when this bridge connected
         self._foreign[topic] = retained
         print_seldom("foreign", (
-            f"{topic}: someone else has published here, perhaps another bridge with the same "
-            "namespace; it is published again: let the broker allow this only to this bridge"
+            f"{topic}: another client has published on this topic, perhaps another bridge with the "
+            "same namespace; this bridge publishes its own message again. Configure the broker so "
+            "that only this bridge may publish on this topic"
         ))
 
 
 def make_state(store: GraphStore, shown: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of the state, in the page's units; None means *unknown*.
+    """Return the fields of the ``state`` message in the page's units; None means *unknown*.
 
     Args:
-        store: state of the graph; the caller holds its lock.
-        shown: document of that store.
+        store: state of the graph; the caller must hold its lock.
+        shown: document made from the store.
     """
     tiles, pump = shown["tiles"], shown["tiles"]["pump"]
     here, now, plan = store.mode not in ("none", "ended"), store.now, store.plan
@@ -273,7 +280,7 @@ def _round_number(topic: str, value: float | None) -> float | None:
 
 
 def make_alarms(shown: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the summary, what to do, and the present alarms, as in the document."""
+    """Return the summary, the advice and the present alarms, as in the document."""
     keys = "code", "level", "id", "what", "do", "follows", "since"
     return {
         "summary": join_summary(shown),

@@ -1,8 +1,8 @@
-"""What the page and the status command show, as data for JSON: the document and the charts' series.
+"""The document and the charts' series that the page and the status command show, as JSON data.
 
-One function makes each of them from a store.
+:func:`make_document` makes the document from a store, and :func:`make_series` the series.
 
-The entries of a document: ``heading``, ``mode``, ``namespace``, ``time``, ``notes``, ``tiles``
+A document has the entries ``heading``, ``mode``, ``namespace``, ``time``, ``notes``, ``tiles``
 (with the ``summary``), ``advice``, ``alarms``, ``events`` and ``stop``.
 """
 
@@ -42,13 +42,13 @@ _HEADINGS = {
 
 
 def make_document(store: GraphStore, wall: float) -> dict[str, Any]:
-    """Return everything that the page and the status command show, as plain text below 100 kB.
+    """Return the document for the page and the status command: plain texts below 100 kB in total.
 
-    Each part is made separately: one that cannot be made is replaced, and a note states this.
+    Each part is made separately. A part that cannot be made is replaced, and a note says so.
 
     Args:
         store: state of the graph.
-        wall: now (steady clock, s).
+        wall: present time (steady clock, s).
     """
     with store.lock:
         return _make_document(store, wall)
@@ -151,14 +151,14 @@ def _write_counts(alarms: int, warnings: int, following: int) -> str:
         f"{count} {name}" if count == 1 else f"{count} {name}s"
         for count, name in ((alarms, "alarm"), (warnings, "warning")) if count
     ]
-    more = f" ({following} more caused by these)" if following else ""
+    more = f" (and {following} more as a result)" if following else ""
     return f"{', '.join(counts) or 'No alarms'}{more}."
 
 
 def _judge_level(shown: dict[str, Tile]) -> str:
     """Return the level to show if there are no alarms: ``ok`` or ``warn``.
 
-    It is never ``ok`` above a tile that shows otherwise, even if there is nothing to do.
+    The level is never ``ok`` if a tile shows a problem, even if there is nothing to do.
     """
     attention = (
         any(shown[tank]["state"] != "good" for tank in ("roof", "cistern"))
@@ -168,7 +168,7 @@ def _judge_level(shown: dict[str, Tile]) -> str:
 
 
 def _write_sentence(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
-    """Return the condition of roof and pump, and what is expected."""
+    """Return a sentence on the condition of roof and pump, and on the rain that is awaited."""
     if store.mode == "none":
         return "no run or site has been found."
     if store.ended:
@@ -191,7 +191,7 @@ def _write_pump_clause(pump: Tile) -> str:
     if pump["alarm"]:
         return "it is unknown whether the pump is stopped"
     if state == "unknown":
-        return "it is unknown what the pump does"
+        return "it is unknown what the pump is doing"
     if state in ("running", "starting", "stopping"):
         clause = f"the pump is {state}"
         return f"{clause} at {tiles.write_flow(pump['number'])}" if pump["number"] else clause
@@ -203,35 +203,37 @@ def _write_pump_clause(pump: Tile) -> str:
 
 
 def _advise(store: GraphStore, shown: dict[str, Tile], waits: str) -> str:
-    """Return what to do if there is no alarm, or what happens next if something is not right."""
+    """Return the advice or explanation to show if there is no alarm."""
     if store.judge.missing:
-        return "Nothing to do: the site is starting. Whatever is still missing is listed below."
+        return (
+            "Nothing to do: the site is starting. Anything that is still missing is listed below."
+        )
     roof, pump = shown["roof"]["state"], shown["pump"]
     if store.mode == "none":
         return (
-            "Start a run or a site; if one is running, check that this watcher uses the same "
-            "ROS_DOMAIN_ID and --namespace."
+            "Start a run or a site. If one is already running, check that this watcher uses the "
+            "same ROS_DOMAIN_ID and --namespace."
         )
     if store.mode == "ended":
-        return "The run is over, so this is not the present state."
+        return "The run is over, so the values shown are not current."
     if {shown[name]["state"] for name in ("roof", "cistern", "pump")} & {"unknown", "alarm"}:
         return (
-            "Nothing is reported as wrong, but some values are unknown: check whether sensors and "
-            "programs run."
+            "No fault is reported, but some values are unknown: check that the sensors and "
+            "programs are running."
         )
     runs = pump["state"] in ("starting", "running")
     if roof == "high" and runs:
-        return "The roof has enough water, but the pump is running: check whether it should."
+        return "The roof has enough water, but the pump is running: check whether it should be."
     if roof != "low" or runs or waits:
         return "Nothing to do."
     if pump["idle"]:
         return f"Nothing to do now: the controller {shown['controller']['sentence']}."
     why = f": {pump['why']}" if pump["why"] else ""
-    return f"The roof is not watered, since the pump is {pump['state']}{why}."
+    return f"The roof is not being watered, since the pump is {pump['state']}{why}."
 
 
 def _trim(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
-    """Return the first rows that together have at most this many characters as JSON."""
+    """Return the first rows, as many as fit into ``max_length`` characters of JSON."""
     lengths = accumulate(len(json.dumps(row)) + 2 for row in rows)
     return [row for row, length in zip(rows, lengths, strict=True) if length <= max_length]
 
@@ -240,16 +242,16 @@ def _trim(rows: list[dict[str, Any]], max_length: int) -> list[dict[str, Any]]:
 
 
 def make_series(store: GraphStore, hours: float) -> dict[str, Any]:
-    """Return what the charts show, from some hours ago to 12 h ahead, in SI units.
+    """Return the series that the charts show, from ``hours`` ago to 12 h ahead, in SI units.
 
-    A row covers a ``stretch`` (s), which is a share of the time for which there are values, so a
-    run that has just begun has many rows, too. A line ends with the newest value, which the tiles
-    show as well. It has a gap between two rows that are further apart than ``gap`` (s), as no value
-    holds for longer. It also has a gap from a row of None to the next row.
+    Each row covers a ``stretch`` (s). Its length is a fraction of the time for which there are
+    values, so even a run that has just begun has many rows. The last point of a line is the newest
+    value, which the tiles also show. A line has a gap between two rows that are more than ``gap``
+    (s) apart, since no value is valid for longer, and from a row of None to the next row.
 
     Args:
         store: state of the graph.
-        hours: how far to go back (h), within :data:`HOURS`.
+        hours: length of the past to return (h), within :data:`HOURS`.
     """
     with store.lock:
         now, site = store.now, store.site

@@ -1,8 +1,9 @@
-"""Feeds the store with the messages of a running graph, and makes requests to its pump node.
+"""Feed that passes the messages of a running graph to the store, and requests to the pump node.
 
-A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. Each of its
-subscriptions nevertheless costs the publisher time in every tick, so the watcher receives the
-numbers of a run only up to a certain speed. Above that, it receives only /diagnostics.
+A watcher must not slow down the graph: see :mod:`greenroof_ros.watch.graph_client`. Each
+subscription of a watcher nevertheless costs the publisher time in every tick, so the watcher
+receives the numbers of a run only up to a certain speed. Above that speed, the watcher receives
+only /diagnostics.
 """
 
 from __future__ import annotations
@@ -48,14 +49,14 @@ _CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 
 
 class Feed:
-    """Feeds a :class:`~greenroof_ros.watch.store.GraphStore` while its context is entered."""
+    """A context manager that feeds a :class:`~greenroof_ros.watch.store.GraphStore`."""
 
     def __init__(self, store: GraphStore, past_file: Path | None = None) -> None:
-        """Start with nothing.
+        """Prepare the feed without joining the graph.
 
         Args:
             store: the store to feed.
-            past_file: file that keeps the past of a live site across restarts; None to keep none.
+            past_file: file that keeps the history of a live site across restarts; None for no file.
         """
         self._store = store
         self._graph = store.graph
@@ -102,14 +103,15 @@ class Feed:
         """Request a hold, a release, the clearing of a fault or a dose; callable from any thread.
 
         Args:
-            action: action as in :meth:`greenroof_ros.watch.graph_client.GraphClient.request`.
+            action: name of the action, as in
+                :meth:`greenroof_ros.watch.graph_client.GraphClient.request`.
             request: parameters of the action.
 
         Returns:
             The pump node's answer.
 
         Raises:
-            PumpRequestError: if the pump node did not confirm it.
+            PumpRequestError: if the pump node does not confirm the request.
         """
         this = object()
         if action == "stop":
@@ -119,7 +121,7 @@ class Feed:
         if not self._requesting.acquire(timeout=2 * _STOP_S + 0.5):
             self._stops.discard(this)
             raise PumpRequestError(
-                "The watcher is busy: the pump node was not asked, and nothing was done."
+                "The watcher is busy, so the pump node was not asked and nothing was done."
             )
         try:
             assert self._client is not None
@@ -139,7 +141,7 @@ class Feed:
     # --- the graph ------------------------------------------------------------------------------
 
     def _watch_graph(self) -> None:
-        """Receive new messages and show them; if a step fails, the others are still carried out."""
+        """Receive messages and update the store; a step that fails does not prevent the others."""
         steps = self._receive, self._find_pumps, self._update_graph
         while not self._closing.is_set():
             if sum(map(self._fails, steps)):  # it may fail again immediately
@@ -149,12 +151,12 @@ class Feed:
         self._client.close()
 
     def _fails(self, act: Callable[[], None]) -> bool:
-        """Do a step; if it fails, show the error and return True."""
+        """Carry out a step; if it fails, show the error and return True."""
         try:
             act()
         except Exception as error:  # whatever the error, the others go on
             self._problem = (
-                f"Something could not be shown; everything else continues "
+                f"A step of the watcher failed; everything else continues "
                 f"({type(error).__name__}: {error})."
             )
             self._problem_until = time.monotonic() + _SHOWN_S
@@ -182,8 +184,8 @@ class Feed:
         note = self._problem if now < self._problem_until else ""
         if not self._subscribed and (factor or 0.0) > FASTEST:
             note = (
-                "This run is too fast to be shown: more than 60 times real time. See its report "
-                "afterwards."
+                "This run is faster than 60 times real time, so its values are not shown. See "
+                "its report afterwards."
             )
         store.set_present(mode=mode, factor=factor, note=note)
         store.update(now, time.time())
@@ -192,7 +194,7 @@ class Feed:
             self._save()
 
     def _set_site(self) -> None:
-        """Set the site by whose parameters levels are judged: the graph's or the paper's."""
+        """Set the site whose parameters are used to judge levels: the graph's or the paper's."""
         path = self._graph.site()
         file = path or default_site_file()
         try:
@@ -206,7 +208,9 @@ class Feed:
         try:
             site = read_site(file)
         except ConfigurationError as error:
-            note = f"The site file cannot be read; levels are judged as at the paper's: {error}"
+            note = (
+                f"The site file cannot be read; levels are judged as at the paper's site: {error}"
+            )
             site = read_site(default_site_file())
         self._store.set_site(site, note)
 
@@ -232,11 +236,11 @@ class Feed:
     # --- incoming messages ----------------------------------------------------------------------
 
     def _on_message(self, *message: Any) -> None:
-        """Receive a message; if that fails, the others are still received."""
+        """Receive a message; if it cannot be processed, later messages are still received."""
         self._fails(lambda: self._receive_message(*message))
 
     def _excuse_own_pause(self) -> None:
-        """Excuse the silence of the nodes while this process was paused."""
+        """Exclude a pause of this process from the time for which the nodes have been silent."""
         before, self._awake = self._awake, time.monotonic()
         if self._awake - before > _OWN_PAUSE_S:
             with self._store.lock:
@@ -259,7 +263,7 @@ class Feed:
     # --- the past of a live site ----------------------------------------------------------------
 
     def _load(self) -> None:
-        """Load the past of a live site; without it, the charts start empty."""
+        """Load the history of a live site; if it cannot be read, the charts start empty."""
         if self._past_file is None:
             return
         store, file = self._store, self._past_file
@@ -272,7 +276,7 @@ class Feed:
             store.past |= past
 
     def _save(self) -> None:
-        """Save the past of a live site, without waiting for the disk."""
+        """Save the history of a live site, without waiting for the disk."""
         self._saved_at = time.monotonic()
         if self._past_file is None or not self._times.live:
             return
@@ -298,4 +302,4 @@ def _write(file: Path, rows: Any) -> None:
     try:
         write_histories(file, rows)
     except OSError as error:
-        print(f"the past is not saved: {file}: {error.strerror or error}", file=sys.stderr)
+        print(f"the history cannot be saved: {file}: {error.strerror or error}", file=sys.stderr)

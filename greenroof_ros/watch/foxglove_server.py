@@ -1,9 +1,9 @@
 """Serves a running graph to Foxglove and Lichtblick over the Foxglove WebSocket protocol.
 
-It subscribes to a topic only while a viewer shows it, in the same way as the page, so no viewer
-delays a node, however slow it is: see :mod:`greenroof_ros.watch.graph_client`. A message has the
-same time as in a bag, which is the simulated time of its tick in a simulation, and otherwise its
-time of arrival.
+The server subscribes to a topic only while a viewer shows the topic, and does so in the same way as
+the page. Even a slow viewer therefore delays no node (see
+:mod:`greenroof_ros.watch.graph_client`). Each message has the same time as in a bag: in a
+simulation, the simulated time of its tick; otherwise, its time of arrival.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def refuse_unusable(port: int) -> None:
     """Reject a port that is in use, or a missing SDK, before anything is started.
 
     Raises:
-        ConfigurationError: if the graph cannot be served at this port.
+        ConfigurationError: if the graph cannot be served on this port.
     """
     with require_extra("foxglove"):
         import foxglove  # noqa: F401
@@ -45,18 +45,18 @@ def refuse_unusable(port: int) -> None:
 
 
 class FoxgloveServer:
-    """Serves all topics of the interface on loopback.
+    """A server of all topics of the interface on the loopback address.
 
     Attributes:
         url: address for a viewer.
     """
 
     def __init__(self, namespace: str, port: int) -> None:
-        """Join the graph, and listen.
+        """Join the graph, and listen on the port.
 
         Args:
             namespace: namespace of the graph, such as ``/site1``; empty for none.
-            port: TCP port; 0 for any that is free.
+            port: TCP port; 0 for any free port.
 
         Raises:
             ConfigurationError: if the port cannot be used, or foxglove-sdk or ROS 2 is missing.
@@ -90,7 +90,7 @@ class FoxgloveServer:
         """Pass messages on until a signal arrives.
 
         Raises:
-            InterruptedRun: if a signal arrived.
+            InterruptedRun: if a signal arrives.
         """
         try:
             while True:
@@ -104,7 +104,7 @@ class FoxgloveServer:
             self._server.stop()
 
     def _on_message(self, name: str, message: bytes, number: int | None, arrived_ns: int) -> None:
-        """Receive a message, and determine its time; viewers forget the previous run."""
+        """Receive a message and determine its time; at a new run, clear the viewers' old data."""
         if name == DIAGNOSTICS and (received := wire.read_statuses(message)) is not None:
             now = time.monotonic()
             self._registry.receive(now, received[1], stamp_ns=received[0])
@@ -117,10 +117,10 @@ class FoxgloveServer:
             self._waiting.append((time_ns, name, message))
 
     def _pass_on(self) -> None:
-        """Pass on what has arrived, in order of time.
+        """Pass on the waiting messages in order of time.
 
-        The time is sent ahead of the messages, since Lichtblick gives each message the last time
-        sent.
+        The time is sent before the messages, since Lichtblick assigns each message the last time
+        that was sent.
         """
         self._waiting.sort(key=lambda each: each[0])
         for time_ns, name, message in self._waiting:

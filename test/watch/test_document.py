@@ -152,12 +152,12 @@ def test_levels(name: str, site: Site, level: float, state: str, sentence: str) 
     ({"pump_flow": 8e-5, "roof_level": 0.05}, "off", "nothing is commanded", "warn",
      "Nothing to do."),
     ({"pump_command": 0.4, "roof_level": 0.04}, "off", "", "warn",
-     "The roof is not watered, since the pump is off."),
+     "The roof is not being watered, since the pump is off."),
     ({"roof_level": 0.04}, "off", "nothing is commanded", "warn",
      "Nothing to do now: the controller commands no pumping now."),
     ({"roof_level": 0.05}, "off", "nothing is commanded", "warn", "Nothing to do."),
     ({"roof_level": -1.0}, "off", "nothing is commanded", "warn",
-     "Nothing is reported as wrong, but some values are unknown"),
+     "No fault is reported, but some values are unknown"),
 ])
 def test_the_simulated_pump_and_what_to_do(
     values: dict[str, float], state: str, why: str, level: str, advice: str
@@ -412,7 +412,7 @@ def test_what_a_watcher_knows_before_during_and_after_a_run() -> None:
     graph.set_present(mode="ended", factor=None, note="")
     document = shown(graph, 9999.0)
     assert (document["heading"], document["tiles"]["roof"]["state"]) == ("Ended run", "good")
-    assert document["advice"] == "The run is over, so this is not the present state."
+    assert document["advice"] == "The run is over, so the values shown are not current."
     graph.reset()
     assert tile_of(graph, "roof")["state"] == "unknown"
     add_values(graph, -86_400, -86_300, QUIET)
@@ -540,7 +540,7 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     assert stop["hold"] is None
     assert not stop["stopped"] and stop["sentence"].startswith("It was held off at last contact.")
     assert pump["value"] == "unknown" and pump["sentence"].startswith("held at last contact")
-    assert "it is unknown what the pump does" in document["tiles"]["summary"]["sentence"]
+    assert "it is unknown what the pump is doing" in document["tiles"]["summary"]["sentence"]
 
 
 def with_pump(

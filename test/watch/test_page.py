@@ -712,5 +712,5 @@ def test_a_fresh_page_has_its_stop_if_a_part_cannot_be_shown(
         page.click("#stop-button")
         page.click("#ask-yes")
         page.wait_for_selector("#answer.failed")
-        assert "The watcher is busy: the pump node was not asked" in page.inner_text("#answer")
+        assert "The watcher is busy, so the pump node was not asked" in page.inner_text("#answer")
         page.close()
