@@ -1,12 +1,12 @@
 """A client of a graph, which receives chosen topics and can hold the pump.
 
-It can also release the pump, clear some faults and, if the site allows it, request a dose.
+The client can also release the pump, clear some faults and, if the site allows it, request a dose.
 
-It must not delay any node. It therefore subscribes with best effort and volatile durability, so no
-publisher stores, repeats or waits for anything on its behalf. It uses only UDP, since with shared
-memory a stopped process can hold a lock that others need. Messages do not wake it: it polls, and
-takes each message with its publisher's sequence number, which rclpy's fast executor does not
-provide.
+The client must not delay any node. It therefore subscribes with best-effort reliability and
+volatile durability, so no publisher stores or repeats a message, or waits, on the client's behalf.
+The client uses only UDP, since a stopped process that uses shared memory can hold a lock that other
+processes need. It polls instead of being woken by messages, and takes each message together with
+the publisher's sequence number, which rclpy's fast executor does not provide.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ _SERVICES = {
 
 
 class PumpRequestError(Exception):
-    """The pump node did not confirm a request; the message states why.
+    """Error for a request that the pump node did not confirm; the message states the reason.
 
     Attributes:
-        answered: whether it answered at all.
+        answered: whether the pump node answered at all.
     """
 
     def __init__(self, why: str, *, answered: bool = False) -> None:
@@ -50,9 +50,9 @@ class PumpRequestError(Exception):
 
 
 class GraphClient:
-    """Two nodes with a separate context: one receives, the other makes requests.
+    """A client with two nodes in its own context: one receives messages, one makes requests.
 
-    One thread receives. One thread at a time makes requests, and it may be a different one.
+    One thread receives the messages. Any thread may make requests, but only one at a time.
     """
 
     def __init__(
@@ -62,9 +62,10 @@ class GraphClient:
 
         Args:
             namespace: namespace of the graph, such as ``/site1``; empty for none.
-            on_message: function called with the topic's name in the interface, the serialised
-                message, its number (1 for its publisher's first; None if the middleware does not
-                number messages) and its time of arrival (ns of the system clock).
+            on_message: callback for each message. It receives the name of the topic in the
+                interface, the serialized message, the number of the message (1 for the first of its
+                publisher; None if the middleware does not number messages) and the time of arrival
+                (ns of the system clock).
 
         Raises:
             ConfigurationError: if ROS 2 is not installed.
@@ -119,7 +120,7 @@ class GraphClient:
             )
 
     def receive(self, wait_s: float) -> None:
-        """Wait, then pass on the messages that have arrived, /diagnostics first."""
+        """Wait, then pass on the messages that have arrived, starting with /diagnostics."""
         time.sleep(wait_s)
         for name in sorted(self._subscriptions, key=lambda name: name != DIAGNOSTICS):
             subscription = self._subscriptions[name]
@@ -128,9 +129,9 @@ class GraphClient:
                 self._on_message(name, message, number, info["received_timestamp"])
 
     def find_pumps(self) -> Collection[str]:
-        """Find the nodes that offer to hold the pump, whatever is reported, and return their names.
+        """Return the names of the nodes that offer to hold the pump, whatever any node reports.
 
-        A client of that service is opened, so that a later stop finds the service.
+        A client is opened for each hold service, so that a later stop finds the service.
         """
         hold = "rcl_interfaces/srv/SetParametersAtomically"
         pattern = re.compile(re.escape(self._namespace) + "(/[^/]+)/hold")
@@ -158,25 +159,26 @@ class GraphClient:
     ) -> str:
         """Make a request to the pump node, and return its answer.
 
-        A stop goes to every node that may control the pump, and the answer then warns of those that
-        are only reported. If there are several such nodes, any other request goes to none of them.
-        If two nodes have the same name, the answer of one reveals nothing about the other, so the
-        request is made again when only one is left.
+        A stop is sent to every node that may control the pump. The answer warns of nodes that claim
+        to be the pump node but do not offer the service. If more than one node may control the
+        pump, no other request is sent to any of them. If two nodes have the same name, an answer
+        from one node reveals nothing about the other, so the request is made again once only one of
+        the two nodes is left.
 
         Args:
-            action: ``stop``: hold the pump until someone releases it, or until a time. ``release``:
-                end the hold, whoever made it. ``clear``: clear the latched fault if that may be
-                done remotely. ``reset``: clear any fault, for a person at the pump. ``dose``:
-                deliver a volume.
-            timeout_s: longest wait for the answer (s).
-            reported: full names of nodes that report to be the pump node.
-            parameters: parameters of a stop are ``owner``, who requests it, ``reason``, which may
-                be empty, and ``until``, its end (s since 1970), unless it has none. Those of a dose
-                are ``volume`` (m3) and ``asked_at``, the time at which the user requested it (s
-                since 1970).
+            action: name of the action. ``stop`` holds the pump until someone releases it, or until
+                a given time. ``release`` ends the hold, whoever requested it. ``clear`` clears a
+                latched fault that may be cleared remotely. ``reset`` clears any fault, for a person
+                at the pump. ``dose`` delivers a volume.
+            timeout_s: maximum time to wait for the answer (s).
+            reported: full names of the nodes that claim to be the pump node.
+            parameters: parameters of the action. A stop has an ``owner`` (the person or program
+                that requests it), a ``reason`` (may be empty) and, if it ends at a given time, this
+                time as ``until`` (s since 1970). A dose has a ``volume`` (m3) and ``asked_at``, the
+                time at which the user requested the dose (s since 1970).
 
         Raises:
-            PumpRequestError: if the pump node did not confirm it.
+            PumpRequestError: if the pump node does not confirm the request.
         """
         service, to_all = _SERVICES[action], action == "stop"
         request = {"data": False} if action == "release" else _make_parameters(parameters)
@@ -195,9 +197,9 @@ class GraphClient:
                 sent.pop(name, None)
             if (len({*self._pumps, *reported}) > 1 or twice) and not to_all:
                 raise PumpRequestError(
-                    "Nothing was done, because it is not clear which of these nodes controls the "
+                    "Nothing was done, because it is unclear which of these nodes controls the "
                     f"pump: {list_names([*self._pumps, *reported, *twice])}. "
-                    "End those that should not run."
+                    "Shut down the nodes that should not be running."
                 )
             for name in self._pumps - sent.keys():
                 client = self._clients[name, service]
@@ -211,18 +213,18 @@ class GraphClient:
         silent = {*reported} - self._pumps
         if not self._pumps:
             raise PumpRequestError(
-                f"There is no pump node to ask: nothing provides the service {service}"
-                + (f" of {list_names(silent)}" if silent else "") + ". Start its graph "
-                "first, in the same ROS_DOMAIN_ID and with the same ROS_AUTOMATIC_DISCOVERY_RANGE "
-                "and --namespace."
+                f"There is no pump node to ask: no node provides the service {service}"
+                + (f" of {list_names(silent)}" if silent else "") + ". Start the pump node's graph "
+                "first, with the same ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace."
             )
         answers = {
             name: _explain(name, sent.get(name), timeout_s) for name in sorted(self._pumps)
         }
         for name in twice & answers.keys():
             answers[name] = False, (
-                f"two nodes are named {name}, and one of them may not have done that "
-                f"({answers[name][1]}): end the one that should not run, and try again"
+                f"two nodes are named {name}, and one of them may not have carried out the "
+                f"request ({answers[name][1]}): shut down the node that should not be running, and "
+                "try again"
             )
         for name, future in sent.items():
             if not future.done() and name in self._pumps:
@@ -232,8 +234,8 @@ class GraphClient:
             said = [f"{name}: {text}" for name, text in zip(answers, said, strict=True)]
         if silent:
             said.append(
-                "but others that claim to be the pump node could not be asked, "
-                f"{list_names(silent)}: if the pump turns, stop it at its drive's panel"
+                "but other nodes that claim to be the pump node could not be asked "
+                f"({list_names(silent)}): if the pump turns, stop it at its drive's panel"
             )
         if not all(ok for ok, _ in answers.values()):
             # A hold with this answer may be in force, but it would not survive a restart.
@@ -252,7 +254,7 @@ class GraphClient:
 
 
 def _make_parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
-    """Return the fields of a request with these parameters; none without parameters."""
+    """Return the fields of a request with these parameters; empty if there are no parameters."""
     from rclpy.parameter import Parameter
 
     return {"parameters": [
@@ -261,18 +263,19 @@ def _make_parameters(values: Mapping[str, float | str]) -> dict[str, Any]:
 
 
 def _explain(name: str, future: Any, timeout_s: float) -> tuple[bool, str]:
-    """Return whether a node did what it was asked to do, and its answer.
+    """Return whether a node carried out the request, and its answer.
 
     Args:
         name: name of the node.
-        future: future of the answer; None if its service could not be reached.
-        timeout_s: time for which the answer was awaited (s).
+        future: future of the answer; None if the node's service could not be reached.
+        timeout_s: time spent waiting for the answer (s).
     """
     if future is None:
         return False, f"{name} could not be reached within {timeout_s:g} s."
     if not future.done():
         return False, (
-            f"{name} did not answer within {timeout_s:g} s: it may or may not have done this."
+            f"{name} did not answer within {timeout_s:g} s: it may or may not have carried out "
+            "the request."
         )
     result = future.result()
     if hasattr(result, "result"):  # of a request that sets parameters

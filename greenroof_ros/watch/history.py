@@ -1,6 +1,6 @@
-"""The past week of each line of the charts, in stretches of 20 s, and the file that keeps it.
+"""History of each line of the charts over the past week, in stretches of 20 s, and its file.
 
-An unknown value is NaN: the line has a gap from there to the next known value.
+An unknown value is NaN; the line has a gap from this value to the next known value.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _VERSION = 1
 
 
 class History:
-    """One value over the past week, in bounded memory."""
+    """History of one value over the past week, in bounded memory."""
 
     def __init__(self, rows: NDArray[np.void] | None = None) -> None:
         """Start with the rows of an earlier history, or with none.
 
         Args:
-            rows: rows as in :attr:`rows`.
+            rows: rows of the earlier history, as in :attr:`rows`.
         """
         kept = np.empty(0, ROW) if rows is None else rows[-MAX_STRETCHES:]
         self._rows = np.empty(2 * MAX_STRETCHES, ROW)
@@ -50,20 +50,20 @@ class History:
 
     @property
     def rows(self) -> NDArray[np.void]:
-        """The stretches, the oldest first, as a view that the next :meth:`add` changes."""
+        """The stretches, oldest first, as a view that the next :meth:`add` changes."""
         return self._rows[max(0, self._count - MAX_STRETCHES):self._count]
 
     @property
     def first_ns(self) -> int | None:
-        """When the first stretch ended (ns since 1970); None without values."""
+        """Time at which the first stretch ended (ns since 1970); None if there are no values."""
         return int(self.rows["ended"][0]) if self._count else None
 
     def add(self, time_ns: int, value: float) -> None:
-        """Add a value that is newer than those already there.
+        """Add a value that is newer than all previous values.
 
         Args:
             time_ns: time of the value (ns since 1970).
-            value: the value; NaN if it is unknown from now on.
+            value: the value; NaN if the value is unknown from this time on.
         """
         row = self._rows[self._count - 1] if self._count else None
         before = math.nan if row is None else float(row["last"])
@@ -90,15 +90,15 @@ class History:
         Args:
             first: beginning (ns).
             last: end (ns).
-            stretch_ns: time that a row covers (ns), from :func:`choose_stretch`.
-            steps: whether the value changes in steps rather than slowly.
+            stretch_ns: time that each row covers (ns), from :func:`choose_stretch`.
+            steps: whether the value changes in steps rather than gradually.
 
         Returns:
-            Rows of a time (s) and the minimum, the maximum and the last value of a stretch; all
-            three are None if the value is then unknown. The time is that of the last value. For
-            steps, it is that of the greatest change, so that a step is shown where it happened, and
-            the last value before a stretch without values, as well as the very last one, has a row
-            of its own.
+            Rows, each with a time (s) and the minimum, the maximum and the last value of a stretch.
+            All three values are None if the last value is unknown. The time of a row is that of the
+            last value or, for steps, that of the greatest change, so that a step is shown where it
+            happened. For steps, the last value before a stretch without values and the last value
+            of all have additional rows.
         """
         rows = self.rows
         rows = rows[slice(*np.searchsorted(rows["ended"], (first, last + 1)))]
@@ -120,7 +120,7 @@ class History:
 
 
 def _condense(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:
-    """Return the rows of longer stretches; among equal changes, the first counts."""
+    """Combine the rows into longer stretches; among equal changes, the first one is kept."""
     begins = np.flatnonzero(np.diff(rows["ended"] // stretch_ns, prepend=-1))
     ends = np.append(begins[1:], len(rows)) - 1
     condensed: NDArray[np.void] = rows[ends].copy()
@@ -135,7 +135,7 @@ def _condense(rows: NDArray[np.void], stretch_ns: int) -> NDArray[np.void]:
 
 
 def choose_stretch(first: int, last: int, points: int) -> int:
-    """Return the time that a row of such a window covers (ns).
+    """Return the time that each row of a window covers (ns).
 
     Args:
         first: beginning (ns).
@@ -149,11 +149,11 @@ def choose_stretch(first: int, last: int, points: int) -> int:
 
 
 def write_histories(file: Path, rows: Mapping[str, NDArray[np.void]]) -> None:
-    """Write the rows of histories to a file, which is replaced as a whole.
+    """Write the rows of histories to a file, replacing the file as a whole.
 
     Args:
-        file: NumPy file (``.npz``), whose directory is made if needed.
-        rows: rows of each history, by its name.
+        file: NumPy file (``.npz``); its directory is created if necessary.
+        rows: rows of each history, by the name of the history.
 
     Raises:
         OSError: if the file cannot be written.
@@ -166,17 +166,17 @@ def write_histories(file: Path, rows: Mapping[str, NDArray[np.void]]) -> None:
 
 
 def read_histories(file: Path, names: Iterable[str], until_ns: int) -> dict[str, History]:
-    """Return the histories in a file; none if there is no such file.
+    """Return the histories in a file; empty if the file does not exist.
 
     Args:
         file: file that :func:`write_histories` wrote.
-        names: names of the histories; others in the file are left out.
-        until_ns: present time (ns since 1970); later values are left out, as the clock was set
-            back.
+        names: names of the histories to read; any others in the file are ignored.
+        until_ns: present time (ns since 1970). Later values are ignored, since they were written
+            before the clock was set back.
 
     Raises:
         OSError: if the file cannot be read.
-        ValueError: if it is damaged or from another program.
+        ValueError: if the file is damaged or was written by another program.
     """
     histories = {}
     try:
@@ -197,7 +197,7 @@ def read_histories(file: Path, names: Iterable[str], until_ns: int) -> dict[str,
 
 def _check_rows(rows: NDArray[Any]) -> NDArray[np.void]:
     if rows.dtype != ROW or rows.ndim != 1:
-        raise ValueError("it contains no such rows")
+        raise ValueError("it does not contain rows of a history")
     times, values = rows["ended"], np.array([rows[name] for name in ("low", "high", "last")])
     good = np.all(np.diff(times) > 0) and np.all((rows["changed"] <= times) & (times > 0))
     if not good or np.isinf(values).any() or np.isnan(rows["change"]).any():

@@ -1,7 +1,8 @@
-"""What Home Assistant must know to show a site: a discovery message for each entity.
+"""Discovery messages with which Home Assistant shows a site, one message for each entity.
 
-Every entity takes its value from a field of one message, ``greenroof/SITE/state``. Each has its own
-discovery message, since releases before 2024.11 do not support the discovery of a whole device.
+Every entity takes its value from a field of one message, ``greenroof/SITE/state``. Each entity has
+its own discovery message, since releases of Home Assistant before 2024.11 do not support the
+discovery of a whole device.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ STOP = "STOP"
 """The whole payload of a message that stops the pump."""
 
 EXPIRES_S = 30
-"""A value that is older than this is not shown (s)."""
+"""Age above which Home Assistant no longer shows a value (s)."""
 
 NUMBERS = {
     "roof_level": ("/roof/level", "distance"),
@@ -30,7 +31,7 @@ NUMBERS = {
     "flow": ("/pump/flow", "volume_flow_rate"),
     "command": ("/pump/command", None),
 }
-"""Fields with a number: the topic with label and unit, and Home Assistant's device class."""
+"""Numeric fields: the topic that provides label and unit, and Home Assistant's device class."""
 
 
 def make_prefix(site: str) -> str:
@@ -39,10 +40,10 @@ def make_prefix(site: str) -> str:
 
 
 def make_discovery(site: str) -> dict[str, str]:
-    """Return the discovery messages by their topics.
+    """Return the discovery messages by topic.
 
     Args:
-        site: name of the site in topics and ids, which consists of letters, digits and _.
+        site: name of the site in topics and IDs, made up of letters, digits and _.
     """
     base, node = make_prefix(site), f"greenroof_{site}"
     bridge = {"topic": f"{base}/availability"}

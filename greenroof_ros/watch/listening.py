@@ -1,4 +1,4 @@
-"""Where the page is served: the socket, the host names that requests may use, and the token."""
+"""Socket on which the page is served, host names that requests may use, and access token."""
 
 from __future__ import annotations
 
@@ -32,12 +32,13 @@ _TOKEN = re.compile(r"[A-Za-z0-9_-]{32,}")
 
 @dataclass(frozen=True)
 class Listener:
-    """A socket that listens, and how to reach it.
+    """A listening socket, and the address at which a browser reaches it.
 
     Attributes:
         socket: the listening socket.
         url: address for a browser.
-        names: hosts that a request may name; None if all are allowed, as with a wildcard address.
+        names: host names that are allowed in a request; None if all are allowed, as with a wildcard
+            address.
     """
 
     socket: socket.socket
@@ -49,7 +50,7 @@ def _resolve(host: str) -> list[tuple[socket.AddressFamily, str]]:
     """Return the addresses of a host, in the order in which to try them.
 
     Raises:
-        ConfigurationError: if the host has none.
+        ConfigurationError: if the host has no address.
     """
     try:
         known = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
@@ -62,20 +63,20 @@ def _resolve(host: str) -> list[tuple[socket.AddressFamily, str]]:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only this machine can reach a host's addresses.
+    """Return whether a host's addresses can be reached only from this machine.
 
     Raises:
-        ConfigurationError: if the host has none.
+        ConfigurationError: if the host has no address.
     """
     return all(ipaddress.ip_address(text.split("%")[0]).is_loopback for _, text in _resolve(host))
 
 
 def listen(host: str, port: int | None) -> Listener:
-    """Listen on an address of this machine, and on no other.
+    """Listen on a single address of this machine.
 
     Args:
         host: address or name; 0.0.0.0 stands for every address.
-        port: TCP port; 0 for any that is free, None for the first free one from 8080 on.
+        port: TCP port; 0 for any free port, None for the first free port from 8080 on.
 
     Raises:
         ConfigurationError: if the host is not this machine, or the port cannot be used.
@@ -111,15 +112,15 @@ def listen(host: str, port: int | None) -> Listener:
 
 
 def new_token() -> str:
-    """Return a token that no one can guess, with 192 random bits."""
+    """Return an unguessable token with 192 random bits."""
     return secrets.token_urlsafe(24)
 
 
 def read_token(file: Path) -> str:
-    """Return the token in a file; a missing file is made with a new token.
+    """Return the token in a file; if the file does not exist, create it with a new token.
 
     Raises:
-        ConfigurationError: if the file is unusable, or other users may read or change it.
+        ConfigurationError: if the file cannot be used, or if other users may read or change it.
     """
     def refuse(why: str) -> ConfigurationError:
         return ConfigurationError(why, key="--token-file", value=str(file))
@@ -145,7 +146,7 @@ def read_token(file: Path) -> str:
 
 
 def _find_own_address(wildcard: str) -> str:
-    """Return this machine's address for others, or its name if unknown, without sending data."""
+    """Return this machine's network address, or its name if unknown, without sending data."""
     if ":" in wildcard:
         return socket.gethostname()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

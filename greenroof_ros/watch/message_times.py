@@ -1,4 +1,4 @@
-"""The time of each message of the graph that is watched."""
+"""Times of the messages in the graph that is watched."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ _FAR = 64
 
 
 class MessageTimes:
-    """Which graph is present, and the time of each message: of its tick or, if live, of arrival.
+    """Detection of the graph that is running, and of the time of each message.
+
+    The time is that of the tick in a simulated graph, and that of arrival at a live site.
 
     In lockstep, the j-th message on a topic belongs to tick j - 1, where j is the number that its
-    publisher gave it. The order of arrival is less reliable, since the plant's next clock may
-    arrive before the messages of the previous tick.
+    publisher gave it. The order of arrival is less reliable, since the plant's next clock message
+    may arrive before the messages of the previous tick.
 
     Attributes:
-        mode: kind of graph, as in a registry.
-        live: whether the present or last graph is live; None before the first.
+        mode: kind of graph, as returned by :meth:`.registry.Registry.mode`.
+        live: whether the present or last graph is live; None before the first graph.
     """
 
     def __init__(self, registry: Registry) -> None:
-        """Start before the first message of the nodes in a registry."""
+        """Start before the first message, with the registry of the nodes."""
         self.mode = "none"
         self.live: bool | None = None
         self._registry = registry
@@ -32,13 +34,13 @@ class MessageTimes:
         self.forget_clock()
 
     def forget_clock(self) -> None:
-        """Start again as before the first clock message."""
+        """Forget all clock messages received so far."""
         self._newest_ns = 0  # time of the newest clock message (since 1970)
         self._clock = 0  # number of that message
         self._period = 0  # ns
 
     def update(self, wall: float) -> bool:
-        """Return whether another run, or a graph of the other kind, began by now (steady, s)."""
+        """Return whether a new run or graph has begun by the time ``wall`` (steady clock, s)."""
         was_live, self.mode = self.live, self._registry.mode(wall)
         self.live = {"simulated": False, "live": True}.get(self.mode, was_live)
         if self._registry.runs == self._runs and was_live in (None, self.live):
@@ -48,14 +50,14 @@ class MessageTimes:
         return True
 
     def receive_clock(self, number: int | None, time_ns: int) -> None:
-        """Receive a clock message, with the number that its publisher gave it."""
+        """Receive a clock message and its number, as counted by its publisher."""
         number = self._clock + 1 if number is None else number
         if self._clock and number > self._clock:
             self._period = (time_ns - self._newest_ns) // (number - self._clock)
         self._clock, self._newest_ns = number, time_ns
 
     def time_of(self, topic: Topic, number: int | None, arrived_ns: int) -> int | None:
-        """Return the time of a message (ns since 1970); None if it cannot be known yet.
+        """Return the time of a message (ns since 1970); None if it cannot be determined yet.
 
         Args:
             topic: topic of the message.

@@ -1,4 +1,4 @@
-"""The hours ahead: the forecast of rain and the controller's plan."""
+"""Forecast of rain and controller's plan for the hours ahead."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from greenroof_ros.watch.history import Values
 
 AHEAD_S = 12 * 3600.0
-"""How far ahead is shown (s)."""
+"""Length of the future that is shown (s)."""
 
 # With fewer members than this there is no tenth: their range is from the minimum to the maximum.
 _TENTHS = 10
@@ -25,9 +25,9 @@ class RainAmount(NamedTuple):
     low: float
     high: float
     reach_s: float
-    """How far ahead it reaches (s)."""
+    """Time that the forecast covers from now on (s)."""
     fallen_at: float
-    """When nine tenths of the mean will have fallen (s since 1970)."""
+    """Time by which nine tenths of the mean will have fallen (s since 1970)."""
     members: int
 
 
@@ -35,9 +35,9 @@ class PlannedPumping(NamedTuple):
     """Planned pumping."""
 
     volume: float
-    """volume to be pumped (m3)"""
+    """Volume to be pumped (m3)."""
     begin: float
-    """when pumping begins (s since 1970)"""
+    """Time at which pumping begins (s since 1970)."""
     level: float
     """Highest roof level that is expected at the end of a step with pumping (m)."""
 
@@ -56,11 +56,11 @@ class _Steps:
 
     @property
     def begins(self) -> Values:
-        """When the steps begin (s since 1970), shape (steps,)."""
+        """Beginnings of the steps (s since 1970), shape (steps,)."""
         return np.append(self.at, self.ends[:-1])
 
     def lengths(self, now: float) -> Values:
-        """Return how much of each step is between now and 12 h ahead (s), shape (steps,)."""
+        """Return the part of each step between now and 12 h ahead (s), shape (steps,)."""
         until = now + AHEAD_S
         return np.clip(self.ends, now, until) - np.clip(self.begins, now, until)
 
@@ -91,14 +91,14 @@ class Forecast(_Steps):
         return RainAmount(float(amounts.mean()), low, high, reach, fallen_at, len(amounts))
 
     def rows(self) -> list[list[float]]:
-        """Return beginning and end (s since 1970), mean, low and high (m/s) of each step."""
+        """Return start and end (s since 1970) and mean, low and high rain (m/s) of each step."""
         columns = (self.begins, self.ends, self.rain.mean(axis=0), *_compute_ranges(self.rain))
         rows: list[list[float]] = np.column_stack(columns).tolist()
         return rows
 
 
 def _compute_ranges(values: Values) -> tuple[Values, Values]:
-    """Return the range of the members: 10 to 90 %, or minimum to maximum if they are few."""
+    """Return the members' range: percentiles 10 to 90, or minimum to maximum if there are few."""
     if len(values) < _TENTHS:
         return values.min(axis=0), values.max(axis=0)
     low, high = np.percentile(values, (10, 90), axis=0)
@@ -118,7 +118,7 @@ class Plan(_Steps):
     level: Values
 
     def pumped(self, now: float) -> PlannedPumping | None:
-        """Return the pumping planned from now to 12 h ahead; None if there is none."""
+        """Return the pumping planned from now to 12 h ahead; None if no pumping is planned."""
         lengths = self.lengths(now)
         pumps = np.flatnonzero((self.flow > _PUMPS) & (lengths > 0))
         if not len(pumps):
@@ -127,7 +127,7 @@ class Plan(_Steps):
         return PlannedPumping(float(self.flow @ lengths), begin, float(self.level[pumps].max()))
 
     def rows(self, now: float) -> list[list[float]]:
-        """Return begin and end (s since 1970), flow, and final level of each coming step."""
+        """Return start and end (s since 1970), flow and final roof level of each future step."""
         columns = np.column_stack((self.begins, self.ends, self.flow, self.level))
         rows: list[list[float]] = columns[self.ends > now].tolist()
         return rows

@@ -1,4 +1,4 @@
-"""The parts of what is shown, each of which is made separately; see :class:`Parts`."""
+"""Parts of a document, each of which is made separately; see :class:`Parts`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _PRINTED: set[str] = set()
 
 
 class Parts:
-    """Makes the parts of a document: one that fails is replaced, and the others are shown.
+    """Makes the parts of a document; a part that fails is replaced, and the others are shown.
 
     Attributes:
-        failed: names of the parts that failed, each with the reason.
+        failed: reason for each failure, by the name of the part.
     """
 
     def __init__(self) -> None:
@@ -31,9 +31,9 @@ class Parts:
         The traceback of a failure is printed, once for each place in the code.
 
         Args:
-            name: name of the part, as it begins a sentence.
+            name: name of the part, in the form in which it begins a sentence.
             make: function that makes the part.
-            instead: replacement if that fails.
+            instead: replacement for a part that cannot be made.
         """
         try:
             part = make()

@@ -480,8 +480,8 @@ def test_commands_without_a_graph_say_what_to_do(domain: int, tmp_path: Path) ->
         assert process.wait(300) == 1
         assert process.stderr().startswith("error: There is no pump node to ask: ")
         assert (
-            "Start its graph first, in the same ROS_DOMAIN_ID and with the same "
-            "ROS_AUTOMATIC_DISCOVERY_RANGE"
+            "Start the pump node's graph first, with the same ROS_DOMAIN_ID, "
+            "ROS_AUTOMATIC_DISCOVERY_RANGE and --namespace"
         ) in process.stderr()
 
 
