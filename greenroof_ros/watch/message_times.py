@@ -21,7 +21,7 @@ class MessageTimes:
     may arrive before the messages of the previous tick.
 
     Attributes:
-        mode: kind of graph, as returned by :meth:`.registry.Registry.mode`.
+        mode: kind of graph, as reported by the registry.
         live: whether the present or last graph is live; None before the first graph.
     """
 

@@ -1,7 +1,7 @@
-"""The nodes of a graph and their last reports on /diagnostics, which only this module reads.
+"""Registry of the nodes of a graph and their latest reports on /diagnostics.
 
-A node is identified by its name; another process under the same name counts as a restart. Alarms,
-tiles and subscriptions all follow from this registry.
+No other module reads these reports: alarms, tiles and subscriptions are all based on this registry.
+A node is identified by its name; another process under the same name counts as a restart.
 """
 
 from __future__ import annotations
@@ -54,67 +54,68 @@ _NODE_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 class Node(NodeReport):
-    """A process of this package, with what the page reads from its values.
+    """A process of this package, with the information that the page reads from its values.
 
     Attributes:
-        number: number of its last message, as counted by its publisher.
-        copied_at: when another publisher last reported as this process (steady clock, s).
+        number: number of the last message of the process, as counted by its publisher.
+        copied_at: time at which another publisher last reported as this process (steady clock, s).
     """
 
     number = 0
     copied_at = -math.inf
 
     def count_message(self, wall: float, number: int) -> None:
-        """Compare the number of a message with the last one: those of one publisher only rise."""
+        """Detect a second publisher, since the message numbers of a single publisher only rise."""
         if number <= self.number:
             self.copied_at = wall
         self.number = number
 
     @property
     def hold(self) -> str:
-        """Who holds the pump, until when and why; empty if no one does."""
+        """Description of the pump's hold: owner, end and reason; empty if there is no hold."""
         return _read_hold(self.values)
 
     @property
     def lockstep(self) -> bool:
-        """Whether it acts in lockstep; nodes of a live graph do not number their ticks."""
+        """Whether the node runs in lockstep; nodes of a live graph do not number their ticks."""
         return "run_length" in self.values
 
     @property
     def may_turn(self) -> bool:
-        """Whether a pump node knows neither that the pump is stopped nor at what speed it turns."""
+        """Whether a pump node knows neither the pump's speed nor that the pump is stopped."""
         values = self.values
         return values.get("stands") is not True and "speed" in values and values["speed"] is None
 
     def is_present(self, wall: float) -> bool:
-        """Return whether a report has arrived within 10 s."""
+        """Return whether the node has not ended and has reported within the last 10 s."""
         return not self.has_ended and wall - self.received_at < _GONE_S
 
     def code_of(self, part: str) -> str:
-        """Return the code that a part reports; empty for none."""
+        """Return the code that a part reports; empty if it reports no code."""
         return self.parts[part].diagnosis.code if part in self.parts else ""
 
     def text(self, key: str) -> str:
-        """Return a text that it reports; empty if it reports none."""
+        """Return a text that the node reports; empty if it reports no such text."""
         value = self.values.get(key)
         return clean_sentence(value) if isinstance(value, str) else ""
 
 
 class Registry:
-    """What is received from one namespace on /diagnostics.
+    """Registry of the nodes in one namespace, filled from their reports on /diagnostics.
 
     Attributes:
-        runs: how often another run began, because the plant was started again.
+        runs: number of times that a new run has begun because the plant was restarted.
         time_ns: time of the plant's newest tick (ns since 1970); 0 before the first.
-        offered: the nodes that offer to hold the pump, whatever is reported.
+        offered: names of the nodes that offer to hold the pump, whatever any node reports.
     """
 
     def __init__(self, namespace: str = "", on_event: Callable[[str], None] | None = None) -> None:
         """Start without nodes.
 
         Args:
-            namespace: namespace such as ``/site1``; nodes in others are treated as other devices.
-            on_event: function called with every event, as a sentence.
+            namespace: namespace such as ``/site1``; nodes in other namespaces are treated as other
+                devices.
+            on_event: callback that receives each event as a sentence.
         """
         self.runs = 0
         self.time_ns = 0
@@ -130,7 +131,7 @@ class Registry:
     # --- receiving ------------------------------------------------------------------------------
 
     def is_own(self, status: WireStatus) -> bool:
-        """Return whether a status is that of a node in this namespace, or of a part of one."""
+        """Return whether a status belongs to a node in this namespace or to one of its parts."""
         name = status.name.partition(": ")[0]
         return (
             len(name) <= _NAME and _NODE_NAME.fullmatch(name) is not None
@@ -141,13 +142,14 @@ class Registry:
         self, wall: float, statuses: Sequence[WireStatus], *, now: float = 0.0, stamp_ns: int = 0,
         number: int | None = None,
     ) -> None:
-        """Receive the statuses of one or more messages; no content raises an exception.
+        """Receive the statuses of one or more messages; invalid content raises no exception.
 
         Args:
             wall: present time (steady clock, s).
             statuses: the statuses.
-            now: time of the graph, by which alarms are dated (s since 1970).
-            stamp_ns: time stamp of the message, in a simulation the tick's time (ns since 1970).
+            now: time of the graph, with which alarms are dated (s since 1970).
+            stamp_ns: time stamp of the message (ns since 1970); in a simulation, the time of the
+                tick.
             number: number of the message, as counted by its publisher; None if unknown.
         """
         if len(self._foreign) >= _FOREIGN:
@@ -183,7 +185,7 @@ class Registry:
             node.receive_part(part, *report)
 
     def _values_of(self, name: str, status: WireStatus) -> dict[str, Any] | None:
-        """Return the values that a node of this graph reports; None for any other status."""
+        """Return the values in a status of a node of this graph; None for any other status."""
         if ": " in name or status.message not in STATES or not self.is_own(status):
             return None
         try:
@@ -205,7 +207,7 @@ class Registry:
             node = Node(name, role, process, state, values, wall)
             node.replace_process(self._latest.get(name))
             if name in self._latest:
-                self._on_event(f"{name} was started again")
+                self._on_event(f"{name} was restarted")
             self._nodes[name, process] = node
             for part in [other for other in self._foreign if other.startswith(f"{name}: ")]:
                 del self._foreign[part]
@@ -222,7 +224,7 @@ class Registry:
         return node
 
     def _make_room(self, wall: float, role: str) -> bool:
-        """Forget a role's longest silent node if it has many; return whether there is room."""
+        """Return whether a role has room for a node, after forgetting a silent one if necessary."""
         same = [node for node in self._nodes.values() if node.role == role]
         if len(same) < _NODES:
             return True
@@ -239,7 +241,7 @@ class Registry:
                 del table[key]
 
     def _assign_role(self, wall: float, node: Node) -> None:
-        """Assign a node its role, unless another online node or a newer process has it."""
+        """Assign a node its role, unless another online node or a newer process already has it."""
         before = self._by_role.get(node.role)
         if before is not None:
             again = before.name == node.name
@@ -261,7 +263,7 @@ class Registry:
         changes, left_out = _find_changes(before, values)
         if left_out:
             self._on_event(
-                f"{name}: {left_out} changes of parameters before the next are not listed"
+                f"{name}: {left_out} earlier changes of parameters are not listed"
             )
         for change in changes:
             if isinstance(change, dict):
@@ -291,7 +293,7 @@ class Registry:
             self.time_ns = stamp_ns
 
     def excuse_silence(self, seconds: float) -> None:
-        """Excuse the silence of all nodes for a time in which nothing could be received (s)."""
+        """Exclude a time in which nothing could be received (s) from the silence of all nodes."""
         for node in self._nodes.values():
             node.received_at += seconds
         for parts in (self._foreign, *(node.parts for node in self._nodes.values())):
@@ -301,7 +303,7 @@ class Registry:
     # --- kind of graph --------------------------------------------------------------------------
 
     def node(self, role: str) -> Node | None:
-        """Return the node of a role; None if none was received."""
+        """Return the node that has a role; None if no such node has reported."""
         return self._by_role.get(role)
 
     def starting(self, wall: float) -> bool:
@@ -309,7 +311,7 @@ class Registry:
         return is_starting([*self._latest.values()], wall)
 
     def factor(self, tau: float) -> float | None:
-        """Return the simulated time per wall time over the last seconds; None if unknown."""
+        """Return the ratio of simulated to wall time over the last seconds; None if unknown."""
         if len(self._ticks) < 2:
             return None
         (began, first), (ended, last) = self._ticks[0], self._ticks[-1]
@@ -332,7 +334,7 @@ class Registry:
         return "ended" if nodes else "none"
 
     def pump(self, wall: float) -> Node | None:
-        """Return the pump node that is present; None if there is none."""
+        """Return the pump node if it is present; otherwise None."""
         node = self._by_role.get(PUMP)
         return node if node is not None and node.is_present(wall) else None
 
@@ -344,7 +346,7 @@ class Registry:
         })
 
     def _claimants(self, wall: float) -> list[str]:
-        """Return the names of the nodes that claim by service or report to be the pump node now."""
+        """Return the names of the nodes that claim to be the pump node, by service or report."""
         return sorted({*self.offered} | {
             node.name for node in self._latest.values()
             if node.role == PUMP and node.is_online(wall)
@@ -356,17 +358,17 @@ class Registry:
         if len(names) < 2 and (pump is None or self._find_twins(pump.name, wall) is None):
             return ""
         return (
-            f"Two nodes claim to be the pump node, {list_names(names)}, so it is unknown which one "
-            "controls the pump. A stop goes to all; nothing else is done from here. End the node "
-            "that should not run."
+            f"Two nodes claim to be the pump node ({list_names(names)}), so it is unknown which "
+            "one controls the pump. A stop is sent to all of them; no other request is sent from "
+            "here. Shut down the node that should not be running."
         )
 
     def _find_twins(self, name: str, wall: float) -> tuple[Node, Node] | None:
-        """Return two processes that report alternately under a name, the older one first.
+        """Return two processes that report alternately under a name, older first; None if none do.
 
-        They are the same if another publisher copies the process. The result is None if there are
-        none. A process that replaced another one is not a twin: the earlier process did not report
-        after the later one began.
+        If another publisher copies the reports of a process, this process is returned twice. A
+        process that replaced another one is not a twin: the earlier process did not report after
+        the later one began.
         """
         online = [
             node for node in self._nodes.values() if node.name == name and node.is_online(wall)
@@ -396,7 +398,7 @@ class Registry:
     # --- what is wrong ----------------------------------------------------------------------------
 
     def diagnoses(self, wall: float) -> dict[str, StatusDiagnosis]:
-        """Return everything that is wrong now, by the names of the statuses."""
+        """Return the diagnoses of everything that is wrong now, by the name of the status."""
         diagnoses: dict[str, StatusDiagnosis] = {}
         for name, part in self._foreign.items():
             silent = wall - part.received_at > _FOREIGN_SILENT_S
@@ -426,7 +428,7 @@ class Registry:
         return diagnoses
 
     def _has_ended(self, name: str, part: PartReport) -> bool:
-        """Return whether a node outside this graph, or the node of this part, reported its end."""
+        """Return whether a node outside this graph, or the node of a part, has reported its end."""
         node = self._foreign.get(name.partition(": ")[0])
         if node is None or node.diagnosis.sentence not in (FINISHED, ENDED):
             return False
@@ -441,10 +443,10 @@ def _read_hold(values: Mapping[str, Any]) -> str:
 
 
 def _read_value(text: str) -> Any:
-    """Return a value, a JSON text, from a status of this package's nodes.
+    """Return the value of a JSON text in a status from a node of this package.
 
-    A number that is not finite, or a whole number of 20 characters or more, is None: no quantity
-    has such a value, and computing with it would fail.
+    A number that is not finite, or an integer of 20 or more characters, is read as None: no
+    quantity has such a value, and calculations with it would fail.
     """
     return json.loads(
         text, parse_int=lambda digits: int(digits) if len(digits) < 20 else None,
@@ -454,9 +456,9 @@ def _read_value(text: str) -> Any:
 
 
 def _find_changes(before: Mapping[str, Any], values: Mapping[str, Any]) -> tuple[list[Any], int]:
-    """Return the parameter changes since a node's last report, and how many more are not listed.
+    """Return the parameter changes since a node's last report, and the number not listed.
 
-    The node keeps only the newest changes, but counts all.
+    The node keeps only the newest changes, but counts all of them.
     """
     listed = values.get("parameter_changes")
     first, last = (known.get("parameter_change_count") for known in (before, values))

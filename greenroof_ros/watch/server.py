@@ -1,14 +1,15 @@
-"""The page over HTTP: its files, what is pushed to it, and the actions that it can request.
+"""HTTP server of the page: its files, the events pushed to it, and the actions it can request.
 
-Everybody who reaches the address may view the page and stop the pump; if there is a token, only
-with the token. A hold may be released here if that was allowed, which requires a token. In that
-case, a fault that needs no person at the pump may also be cleared, and a dose may be given if the
-site file allows doses.
+Anyone who reaches the address may view the page and stop the pump. If there is a token, the token
+is required for both. The page can release a hold only if this was allowed at the start, which
+requires a token. The page can then also clear a fault that needs no person at the pump and, if the
+site file allows doses, give a dose.
 
-Every path is a route, and none leads to a file. Another page in the same browser can do nothing: a
-request must name this host (not another name that leads here), and an action needs a header that
-only this page can send. No connection can hold up others: their number is limited, each has a time
-limit, and a browser that does not read is skipped.
+Every path is a fixed route, and no path is looked up as a file. Another page in the same browser
+cannot do anything: a request must name this host (and not another name that resolves to its
+address), and an action needs a header that only this page can send. No connection can hold up the
+others: the number of connections is limited, each has a time limit, and a browser that does not
+read is skipped.
 """
 
 from __future__ import annotations
@@ -91,14 +92,14 @@ _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 class ServerEvent:
     """One server-sent event, plain and compressed.
 
-    It is compressed once for all readers. Compressed events can follow a :data:`GZIP_HEAD` in any
-    order, since none refers to an earlier one, and each ends with a full flush.
+    Each event is compressed once for all readers. Compressed events can follow a :data:`GZIP_HEAD`
+    in any order, since no event refers to an earlier event and each event ends with a full flush.
 
     Attributes:
-        plain: the event, not compressed.
+        plain: the event without compression.
         compressed: the event as raw deflate data.
-        made_at: when it was made (steady clock, s).
-        checked_at: when it was last made again and found unchanged (steady clock, s).
+        made_at: time at which the event was made (steady clock, s).
+        checked_at: time at which the event was last found unchanged (steady clock, s).
     """
 
     def __init__(self, name: str, content: dict[str, Any]) -> None:
@@ -111,10 +112,10 @@ class ServerEvent:
 
 
 class EventStream:
-    """The document and the series, which are renewed while someone reads them.
+    """A stream of events with the document and the series, renewed while someone reads them.
 
-    A reader receives the newest event when it has read the previous one. Events in between are
-    dropped, so a thousand slow readers need no more memory than one.
+    A reader receives the newest event as soon as it has read the previous one. Events in between
+    are dropped, so a thousand slow readers need no more memory than a single reader.
 
     Attributes:
         readers: number of readers.
@@ -124,7 +125,7 @@ class EventStream:
         """Start without events.
 
         Args:
-            store: state of the graph, to show.
+            store: state of the graph to show.
         """
         self.readers = 0
         self._store = store
@@ -132,11 +133,11 @@ class EventStream:
         self._making = asyncio.Lock()
 
     async def events(self, hours: float) -> AsyncGenerator[ServerEvent, None]:
-        """Yield events as they arise, but only the newest.
+        """Yield new events as they are made, skipping all but the newest.
 
-        Charts that cannot be made are left out, with a reason. If no document can be made at all,
-        the error is printed and every stream ends. A page then reports that it is not connected,
-        rather than showing old values as present ones, and keeps its stop button.
+        Charts that cannot be made are replaced by the reason. If no document can be made at all,
+        the error is printed and every stream ends. The page then reports that it is not connected,
+        rather than presenting old values as current, and keeps its stop button.
 
         Args:
             hours: length of the past in the series (h).
@@ -192,10 +193,10 @@ class EventStream:
 
 
 class _Connections:
-    """The connections of a server: a new one is always accepted, and ends the oldest if need be.
+    """The connections of a server, which always accepts a new one and drops the oldest if needed.
 
-    The newest therefore has time to make its request until a hundred others have connected, and a
-    stop gets through however many connect, and whether or not they send and read.
+    A new connection therefore has time to make its request until a hundred others have connected. A
+    stop gets through however many clients connect, and whether or not they send and read.
     """
 
     def __init__(self, server: web.Server) -> None:
@@ -204,7 +205,7 @@ class _Connections:
         self._until: dict[web.RequestHandler, float] = {}
 
     async def accept(self, listening: socket.socket) -> None:
-        """Accept connections, one after another, without end."""
+        """Accept connections one after another, until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
             try:
@@ -228,7 +229,7 @@ class _Connections:
 
     @contextmanager
     def keep(self, request: web.Request) -> Iterator[None]:
-        """Keep a connection whose answer has a different limit, and read nothing more from it."""
+        """Lift the time limit of a connection during its answer, and read nothing more from it."""
         if request.transport is not None:
             request.transport.pause_reading()
         self._until[request.protocol] = math.inf
@@ -238,7 +239,7 @@ class _Connections:
             self._until[request.protocol] = time.monotonic() + _ANSWER_S
 
     async def drop_overdue(self) -> None:
-        """Repeatedly end the connections that take too long."""
+        """Periodically end the connections that take too long."""
         while True:
             await asyncio.sleep(1.0)
             now = time.monotonic()
@@ -251,7 +252,7 @@ class _Connections:
             self._drop(handler)
 
     def drop_gone(self) -> bool:
-        """End a kept connection whose reader has gone or reads nothing, if there is one."""
+        """End one kept connection whose reader has gone or reads nothing; return False if none."""
         for handler, until in self._until.items():
             transport = handler.transport
             if until < math.inf or transport is None:
@@ -295,7 +296,7 @@ class _PageApplication:
 
     @web.middleware
     async def _refusals(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
-        """Answer a rejected request with the reason, in a sentence; a connection has one answer."""
+        """Answer a rejected request with the reason; close each connection after one answer."""
         try:
             answer = await handler(request)
         except web.HTTPException as error:
@@ -307,24 +308,26 @@ class _PageApplication:
     async def _check_origin(
         self, request: web.Request, handler: _Handler
     ) -> web.StreamResponse:
-        """Refuse a request that names a host other than this one, or that another page makes.
+        """Reject a request that names another host than this one, or that comes from another page.
 
-        If a foreign host name led to this address, a browser would treat a page from that host as a
-        page of this server (DNS rebinding).
+        If the name of another host resolved to this address, a browser would treat a page from that
+        host as a page of this server (DNS rebinding).
         """
         if self._names is not None and _read_host(request) not in self._names:
-            raise web.HTTPForbidden(reason="this host name is unknown here; use localhost")
+            raise web.HTTPForbidden(
+                reason="the host name in the address is unknown here; use localhost"
+            )
         if request.method == "POST" or request.path == "/events":
             given = request.headers.get("Authorization", "")
             if self._token is not None and not hmac.compare_digest(
                 given.encode(errors="replace"), f"Bearer {self._token}".encode()
             ):
                 raise web.HTTPUnauthorized(
-                    reason="the address needs its token: open it exactly as printed"
+                    reason="the address is not valid without its token; open it exactly as printed"
                 )
             own = request.method == "GET" or request.headers.get("X-Greenroof") == "1"
             if not own or _is_of_another_page(request):
-                raise web.HTTPForbidden(reason="only the page itself may request this")
+                raise web.HTTPForbidden(reason="only the page itself may make this request")
         return await handler(request)
 
     # --- answers --------------------------------------------------------------------------------
@@ -360,19 +363,20 @@ class _PageApplication:
     async def _acknowledge(self, request: web.Request) -> web.Response:
         identity = (await _read_body(request)).get("id")
         if not isinstance(identity, str):
-            raise web.HTTPBadRequest(reason="id must be text")
+            raise web.HTTPBadRequest(reason="id must be a string")
         known = await asyncio.to_thread(self._store.acknowledge, identity)
         return _make_response(known, "" if known else "This alarm is no longer listed.")
 
     async def _act(self, request: web.Request) -> web.Response:
-        """Act on the pump; the same request, made again meanwhile, receives the same answer.
+        """Carry out an action on the pump; a request repeated meanwhile gets the same answer.
 
-        Doses are an exception: only the first of two requests is carried out.
+        Doses are an exception: if a dose is requested twice, only the first request is carried out.
         """
         body, action, given = await _read_body(request), request.path[1:], dict[str, float]()
         if action != "stop" and not (self._store.allow_release and self._token):
             raise web.HTTPForbidden(
-                reason="nothing is released here: see greenroof watch --allow-release"
+                reason="this page may only stop the pump; to allow other actions, start "
+                "greenroof watch with --allow-release"
             )
         if action == "dose":
             given = {
@@ -392,7 +396,7 @@ class _PageApplication:
     async def _request_action(
         self, action: str, given: dict[str, float], asker: str
     ) -> tuple[bool, str]:
-        """Request an action from the pump node, and return the result; the sender may be gone."""
+        """Request an action from the pump node; return the result, even if the sender has gone."""
         try:
             request = {"owner": "the page"} if action == "stop" else given
             answer = await asyncio.to_thread(self._feed.request_action, action, **request)
@@ -403,7 +407,7 @@ class _PageApplication:
             print_seldom(action, traceback.format_exc())
             ok = False
             sentence = (
-                "It is unknown whether this was done: the watcher failed "
+                "It is unknown whether the request was carried out: the watcher failed "
                 f"({type(error).__name__}: {error})."
             )
         sentence = words.clean_sentence(sentence)
@@ -413,7 +417,7 @@ class _PageApplication:
 
 
 def _make_file_handler(file: Path) -> _Handler:
-    """Return a handler that sends a file of the page as it is when the server starts."""
+    """Return a handler that sends a file of the page as it was when the server started."""
     content, kind = file.read_bytes(), _TYPES[file.suffix]
 
     async def send(_: web.Request) -> web.Response:
@@ -429,7 +433,7 @@ def _make_response(ok: bool, sentence: str, status: int = 200) -> web.Response:
 
 
 def _read_host(request: web.Request) -> str | None:
-    """Return the host that a request names, without its port, since a tunnel has another port."""
+    """Return the host name in a request without the port, which differs behind a tunnel."""
     headers = request.headers.getall("Host", [])
     with suppress(ValueError):
         return urlsplit(f"//{headers[0]}").hostname if len(headers) == 1 else None
@@ -437,9 +441,10 @@ def _read_host(request: web.Request) -> str | None:
 
 
 def _is_of_another_page(request: web.Request) -> bool:
-    """Return whether the browser reports that a page of another site makes the request.
+    """Return whether the browser reports that the request comes from a page of another site.
 
-    Browsers report this in Sec-Fetch-Site, but over plain HTTP to another machine only in Origin.
+    Browsers report the origin of a request in Sec-Fetch-Site, but over plain HTTP to another
+    machine only in Origin.
     """
     site, origin = (request.headers.get(name) for name in ("Sec-Fetch-Site", "Origin"))
     if site is not None:
@@ -450,14 +455,14 @@ def _is_of_another_page(request: web.Request) -> bool:
 async def _send(
     answer: web.StreamResponse, data: bytes, transport: asyncio.Transport | None
 ) -> None:
-    """Send data, and wait until all of it is on its way, since data that waits here becomes old."""
+    """Send data, and wait until none is left in the buffer, where it would become outdated."""
     await answer.write(data)
     while transport is not None and transport.get_write_buffer_size():
         await asyncio.sleep(_DRAIN_S)
 
 
 def _read_number(body: Mapping[str, object], name: str, unit: str) -> float:
-    """Return a number from a request for a dose; the pump node checks its range."""
+    """Return a number from a request for a dose; the pump node checks the range."""
     try:
         return Range().check(body.get(name))
     except ValueError as error:
@@ -465,7 +470,7 @@ def _read_number(body: Mapping[str, object], name: str, unit: str) -> float:
 
 
 def _read_hours(text: str) -> float:
-    """Return the length of the past that is requested (h)."""
+    """Return the requested length of the past (h)."""
     with suppress(ValueError):
         hours = read_number(text)
         if hours in HOURS:
@@ -483,7 +488,7 @@ async def _read_body(request: web.Request) -> dict[str, Any]:
     except (ValueError, RecursionError, web.RequestPayloadError):
         content = None
     if not isinstance(content, dict):
-        raise web.HTTPBadRequest(reason="must be a JSON object")
+        raise web.HTTPBadRequest(reason="the request must be a JSON object")
     return content
 
 
@@ -532,14 +537,14 @@ def serve(
     """Serve the page until a signal arrives.
 
     Args:
-        store: state of the graph, to show.
-        feed: feed of the store, which stops the pump.
+        store: state of the graph to show.
+        feed: feed of the store, through which the pump is stopped.
         host: address or name on which to listen.
-        port: TCP port; 0 for any that is free, None for the first free one from 8080 on.
-        token: the token that a page must send; None for none.
-        on_ready: function called with the address for a browser, including the token, once the page
-            is served.
-        signals: the signals that end it.
+        port: TCP port; 0 for any free port, None for the first free port from 8080 on.
+        token: the token that a page must send; None if no token is required.
+        on_ready: callback that receives the address for a browser, including the token, once the
+            page is served.
+        signals: signals that stop the server.
 
     Raises:
         ConfigurationError: if the address or the port cannot be used.

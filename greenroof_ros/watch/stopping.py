@@ -1,6 +1,7 @@
-"""The actions on the pump that are possible from here: stop, release, clear a fault, give a dose.
+"""Actions on the pump that the page offers: stop, release, clear a fault and give a dose.
 
-They need nothing that tiles or alarms need: even if those cannot be shown, the pump can be stopped.
+The actions do not depend on the tiles or the alarms, so the pump can be stopped even if the tiles
+and the alarms cannot be shown.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from greenroof_ros.watch.store import GraphStore
 from greenroof_ros.watch.words import clean_sentence
 
 LOCK_OUT = (
-    "Anyone working on the pump must lock it out at the pump itself; this page does not."
+    "Anyone working on the pump must lock it out at the pump itself; this page does not lock it "
+    "out."
 )
 _THEN = (
     "The pump then starts automatically when the controller requires it and nothing else keeps it "
@@ -26,11 +28,12 @@ _THEN = (
 def describe_stop(store: GraphStore) -> dict[str, Any]:
     """Return whether the pump can be stopped from here, whether it is stopped, and a warning.
 
-    It can be stopped if any node may control the pump, whatever nodes report. It counts as stopped
-    if someone holds it and it is at rest; the hold alone only means that it should be. ``release``
-    is the command that releases it; empty if that would do nothing. Entries ending in ``_here``
-    state whether an action is allowed here, and those ending in ``_then`` state what happens then.
-    A request for a dose returns ``asked_at``, by which a delayed request is recognised.
+    The pump can be stopped if any node may control it, whatever the nodes report. The pump counts
+    as stopped if someone holds it and it is at rest; the hold alone only means that the pump should
+    be stopped. ``release`` is the command that releases the pump; empty if it would have no effect.
+    Entries that end in ``_here`` state whether an action is allowed here, and entries that end in
+    ``_then`` describe the effect of an action. A request for a dose returns ``asked_at``, so that a
+    delayed request is recognized.
     """
     two = store.graph.two_pumps(store.wall)
     node = None if two else store.graph.pump(store.wall)
@@ -41,8 +44,8 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
     stopped, warning = bool(hold) and at_rest, two
     if hold and not at_rest and not is_silent:
         warning = (
-            "Stop was accepted, but the pump still turns, or it is unknown whether it is "
-            "stopped. Stop it at its drive's panel if it is not stopped within seconds."
+            "The stop was accepted, but the pump is still turning, or it is unknown whether it has "
+            "stopped. Stop it at its drive's panel if it does not stop within seconds."
         )
     report = store.pump_report
     off = report is not None and report.state in ("off", "held", "fault") and at_rest
@@ -50,9 +53,10 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
         "possible": possible, "stopped": stopped,
         "label": "The pump is held off: stop again" if stopped
         else "Keep the pump off" if off else "Stop the pump",
-        "sentence": "There is no pump node that can be stopped from here."
-        if not possible else ("It was held off at last contact. " if hold and is_silent else "")
-        + ("The pump is held" if stopped else "Holds the pump")
+        "sentence": "There is no pump node through which the pump could be stopped."
+        if not possible
+        else ("The pump was held off at last contact. " if hold and is_silent else "")
+        + ("The pump is held" if stopped else "A stop holds the pump")
         + " off until someone releases it. " + LOCK_OUT,
         "warning": warning,
         "release": "" if node is None or not hold else command_for(node.name, "release"),
@@ -64,7 +68,7 @@ def describe_stop(store: GraphStore) -> dict[str, Any]:
 
 
 def _allow(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, Any]:
-    """Return which actions other than a stop are allowed here, and what happens then.
+    """Return the actions other than a stop that are allowed here, and their effects.
 
     Args:
         node: the pump node, if it is online and releasing is allowed; otherwise None.
@@ -92,31 +96,32 @@ def _allow(node: Node | None, at_rest: bool, area: float = 0.0) -> dict[str, Any
         "dose": clean_sentence(str(dose.get("said", ""))) if isinstance(dose, dict) else "",
         "dose_here": doses and not no_dose,
         "asked_at": time.time() if doses and not no_dose else None,
-        "dose_then": "The pump then delivers this volume once, regardless of what the controller "
-        "commands, but not above the roof's target. It ends early if anything keeps the pump off. "
+        "dose_then": "The pump then delivers this volume once, regardless of the controller's "
+        "command, but only up to the roof's target. The dose ends early if anything keeps the pump "
+        "off. "
         + LOCK_OUT,
         "no_dose": no_dose if doses else "",
     }
 
 
 def _write_limits(minimum: float, maximum: float, area: float) -> str:
-    """Return the range of a dose (m3), and the depth of water that it means on the roof (m2)."""
+    """Write the range of a dose (m3) and the resulting water depth on a roof of an area (m2)."""
     volumes = f"from {minimum:.3f} to {maximum:g} m³" if minimum else f"at most {maximum:g} m³"
     depths = [words.write_rain(volume / area) for volume in (minimum, maximum) if volume and area]
     return volumes + (f", which is {' to '.join(depths)} of water on the roof" if depths else "")
 
 
 def _write_then(*others: str) -> str:
-    """Return what the pump does then; ``others`` are what else keeps it off (empty: nothing)."""
+    """Write the effect on the pump; ``others`` are other reasons that keep it off, or empty."""
     remain = "; ".join(filter(None, others))
-    return f"It nevertheless stays off: {remain}. " if remain else _THEN
+    return f"The pump nevertheless stays off: {remain}. " if remain else _THEN
 
 
 def make_bare_stop() -> dict[str, Any]:
-    """Return a stop for which nothing needs to be known: the pump node is asked, if any."""
+    """Return the stop to offer if nothing is known; any pump node receives the request."""
     return {
         "possible": True, "stopped": False, "label": "Stop the pump",
-        "sentence": "Holds the pump off until someone releases it. " + LOCK_OUT,
+        "sentence": "A stop holds the pump off until someone releases it. " + LOCK_OUT,
         "warning": "", "release": "", "hold": None, "clear_call": "",
         **_allow(None, at_rest=False),
     }

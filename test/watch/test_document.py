@@ -474,7 +474,7 @@ def test_no_report_switches_the_stop_off(forged: dict[str, Any]) -> None:
         assert {row["code"] for row in document["alarms"]} & {"two_pump_nodes", "two_processes"}
 
 
-STARTS, STAYS = "The pump then starts automatically", "It nevertheless stays off"
+STARTS, STAYS = "The pump then starts automatically", "The pump nevertheless stays off"
 SLOW = {"fault": "slow", "no_clear": ""}
 LEAK = {"fault": "a leak", "no_clear": "someone has to look"}
 LOST = {"unknown": "the file cannot be read"}
@@ -538,7 +538,8 @@ def test_nothing_is_held_off_by_a_node_that_is_gone() -> None:
     document = shown(graph, 104.0)
     pump, stop = document["tiles"]["pump"], document["stop"]
     assert stop["hold"] is None
-    assert not stop["stopped"] and stop["sentence"].startswith("It was held off at last contact.")
+    assert not stop["stopped"]
+    assert stop["sentence"].startswith("The pump was held off at last contact.")
     assert pump["value"] == "unknown" and pump["sentence"].startswith("held at last contact")
     assert "it is unknown what the pump is doing" in document["tiles"]["summary"]["sentence"]
 

@@ -166,7 +166,7 @@ def test_what_is_reported_of_pumps_never_stops_a_stop(domain: int) -> None:
 
         wait_for(warning, 60, "a warning")
         for action, request, said in (
-            ("release", {}, "claim to be the pump node, /other and /pump"),
+            ("release", {}, "claim to be the pump node (/other and /pump"),
             ("stop", {"owner": "the page"}, "the service hold of /other and /pump. Start"),
         ):
             began = time.monotonic()

@@ -616,7 +616,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         saying(watched, said), served(watched, "secret") as port,
         opened(browser, port, hash_="#token=wrong") as page,
     ):
-        until_shown(page, "#lost", "the address needs its token")
+        until_shown(page, "#lost", "the address is not valid without its token")
         assert page.locator(".tile").count() == 0
         page.evaluate("location.hash = '#token=secret'")
         until_shown(page, ".tile[data-key=roof] .value")
@@ -638,7 +638,7 @@ def test_with_its_token_it_releases_and_gives_a_dose_after_a_question(browser: A
         until_shown(page, "#answer.failed", "the situation has changed")
         assert not page.locator("#ask").is_visible()
         page.locator("#clear-button").click()
-        until_shown(page, "#ask", "It nevertheless stays off: a hold by the operator.")
+        until_shown(page, "#ask", "The pump nevertheless stays off: a hold by the operator.")
         page.locator("#ask-yes").click()
         until_shown(page, "#answer.failed", "was not asked")
         assert posted(page) == ["release", "clear"]

@@ -120,11 +120,11 @@ _NAMES = "two processes report under this name: host 0 and host 1"
     # A restart is an event; alarms of the previous process are over.
     ([(0.0, pump(BAD)), (5.0, pump(process="host 2", state="starting")),
       (6.0, pump(process="host 2"))], {},
-     ["/pump was started again"]),
+     ["/pump was restarted"]),
     # Two processes with one name: not a restart each time, but an alarm while both report.
-    (each_quarter(5, *TWICE), {"/pump": ("error", _NAMES)}, ["/pump was started again"]),
+    (each_quarter(5, *TWICE), {"/pump": ("error", _NAMES)}, ["/pump was restarted"]),
     ([*each_quarter(5, *TWICE), *each_quarter(5, TWICE[1], begin=5.0)], {},
-     ["/pump was started again"]),
+     ["/pump was restarted"]),
 ])
 def test_what_is_wrong_with_a_node(
     steps: Steps, alarms_then: dict[str, tuple[str, str]], events: list[str]
@@ -155,7 +155,7 @@ def test_events_of_parameters_and_warnings() -> None:
         receive(alarms, 0.0, mpc(parameter_changes=newest, parameter_change_count=known))
     assert happened(alarms) == [
         *(f"/mpc: w was changed from 1 to {number}" for number in range(1, 11)),
-        "/mpc: 4 changes of parameters before the next are not listed",
+        "/mpc: 4 earlier changes of parameters are not listed",
         *(f"/mpc: w was changed from 1 to {number}" for number in range(15, 25)),
     ]
     alarms = heard(*((0.0, mpc(warnings=said)) for said in ([], ["a"], ["a"], ["b"], [], ["b"])))

@@ -271,7 +271,7 @@ def test_a_lost_drive_is_an_alarm_and_a_stop_is_released_as_shown(
         assert "\nWarning: /site1/pump: pump: held: " in held and "\nAlarm: " not in held
         os.kill(child_of(process, b"greenroof_ros.live.controller"), signal.SIGKILL)
         wait_for(
-            lambda: "/site1/onoff was started again" in str(document(port)["events"]), 60,
+            lambda: "/site1/onoff was restarted" in str(document(port)["events"]), 60,
             "another controller",
         )
         wait_for(lambda: document(port)["tiles"]["controller"]["state"] == "good", 60, "a command")

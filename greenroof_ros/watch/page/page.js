@@ -393,7 +393,7 @@ for (const [name, { title, yes, then }] of Object.entries(ACTIONS)) {
     askedBody = name === "dose" ? { volume } : {};
     setText(byId("ask-title"), name === "dose" ? `${title.slice(0, -1)} of ${volume} m³?` : title);
     setText(byId("ask-yes"), yes);
-    setText(byId("ask-sentence"), shown?.stop[then] ?? `Holds the pump off until someone releases it. ${LOCK_OUT}`);
+    setText(byId("ask-sentence"), shown?.stop[then] ?? `A stop holds the pump off until someone releases it. ${LOCK_OUT}`);
     byId("ask").showModal();
   });
 }
