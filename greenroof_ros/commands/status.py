@@ -131,5 +131,5 @@ def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> li
 
 
 def _write_alarm(row: Mapping[str, Any]) -> str:
-    follows = f"; follows from {row['follows']}" if row["follows"] else ""
+    follows = f"; caused by {row['follows']}" if row["follows"] else ""
     return f"{_LEVELS[row['level']]}: {row['id']}: {row['what']}{follows}"

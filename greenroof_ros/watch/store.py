@@ -1,7 +1,8 @@
-"""What is known about one graph: newest values, their past, plan and forecast, and the reports.
+"""State of one graph: newest values and their history, plan, forecast, and reports of the nodes.
 
-Every message that :mod:`.feed` receives arrives here once, through :meth:`GraphStore.receive` or
-:meth:`GraphStore.add_statuses`. From this, :mod:`.document` makes what people see.
+Each message that :mod:`.feed` receives is passed to the store once, with
+:meth:`GraphStore.receive` or :meth:`GraphStore.add_statuses`. From the store, :mod:`.document`
+makes the document that people see.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ LINES = {
 }
 """Lines of the charts, each with its topic."""
 EXPECTED = "roof_expected"
-"""A further line: the roof level as expected an hour before."""
+"""Additional line: the roof level as expected an hour earlier."""
 _NAMES = {topic: name for name, topic in LINES.items()}
 
 _NUMBER = "std_msgs/msg/Float64"
@@ -61,7 +62,7 @@ _MAX_EVENTS = 50
 
 
 class TopicValue:
-    """The newest value on a topic, and how often values arrive, judged at every update.
+    """The newest value on a topic, with a check at every update for an overdue next value.
 
     Attributes:
         time_ns: time of the value (ns since 1970).
@@ -84,7 +85,7 @@ class TopicValue:
         self.time_ns, self.value = time_ns, None if math.isnan(value) else value
 
     def update(self, wall: float, *, ended: bool) -> None:
-        """Update whether the next value is overdue, which it never is in a run that has ended."""
+        """Update whether the next value is overdue; no value is overdue once the run has ended."""
         if self._received or self._received_at is None:
             if self._received_at is not None:
                 self._intervals.append(min(wall - self._received_at, _MAX_S))
@@ -94,32 +95,33 @@ class TopicValue:
 
 
 class GraphStore:
-    """The state of one graph; any thread may call any method, and read under ``lock``.
+    """The state of one graph; any thread may call any method, and may read under ``lock``.
 
-    Times of the graph are its own: simulated, or the system's. ``wall`` is the time of the steady
-    clock (s), so setting the system's clock makes no value old or new.
+    Times of the graph are either simulated times or system times. ``wall`` is a time of the steady
+    clock (s), so a change of the system's clock does not affect the age of a value.
 
     Attributes:
-        lock: to be held while several attributes are read.
+        lock: lock to hold while more than one attribute is read.
         namespace: namespace of the graph; empty if it has none.
-        site: site by whose parameters levels are judged: the paper's until another one is known.
-        wall: when the store was last updated (steady clock, s).
+        site: site whose parameters are used to judge levels: the paper's until another is known.
+        wall: time of the last update of the store (steady clock, s).
         notes: notes to the operator about the site file, and about the graph that is watched.
         mode: ``none`` if nothing has been received yet, ``simulated``, ``live``, or ``ended`` for a
             run that is over.
-        factor: simulated time per wall time; None if there is none.
-        allow_release: whether the pump may be released from here.
-        graph: registry of what its nodes report.
-        judge: judge of what is wrong now, and what is only missing while the site starts.
+        factor: ratio of simulated to wall time; None if there is no such ratio.
+        allow_release: whether the pump may be released from the page.
+        graph: registry of the nodes and their reports.
+        judge: judge of the present faults, and of the nodes that are only missing because the site
+            is still starting.
         events: newest events, each with its time (s since 1970).
         newest: newest value on each topic.
-        past: past of each line of the charts.
+        past: history of each line of the charts.
         forecast: newest forecast of rain; None if it is unknown.
         plan: plan of the controller; None if it is unknown or there is none.
     """
 
     def __init__(self, namespace: str = "") -> None:
-        """Start without knowing anything.
+        """Start with an empty state.
 
         Args:
             namespace: namespace of the graph; empty if it has none. Nodes in other namespaces are
@@ -139,7 +141,7 @@ class GraphStore:
         self.reset()
 
     def reset(self) -> None:
-        """Reset everything except the nodes and how they are watched, as another run has begun."""
+        """Reset everything for a new run, except the nodes and the way they are watched."""
         with self.lock:
             self.judge = Judge()
             self.events: deque[tuple[float, str]] = deque(maxlen=_MAX_EVENTS)
@@ -160,27 +162,27 @@ class GraphStore:
 
     @property
     def pump(self) -> Node | None:
-        """The pump node as last received; None if there was none."""
+        """The pump node with its last report; None if no pump node has reported."""
         return self.graph.node(PUMP)
 
     def set_site(self, site: Site, note: str = "") -> None:
-        """Set the site by whose parameters levels are judged.
+        """Set the site whose parameters are used to judge levels.
 
         Args:
             site: parameters of the site.
-            note: what an operator should know about this; empty for nothing.
+            note: note to the operator about the site file; empty for none.
         """
         with self.lock:
             self.site = site
             self.notes[0] = clean_text(note)
 
     def set_present(self, *, mode: str, factor: float | None, note: str) -> None:
-        """Set how the graph is watched now.
+        """Set the mode and the speed in which the graph is watched now.
 
         Args:
-            mode: mode as in the attributes.
-            factor: simulated time per wall time; None if there is none.
-            note: what an operator should know about that; empty for nothing.
+            mode: mode, as in the attribute of this name.
+            factor: ratio of simulated to wall time; None if there is no such ratio.
+            note: note to the operator about the graph; empty for none.
         """
         with self.lock:
             self.mode = mode
@@ -188,14 +190,14 @@ class GraphStore:
             self.notes[1] = clean_text(note)
 
     def update(self, wall: float, system: float | None = None) -> None:
-        """Update what is overdue; called often, even if no document is shown.
+        """Update the overdue values and the alarms; called often, even if no document is shown.
 
         If the clock of a live site is set back, the charts start again, since new values would be
-        older than those already there.
+        older than the existing ones.
 
         Args:
             wall: present time (steady clock, s).
-            system: time of the system, which a live site follows (s since 1970); None if unchanged.
+            system: system time, which a live site follows (s since 1970); None if unchanged.
         """
         with self.lock:
             before, self._system = self._system, self._system if system is None else system
@@ -204,8 +206,8 @@ class GraphStore:
             ) > _SET_BACK_S:
                 self._forget_values()
                 self.add_event(
-                    f"The system's clock was set back by {duration(round(back))}: the charts start "
-                    "again"
+                    f"The system's clock was set back by {duration(round(back))}, so the charts "
+                    "start again"
                 )
             self.wall = wall
             for newest in self.newest.values():
@@ -214,7 +216,7 @@ class GraphStore:
 
     @property
     def ended(self) -> bool:
-        """Whether the run is over, so that nothing more will arrive."""
+        """Whether the run is over, so that no more messages will arrive."""
         return self.mode == "ended"
 
     def is_lost(self, node: Node | None) -> bool:
@@ -223,9 +225,9 @@ class GraphStore:
 
     @property
     def pump_report(self) -> PumpState | None:
-        """The pump's state and its reason, as its node last reported them; None if it has not.
+        """The pump's state and reason, as last reported by the pump node; None if not reported.
 
-        The state is unknown if it is unclear which node that is.
+        The state is unknown if it is unclear which node is the pump node.
         """
         if two := self.graph.two_pumps(self.wall):
             return PumpState("unknown", two)
@@ -246,7 +248,7 @@ class GraphStore:
         Args:
             topic: name of the topic in the interface, without a namespace.
             time_ns: time of the message (ns since 1970).
-            message: message in CDR; an incomplete one is left out.
+            message: serialized message (CDR); an incomplete message is ignored.
         """
         if topic in (PLAN, RAIN_FORECAST):
             if (rows := wire.read_rows(message)) is not None:
@@ -262,8 +264,8 @@ class GraphStore:
     def add(self, topic: str, time_ns: int, value: float) -> None:
         """Add a value from a topic of single numbers.
 
-        A value that is not newer than the last one is left out. One outside the topic's range is
-        shown as not plausible, and is a gap in its line.
+        A value that is not newer than the last one is ignored. A value outside the topic's range is
+        shown as not plausible, and leaves a gap in its line.
 
         Args:
             topic: name of the topic in the interface, without a namespace.
@@ -289,12 +291,12 @@ class GraphStore:
         return None if newest is None or newest.stale else newest.value
 
     def add_forecast(self, time_ns: int, values: Values, front: Values) -> None:
-        """Add a forecast of rain; after an invalid one, no forecast is known.
+        """Add a forecast of rain; an invalid forecast clears the present one.
 
         Args:
-            time_ns: beginning of its first step (ns since 1970).
+            time_ns: beginning of the first step (ns since 1970).
             values: rain in each step (m/s), shape (steps,), or (members, steps) for an ensemble.
-            front: time of issue (s since 1970, NaN if unknown), and the end of each step (s from
+            front: time of issue (s since 1970, NaN if unknown), and the end of each step (s after
                 ``time_ns``), shape (1 + steps,).
         """
         if not 0 < time_ns < _LATEST_NS:
@@ -319,11 +321,11 @@ class GraphStore:
         """Add a plan of the controller.
 
         Args:
-            time_ns: time of planning (ns since 1970); if there is a newer plan, this one is left
-                out.
-            rows: end of each step (s from then), its mean flow (m3/s), the expected roof level at
-                its end (m), and a level that is not shown, shape (steps, 4). If empty, nothing has
-                changed; with an impossible number, there is now no plan.
+            time_ns: time of planning (ns since 1970); a plan that is not newer than the present
+                plan is ignored.
+            rows: for each step, its end (s after ``time_ns``), the mean flow (m3/s), the expected
+                roof level at the end (m), and a level that is not shown; shape (steps, 4). Empty
+                rows leave the plan unchanged. Rows with an impossible number clear the plan.
         """
         at = time_ns / 1e9
         if not 0 < time_ns < _LATEST_NS:
@@ -347,7 +349,7 @@ class GraphStore:
         Args:
             wall: present time (steady clock, s).
             statuses: statuses of one message.
-            stamp_ns: time stamp of the message (ns since 1970), in a simulation of its clock.
+            stamp_ns: time stamp of the message (ns since 1970); in a simulation, a simulated time.
             number: number of the message, as counted by its publisher; None if unknown.
         """
         with self.lock:
@@ -393,7 +395,7 @@ class GraphStore:
             return alarm is not None
 
     def is_acknowledged(self, alarm: Alarm) -> bool:
-        """Return whether an alarm is acknowledged, with its present level and subjects."""
+        """Return whether an alarm is acknowledged with its present level and present subjects."""
         return self._acknowledged.get(alarm.name) == (alarm.number, alarm.level, alarm.about)
 
     # --- time -----------------------------------------------------------------------------------
@@ -402,8 +404,8 @@ class GraphStore:
     def now(self) -> float | None:
         """The graph's time (s since 1970); None if no time is known yet.
 
-        On a live site, it is the system's time; otherwise it is the time of the newest value or of
-        the plant's last report.
+        On a live site, the graph's time is the system time; otherwise, it is the time of the newest
+        value or of the plant's last report, whichever is later.
         """
         if self.mode == "live" and self._system is not None:
             return self._system
@@ -418,8 +420,8 @@ class GraphStore:
     def clock(self) -> dict[str, Any]:
         """Return the time in words, and the clock for the page's charts.
 
-        The clock is a list of times (s since 1970), each with the offset from UTC (h) that holds
-        from then on. It covers the longest chart.
+        The clock is a list of times (s since 1970), each with the offset from UTC (h) that applies
+        from this time on. The list covers the longest chart.
         """
         now, zone = self.now, self.site.zone
         if now is None or words.convert_time(now, zone) is None:
@@ -430,8 +432,8 @@ class GraphStore:
     def time_of_day(self, at: float) -> str:
         """Write a time of the graph (s since 1970).
 
-        In a simulation, what happened before the first tick bears the system's time, which is
-        later.
+        In a simulation, events before the first tick have the system's time, which is later than
+        the simulated time. They are dated ``the start``.
         """
         if self.now is not None and self.mode != "live" and at > self.now:
             return "the start"

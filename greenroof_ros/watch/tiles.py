@@ -1,7 +1,8 @@
-"""The five things to see at a glance: both levels, pump, rain and controller, each in a tile.
+"""The five tiles to see at a glance: roof level, cistern level, pump, rain and controller.
 
-Every tile has a ``label``, its ``value`` in words and as a ``number``, a ``state`` that judges it,
-a ``sentence`` with details, and a flag for whether its value is ``stale`` and thus unknown.
+Every tile has a ``label``, a ``value`` in words, this value as a ``number``, a ``state`` that rates
+the value, and a ``sentence`` with details. A flag states whether the value is ``stale`` and
+therefore unknown.
 """
 
 from __future__ import annotations
@@ -41,11 +42,11 @@ def _make_tile(
     store: GraphStore, label: str, topic: str, judged: Callable[[float], tuple[str, str]],
     **more: Any,
 ) -> Tile:
-    """Return the tile of a topic; ``judged`` returns state and sentence for its value.
+    """Return the tile of a topic; ``judged`` returns the state and the sentence for a value.
 
-    A missing or stale value is unknown; for a stale value, the sentence states what was last
-    received, and when. ``why`` is the reason if one is reported. A value that is not plausible is
-    an alarm.
+    A missing or stale value is shown as unknown; for a stale value, the sentence states the last
+    value and its time. ``why`` is the reported reason for a missing value, if any. A value that is
+    not plausible is shown as an alarm.
     """
     newest = store.newest.get(topic)
     number = None if newest is None else newest.value
@@ -68,9 +69,9 @@ def _make_tile(
 
 
 def _find_reason(store: GraphStore, topic: str) -> str:
-    """Return why no values of a topic arrive, as reported by its publisher, or else its readers.
+    """Return the reason why a topic has no values, as its publisher or else its readers report it.
 
-    The result is empty if no one reports a fault, as the first value may still arrive.
+    The reason is empty if no fault is reported, since the first value may still arrive.
     """
     diagnoses = store.judge.diagnoses
     own = {name: found for name, found in diagnoses.items() if found.role and found.level != WARN}
@@ -87,7 +88,7 @@ def _find_reason(store: GraphStore, topic: str) -> str:
 
 
 def make_unknown_tile(label: str) -> Tile:
-    """Return the replacement of a tile that cannot be made."""
+    """Return the replacement for a tile that cannot be made."""
     return {
         "label": label, "value": words.UNKNOWN, "number": None, "state": "unknown",
         "sentence": "cannot be shown", "stale": True, "why": "", "alarm": False, "idle": False,
@@ -122,7 +123,7 @@ def make_roof_tile(store: GraphStore) -> Tile:
 
 
 def _write_difference(difference: float) -> str:
-    """Write how far the roof's level is from its target (m), as ``0.4 mm below its target``."""
+    """Write the distance of the roof's level from its target: ``0.4 mm below its target``."""
     text = write_level(abs(difference))
     if text == write_level(0.0):
         return "at its target"
@@ -143,9 +144,9 @@ def make_cistern_tile(store: GraphStore) -> Tile:
     def judged(level: float) -> tuple[str, str]:
         usable = site.cistern_volume(level - site.suction_level)
         if usable <= 0:
-            return "low", "too low for the pump, as it is not above the suction level"
+            return "low", "too low for the pump, since it is not above the suction level"
         if level > site.z_o:
-            return "high", "above its outlet, so it overflows to the sewer"
+            return "high", "above its overflow, so water runs to the sewer"
         usable_text = words.write_quantity(usable, "m³", 1)
         text = f"{usable_text} above the suction level can be pumped"
         if site.low_outlet_valve:
@@ -162,19 +163,19 @@ def make_cistern_tile(store: GraphStore) -> Tile:
 
 
 def _write_opened(share: float | None) -> str:
-    """Write how far the valve of the low outlet is open, after a semicolon."""
+    """Write the opening of the outlet valve as a clause that begins with a semicolon."""
     if share is None:
-        return "; the command to its outlet's valve is unknown"
+        return "; the command to the outlet valve is unknown"
     if not share:
-        return "; its outlet's valve is closed"
-    return f"; its outlet's valve is open to {words.write_value(_VALVE, share)}"
+        return "; the outlet valve is closed"
+    return f"; the outlet valve is {words.write_value(_VALVE, share)} open"
 
 
 def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Tile:
     """Return the tile of the pump: its state and, below it, the flow, the command and the reason.
 
-    ``alarm`` states whether the pump may be turning without anyone knowing it, and ``idle`` whether
-    it is off only because the controller commands nothing.
+    ``alarm`` states whether the pump may be turning without anyone knowing, and ``idle`` whether
+    the pump is off only because the controller commands nothing.
 
     Args:
         store: state of the graph.
@@ -236,7 +237,7 @@ def _write_commanded(share: float | None) -> str:
 
 
 def _read_pump_state(store: GraphStore, report: PumpState | None) -> tuple[str, str]:
-    """Return the pump's state and the reason; in a simulation, based on its flow and command."""
+    """Return the pump's state and the reason; in a simulation, derive them if not reported."""
     if report is not None:
         return report.state, report.why
     if store.mode == "live":
@@ -258,7 +259,7 @@ def _is_quiet(store: GraphStore) -> bool:
 
 
 def make_rain_tile(store: GraphStore) -> Tile:
-    """Return the tile of the rain: the present rain and the forecast rain."""
+    """Return the tile of the rain, with the present rain and the forecast rain."""
     topic = _GAUGE if store.newest.get(_RAIN) is None else _RAIN
     tile = _make_tile(store, "Rain", topic, lambda _: ("good", ""))
     return tile if tile["stale"] else {**tile, "sentence": _write_coming_rain(store)}
@@ -277,7 +278,7 @@ def _write_coming_rain(store: GraphStore) -> str:
         return f"no forecast is known: the one from {made} has ended"
     reach = words.write_horizon(amount.reach_s)
     if amount.reach_s < SOON_S:
-        return f"no forecast for the next hours: it reaches only {reach} ahead"
+        return f"no forecast for the next hours: the newest forecast covers only {reach}"
     if now - forecast.at > OLD_S:
         return f"the forecast from {made} is too old"
     sentence = f"{words.write_rain(amount.mean)} expected in the next {reach}{_write_range(amount)}"
@@ -285,7 +286,7 @@ def _write_coming_rain(store: GraphStore) -> str:
 
 
 def _write_range(amount: RainAmount) -> str:
-    """Write the range of an ensemble's rain after its mean, `` (19 to 46)``; otherwise empty."""
+    """Write the range of an ensemble's rain, as in `` (19 to 46)``; empty for a single forecast."""
     if amount.members == 1:
         return ""
     low, high = (words.write_rain(rain).split()[0] for rain in (amount.low, amount.high))
@@ -332,7 +333,7 @@ def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) 
 
 
 def _has_forecast(store: GraphStore) -> bool:
-    """Return whether there is a forecast for the present that is not too old."""
+    """Return whether the present time is covered by a forecast that is not too old."""
     forecast, now = store.forecast, store.now
     return (
         forecast is not None and now is not None and forecast.amount(now) is not None
@@ -343,7 +344,7 @@ def _has_forecast(store: GraphStore) -> bool:
 def _write_plan(store: GraphStore, plan: Plan, now: float) -> str:
     right = " if the forecast is right" if _has_forecast(store) else ""
     if now >= plan.ends[-1]:
-        return "its plan is over"
+        return "its plan has ended"
     pumped = plan.pumped(now)
     reach = words.write_horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
     if pumped is None:
@@ -356,10 +357,10 @@ def _write_plan(store: GraphStore, plan: Plan, now: float) -> str:
 
 
 def describe_wait(store: GraphStore, idle: bool) -> str:
-    """Return for which rain the controller is waiting; empty if it is not waiting.
+    """Describe the rain that the controller is waiting for; empty if it is not waiting.
 
-    It is waiting if the roof is too dry, only the controller keeps the pump off, and at least the
-    missing water is forecast to fall before the controller plans to pump any.
+    The controller is waiting if the roof is too dry, only the controller keeps the pump off, and at
+    least as much rain as the roof lacks is forecast to fall before the controller plans to pump.
 
     Args:
         store: state of the graph.

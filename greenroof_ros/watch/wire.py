@@ -1,4 +1,4 @@
-"""Reads messages of a graph from bytes; an incomplete or far too large one is read as None."""
+"""Messages of a graph, read from bytes; an incomplete or far too large message becomes None."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ _STATUSES, _VALUES, _TEXT = 1000, 100, 20_000
 
 @dataclass(frozen=True)
 class WireStatus:
-    """One status of /diagnostics.
+    """One status in a message on /diagnostics.
 
     Attributes:
-        name: fully qualified name of a node; for a part of it, followed by ``": "`` and the part.
+        name: fully qualified name of a node; for a part of the node, followed by ``": "`` and the
+            name of the part.
         level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
         message: the status, as a sentence.
-        values: values as on the wire: JSON texts from this package's nodes, plain texts from their
+        values: values as transmitted: JSON texts from this package's nodes, plain texts from their
             parts.
     """
 
@@ -47,14 +48,14 @@ def _read(message: bytes, decode: Callable[[bytes], Any]) -> Any:
 
 
 def read_value(type_name: str, message: bytes) -> Any:
-    """Return the value of a message of a type; see :func:`greenroof_ros.graph.messages.decoder`."""
+    """Return the value of a message (see :func:`greenroof_ros.graph.messages.decoder`)."""
     from greenroof_ros.graph.messages import decoder  # only processes that join a graph need ROS
 
     return _read(message, decoder(type_name))
 
 
 def read_rows(message: bytes) -> WithFront | None:
-    """Return the numbers of a ``std_msgs/msg/Float64MultiArray``, and those in front of them."""
+    """Return the numbers of a ``std_msgs/msg/Float64MultiArray``, and those before the offset."""
     from greenroof_ros.graph.messages import decode_numbers
 
     rows: WithFront | None = _read(message, decode_numbers)
@@ -64,7 +65,7 @@ def read_rows(message: bytes) -> WithFront | None:
 def read_statuses(message: bytes) -> tuple[int, list[WireStatus]] | None:
     """Return the time (ns) and the statuses of a ``diagnostic_msgs/msg/DiagnosticArray``.
 
-    Texts and lists that exceed the limits above are cut, since no honest sender sends such.
+    Texts and lists that exceed the limits above are truncated; no honest sender exceeds them.
     """
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.serialization import deserialize_message

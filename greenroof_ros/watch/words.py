@@ -1,4 +1,4 @@
-"""Numbers, times and sentences as an operator reads them, on the page and in the status."""
+"""Formats of the numbers, times and sentences that operators read on the page and in the status."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MAX_NAMES = 3
 
 
 def write_number(value: float, decimals: int) -> str:
-    """Write a number with this many decimals: never minus zero, and *unknown* from 1e12 on."""
+    """Write a number with this many decimals, zero without a sign, and *unknown* from 1e12 on."""
     if not math.isfinite(value) or abs(value) >= 1e12:
         return UNKNOWN
     text = f"{value:.{decimals}f}"
@@ -40,14 +40,14 @@ def write_quantity(value: float, unit: str, decimals: int, factor: float = 1.0) 
         value: value in its SI unit.
         unit: unit to show.
         decimals: number of decimals to show.
-        factor: factor from the SI unit to the unit to show.
+        factor: factor that converts the SI unit to the unit to show.
     """
     text = write_number(value * factor, decimals)
     return text if text == UNKNOWN or not unit else f"{text}{SPACE}{unit}"
 
 
 def write_value(topic: str, value: float) -> str:
-    """Write a value of a topic, or a difference of values, as the interface states: ``45.3 mm``.
+    """Write a value of a topic, or a difference of values, in the interface's format: ``45.3 mm``.
 
     Args:
         topic: name of the topic in the interface.
@@ -59,7 +59,7 @@ def write_value(topic: str, value: float) -> str:
 
 @cache
 def find_display(topic: str) -> Display:
-    """Return how the interface shows the values of a topic."""
+    """Return the format in which the interface shows the values of a topic."""
     display = read_topics()[topic].display
     if display is None:
         raise KeyError(topic)
@@ -67,26 +67,26 @@ def find_display(topic: str) -> Display:
 
 
 def write_rain(metres: float) -> str:
-    """Write an amount of rain: ``12 mm``, and below 10 mm ``1.2 mm``."""
+    """Write an amount of rain, as in ``12 mm``; with one decimal below 10 mm, as in ``1.2 mm``."""
     return write_quantity(metres, "mm", 0 if abs(metres) >= 0.00995 else 1, 1e3)
 
 
 def write_command(share: float) -> str:
-    """Write a command, such as ``40 %``; a small one is not written as 0 %."""
+    """Write a command, such as ``40 %``; a command above zero is never written as 0 %."""
     if 0 < share < 0.005:
         return f"less than 1{SPACE}%"
     return write_value("/pump/command", share)
 
 
 def write_horizon(seconds: float) -> str:
-    """Write how far ahead a forecast or plan reaches, in whole hours from 90 min on: ``12 h``."""
+    """Write the time that a forecast or plan covers, in whole hours from 90 min on: ``12 h``."""
     if seconds >= 5400:
         return write_quantity(seconds / 3600, "h", 0)
     return duration(round(seconds)).replace(" ", SPACE)
 
 
 def convert_time(seconds: float, zone: tzinfo) -> datetime | None:
-    """Return a time since 1970 (s) in a zone; None if no calendar contains it."""
+    """Return a time since 1970 (s) in a time zone; None if it is beyond the calendar."""
     try:
         return datetime.fromtimestamp(seconds, zone)
     except (ValueError, OverflowError, OSError):
@@ -100,7 +100,7 @@ def write_time(seconds: float, zone: tzinfo) -> str:
 
 
 def name_clock(seconds: float, zone: tzinfo) -> str:
-    """Write which clock shows a time (s since 1970): ``EDT, America/Toronto`` or ``UTC-05:00``."""
+    """Write a clock's name at a time (s since 1970): ``EDT, America/Toronto`` or ``UTC-05:00``."""
     at = convert_time(seconds, zone)
     name = "" if at is None else at.strftime("%Z")
     if not isinstance(zone, ZoneInfo) or zone.key == name:
@@ -111,11 +111,12 @@ def name_clock(seconds: float, zone: tzinfo) -> str:
 
 @lru_cache(maxsize=8)
 def list_offsets(zone: tzinfo, day: int) -> list[tuple[int, float]]:
-    """Return when (s since 1970) a clock's offset from UTC (h) changes, beginning with its first.
+    """Return the offsets of a clock from UTC (h), each with the time from which it applies.
 
     Args:
         zone: time zone of the clock.
-        day: number of days since 1970. The changes cover eight days before it and two after it.
+        day: number of days since 1970. The times (s since 1970) range from eight days before this
+            day to two days after it.
     """
     changes: list[tuple[int, float]] = []
     for at in range((day - 8) * 86400, (day + 3) * 86400, 900):
@@ -127,7 +128,7 @@ def list_offsets(zone: tzinfo, day: int) -> list[tuple[int, float]]:
 
 
 def write_clock_time(seconds: float, zone: tzinfo, now: float) -> str:
-    """Write a time since 1970 (s): ``05:00:00``, with its date if that is not today."""
+    """Write a time since 1970 (s), as in ``05:00:00``, with the date unless it is today."""
     at, today = convert_time(seconds, zone), convert_time(now, zone)
     if at is None:
         return UNKNOWN
@@ -136,7 +137,7 @@ def write_clock_time(seconds: float, zone: tzinfo, now: float) -> str:
 
 
 def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
-    """Write a future time (s since 1970): ``06:20``, ``tomorrow 06:20``, later with its date."""
+    """Write a future time (s since 1970): ``06:20``, ``tomorrow 06:20``, or later with the date."""
     at, today = convert_time(seconds, zone), convert_time(now, zone)
     if at is None or today is None:
         return UNKNOWN
@@ -146,12 +147,12 @@ def write_coming_time(seconds: float, zone: tzinfo, now: float) -> str:
 
 
 def clean_sentence(text: str) -> str:
-    """Return a node's sentence for a page that laymen read: without parameters, and with m³."""
+    """Return a node's sentence for lay readers: without names of parameters, and with m³ for m3."""
     return _CUBIC.sub("m³", _PARAMETERS.sub("", clean_text(text)))
 
 
 def list_names(names: Iterable[str]) -> str:
-    """List names of nodes, but not all, since anyone can report any number of them."""
+    """List the first few names of nodes, since anyone can report any number of nodes."""
     listed = sorted({*names})
     more = len(listed) - _MAX_NAMES
     return " and ".join(listed[:_MAX_NAMES] + ([f"{more} more"] if more > 0 else []))

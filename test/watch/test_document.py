@@ -123,8 +123,8 @@ LOW_OUTLET = replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02)
     ("roof", SITE, 0.55, "high",
      "504.3 mm above its target; the soil is full, and water drains off"),
     ("roof", SITE, -0.0, "low", "45.7 mm below its target"),
-    ("cistern", SITE, 0.75, "low", "too low for the pump, as it is not above the suction level"),
-    ("cistern", SITE, 3.01, "high", "above its outlet, so it overflows to the sewer"),
+    ("cistern", SITE, 0.75, "low", "too low for the pump, since it is not above the suction level"),
+    ("cistern", SITE, 3.01, "high", "above its overflow, so water runs to the sewer"),
     ("cistern", LOW_OUTLET, 2.5, "good",
      "43.8 m³ above the suction level can be pumped; its low outlet drains it"),
 ])
@@ -189,7 +189,7 @@ def test_rain_and_what_is_to_come() -> None:
     graph, front = watched(), np.array([math.nan, *range(1, 11)])
     graph.add_forecast(MINUTE, np.full(10, 1e-7), front)
     assert tile_of(graph, "rain")["sentence"] == (
-        "no forecast for the next hours: it reaches only 10 s ahead"
+        "no forecast for the next hours: the newest forecast covers only 10 s"
     )
 
 

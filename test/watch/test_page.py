@@ -676,7 +676,7 @@ def test_what_is_not_responding_now_is_reported_to_be_of_before(browser: Any) ->
             watched.add_statuses(time.monotonic(), mpc())
             wait_for(lambda: page.title() == "1 alarm. Green roof", 60, "the title")
             at = document_of(watched)["time"]["text"]
-        until_shown(page, "#lost", f"Not connected: what is shown is from {at}.")
+        until_shown(page, "#lost", f"Not connected: the values shown are from {at}.")
         assert page.locator(".tile[data-key=roof] .value").is_visible()
         watched.add("/roof/level", (BEGIN + 5 * 3600) * SECOND, 0.05)  # an hour later
         with served(watched, port=port):

@@ -17,7 +17,7 @@ const CHARTS = [
     key: "roof", shown: "roof", title: "Roof level", height: 200, marks: ["target"], band: true,
     lines: [
       { name: "roof", label: "measured", colour: "--roof", range: true },
-      { name: "roof_expected", label: "as expected an hour before", colour: "--roof", dash: [2, 3] },
+      { name: "roof_expected", label: "as expected an hour earlier", colour: "--roof", dash: [2, 3] },
       { name: "roof_planned", label: "expected by the controller", colour: "--roof", dash: [6, 4] },
     ],
   },
@@ -29,7 +29,7 @@ const CHARTS = [
     key: "pump", shown: "flow", title: "Pump", height: 170, zero: true, right: "command", rightColour: "--command-words",
     lines: [
       { name: "flow", label: "flow", colour: "--flow", steps: true, range: true },
-      { name: "plan", label: "flow planned", colour: "--flow", steps: true, dash: [6, 4] },
+      { name: "plan", label: "planned flow", colour: "--flow", steps: true, dash: [6, 4] },
       { name: "command", label: "command", colour: "--command", steps: true, right: true, dash: [2, 2] },
     ],
   },
@@ -38,7 +38,7 @@ const CHARTS = [
     right: "evapotranspiration", rightColour: "--evapotranspiration-words",
     lines: [
       { name: "rain", label: "rain", colour: "--rain", fill: "--rain-fill", steps: true },
-      { name: "forecast", label: "rain forecast", colour: "--rain", steps: true, dash: [6, 4], range: true },
+      { name: "forecast", label: "forecast rain", colour: "--rain", steps: true, dash: [6, 4], range: true },
       { name: "evapotranspiration", label: "evapotranspiration", colour: "--evapotranspiration", steps: true, right: true, dash: [10, 3, 2, 3] },
     ],
   },
@@ -157,7 +157,7 @@ export class Charts {
     const frame = element("div", "frame");
     frame.tabIndex = 0;
     frame.setAttribute("role", "application");
-    frame.setAttribute("aria-label", `${chart.title} over time. Move with the arrow keys, zoom with plus and minus; Escape shows the whole time.`);
+    frame.setAttribute("aria-label", `${chart.title} over time. Move with the arrow keys; zoom with plus and minus; press Escape to show the whole time span.`);
     const tip = element("div", "tip");
     tip.hidden = true;
     part.append(head, frame);

@@ -180,7 +180,7 @@ const fillAlarm = (row, alarm) => {
   setText(row.querySelector(".word"), alarm.over === null ? WORDS[alarm.level] : "Over");
   const since = `since ${alarm.since_text}`;
   const when = alarm.over === null ? since : `${since}, over at ${alarm.over_text}`;
-  const follows = alarm.follows ? `; follows from ${alarm.follows}` : "";
+  const follows = alarm.follows ? `; caused by ${alarm.follows}` : "";
   const seen = alarm.acknowledged ? "; acknowledged" : "";
   setText(row.querySelector(".when").lastChild, `${alarm.id}, ${when}${follows}${seen}`);
   const button = row.querySelector("button");
@@ -280,7 +280,7 @@ const showStop = (stop) => {
   byId("clear").hidden = !stop.clear_here && !stop.clear_call;
   setText(byId("clear-call"), stop.clear_call);
   byId("clear-by-hand").hidden = stop.clear_here || !stop.clear_call;
-  setText(byId("no-clear"), stop.no_clear && `The fault is not cleared here: ${stop.no_clear}.`);
+  setText(byId("no-clear"), stop.no_clear && `The fault cannot be cleared from here: ${stop.no_clear}.`);
   byId("clear-button").hidden = !stop.clear_here;
   byId("dose").hidden = stop.max_dose === null;
   byId("dose-volume").max = stop.max_dose ?? 0;
@@ -503,7 +503,7 @@ const stream = {
 
   // Until the next event, the page shows old values.
   lost(why) {
-    const of = shown ? `what is shown is from ${shown.time.text}.` : "there is nothing to show yet.";
+    const of = shown ? `the values shown are from ${shown.time.text}.` : "there is nothing to show yet.";
     setText(byId("lost"), `Not connected: ${of}${why} Trying again ...`);
     byId("lost").hidden = false;
     document.body.classList.add("lost-link");
