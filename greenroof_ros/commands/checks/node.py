@@ -52,7 +52,7 @@ class BrokenRuleError(Exception):
 
 
 def require(right: bool, problem: str) -> None:
-    """Raise a BrokenRuleError with this problem unless the condition holds."""
+    """Raise a BrokenRuleError with a description of the problem unless a condition holds."""
     if not right:
         raise BrokenRuleError(problem)
 
@@ -195,7 +195,7 @@ class NodeCheck(ABC):
         )
 
     def _unfit(self) -> str:
-        """Return a description of what is wrong with the node's endpoints; empty if they fit."""
+        """Return a description of the faults of the node's endpoints; empty if there are none."""
         problems = []
         for topic in (self.output, *self.further, *self.inputs, *self.optional):
             is_output = topic in (self.output, *self.further)

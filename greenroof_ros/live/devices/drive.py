@@ -29,7 +29,7 @@ class DriveStatus:
     """The status that a drive reports.
 
     Attributes:
-        ready: whether the drive would start: it has no fault and no interlock.
+        ready: whether the drive has neither a fault nor an interlock that prevents a start.
         running: whether the motor is energized.
         fault: description of the active fault, which may be turning backwards; empty for none.
         warning: description of the active warning; empty for none.
@@ -288,8 +288,8 @@ class Drive:
             may_continue: function called before each step and while waiting; if it returns False,
                 the remaining steps are omitted.
             speed: value for the step that writes the speed (share of the rated speed).
-            values: raw values that have just been read, by register; a condition that they fulfil
-                is not waited for.
+            values: raw values that have just been read, by register; the call does not wait for a
+                condition that these values fulfil.
         """
         for step in steps:
             if not may_continue():
@@ -408,7 +408,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class DriveEndpoint:
-    """A make of drive at an address.
+    """A drive of a certain make, with its address.
 
     Attributes:
         file: the drive file.
@@ -442,7 +442,7 @@ class DriveEndpoint:
         return place if self.address.line else f"{place}-{self.file.device_id_at(self.address)}"
 
     def connection(self, timeout_s: float = 0.5) -> Drive:
-        """Return the drive on a new connection that is not yet open; open it only once.
+        """Return the drive on a new connection that is not yet open and must be opened only once.
 
         Args:
             timeout_s: maximum wait for a connection, and for each answer (s).

@@ -82,8 +82,8 @@ class Register:
     unit: str = entry("unit of the scaled value; empty for a plain word", choices=UNITS, default="")
     scale: float = entry("factor: value = scale x raw", default=1.0)
     full_scale: str = entry(
-        "name of a register by whose value this value is divided; it is read on "
-        "connecting", default=""
+        "name of a second register by whose value the scaled value is divided; the second "
+        "register is read on connecting", default=""
     )
     low: float = entry("minimum plausible value, in the unit of the register", default=-math.inf)
     high: float = entry("maximum plausible value, in the unit of the register", default=math.inf)
@@ -130,10 +130,14 @@ class Sequences:
         "steps that lead from any state except a fault (power-up, reset, local control) to a "
         "state in which `run` works"
     )
-    run: tuple[Step, ...] = entry("steps that set the speed and then start the pump; they are "
-        "written again in every cycle while it runs")
-    stop: tuple[Step, ...] = entry("steps that ramp the pump down and then switch it off; they "
-        "are written again in every cycle while it is off")
+    run: tuple[Step, ...] = entry(
+        "steps that set the speed and then start the pump; the steps are repeated in every cycle "
+        "while the pump runs"
+    )
+    stop: tuple[Step, ...] = entry(
+        "steps that ramp the pump down and then switch it off; the steps are repeated in every "
+        "cycle while the pump is off"
+    )
     reset: tuple[Step, ...] = entry("steps that acknowledge a fault and leave the drive off")
 
 
@@ -172,7 +176,7 @@ class Codes:
     )
 
     def only(self, raw: int, among: tuple[Word, ...]) -> bool:
-        """Return whether a raw value reports at least one of these codes or bits, and no others."""
+        """Return whether a raw value reports only given codes or bits, and at least one of them."""
         if self.kind == "code":
             return raw in among
         return raw != 0 and raw & ~sum(1 << bit for bit in among) == 0
@@ -291,7 +295,7 @@ class DriveFile:
         """Return the drive's unit identifier or slave address at an address.
 
         An identifier in the address takes precedence. Otherwise, the identifier of the interface in
-        use is taken from the file; for a gateway, it is the slave address.
+        use is taken from the file. For a gateway, this is the slave address.
         """
         if address.device_id is not None:
             return address.device_id
@@ -311,7 +315,7 @@ class DriveFile:
 
     @property
     def unverified_and_vital(self) -> tuple[str, ...]:
-        """The unverified keys that could let a pump run when it must not, if they were wrong."""
+        """The unverified keys whose values, if wrong, could let a pump run when it must be off."""
         parts = ("sequences.ready.", "sequences.run.", "sequences.stop.", "timeout.")
         vital = ["numbering.", "sequences.", "timeout.", "registers.status."]
         vital += [

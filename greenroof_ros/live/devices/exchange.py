@@ -75,9 +75,9 @@ class DriveSnapshot(DeviceSnapshot):
         read_at: time of the drive's last answer (s, `boot_time`, which continues during a
             suspension of the machine).
         state: state of the exchange; after `close`, there is no longer a connection.
-        status: last status of the drive; None without a connection. After `close`, it is the status
-            at the release of the drive, which may not have been at rest; None if it could not be
-            read.
+        status: last status of the drive; None without a connection. After `close`, this is the
+            status at the release of the drive, which may not have been at rest, or None if the
+            status could not be read.
         identity: nameplate of the drive; empty until it has been read.
         timeout_s: communication timeout of the drive (s); None for off.
         timeout_known: whether the timeout could be read.

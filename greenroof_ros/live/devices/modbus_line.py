@@ -310,8 +310,8 @@ class ModbusLine:
         """Close the connection.
 
         If a request went unanswered, the connection is reset instead of being closed normally. A
-        device with only one or two sockets then has one free immediately, and no late request can
-        arrive.
+        device with only one or two sockets can then accept a new connection immediately, and no
+        late request can arrive.
         """
         self._client.close()  # type: ignore[no-untyped-call]
 
@@ -490,7 +490,7 @@ def encode(value: float, kind: str, word_order: str = "") -> list[int]:
 
 @dataclass(frozen=True)
 class DeviceSnapshot:
-    """A snapshot of what is known about a device.
+    """A snapshot of the knowledge about a device.
 
     Attributes:
         read_at: time of the device's last answer (s, `time.monotonic`).
@@ -507,8 +507,8 @@ S = TypeVar("S", bound=DeviceSnapshot)
 class DeviceThread(ABC, Generic[S]):
     """A thread that carries out steps with a device, one after another, until it is closed.
 
-    A failed step does not end the thread. No problem raises an error in the caller; `snapshot`
-    contains its description.
+    A failed step does not end the thread. A failure raises no error in the caller; `snapshot`
+    describes the problem.
     """
 
     def __init__(self, name: str, snapshot: S) -> None:

@@ -28,8 +28,8 @@ class Reading(DeviceSnapshot):
 
     Attributes:
         read_at: time at which the last attempt ended or the sensor was lost (s, `time.monotonic`).
-        value: value in the unit of the quantity's topic. It is None after a failure, or before the
-            second total; the rise of a total, however, is still published to its end.
+        value: value in the unit of the quantity's topic. The value is None after a failure, or
+            before the second total; the rise of a total, however, is still published to its end.
         code: condition code of the problem.
     """
 
@@ -111,8 +111,8 @@ class Readings:
     def clear(self, why: str) -> None:
         """Discard all readings for a reason, so that the next value comes from new readings only.
 
-        This does not apply to a total, because its growth in the meantime is water that has really
-        fallen or flowed.
+        A running total is not discarded, because its growth in the meantime is water that has
+        really fallen or flowed.
         """
         self.share.count(why)
         self._values.clear()
@@ -179,7 +179,7 @@ class SensorReader:
             sensor: see :class:`Readings`.
             unit: see :class:`Readings`.
             spread_s: see :class:`Readings`.
-            first: snapshot until the first reading has arrived or failed.
+            first: initial snapshot, valid until the first reading has arrived or failed.
         """
         self._readings, self._reading = Readings(sensor, unit, spread_s), first
         self._lock = threading.RLock()

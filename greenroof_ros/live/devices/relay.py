@@ -4,7 +4,7 @@ The relay's own timer ends every *on*, and is its communication timeout. *On* is
 after at most a third of the timer, but only once the relay has answered the previous *on*. At most
 one *on* can therefore wait in a stalled connection, followed by the *off* that is published when
 the connection is closed. Every message has quality of service 0 and is not retained, so the broker
-does not keep it.
+does not store messages.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _SHOWN, _MAX_WAITING = 120, 1000
 
 @dataclass(frozen=True)
 class RelayEndpoint:
-    """A make of relay at an address.
+    """A relay of a certain make, with its address.
 
     Attributes:
         file: the relay file.
@@ -75,7 +75,7 @@ class RelayEndpoint:
         return f"{Address(self.broker.host).canonical_name(self.broker.port)}-{self.device}"
 
     def connection(self, timeout_s: float = 0.5) -> Relay:
-        """Return the relay on a new connection that is not yet open; open it only once.
+        """Return the relay on a new connection that is not yet open and must be opened only once.
 
         Args:
             timeout_s: maximum wait for an answer (s), unless the relay file sets a longer wait.

@@ -88,7 +88,7 @@ class Timer(Value):
     local_settings_decide = False
 
     def seconds(self, raw: float) -> float | None:
-        """Return the time for a raw value (s); None for off."""
+        """Return the time for a raw value (s); None if the timer is off."""
         return next((
             scale.scale * raw + scale.offset for scale in self.scales
             if scale.low <= raw <= scale.high
@@ -117,10 +117,12 @@ class RelayFile:
         "settings that must have certain values; they are read together with the timer"
     )
     name: Value = entry("value in an answer with which the relay identifies itself, for messages")
-    switch_on: RelayMessage = entry("message that switches the relay on; it is published again to "
-        "keep it on")
-    switch_off: RelayMessage = entry("message that switches the relay off; it is published "
-        "repeatedly while the relay must be off")
+    switch_on: RelayMessage = entry(
+        "message that switches the relay on, and that is repeated to keep the relay on"
+    )
+    switch_off: RelayMessage = entry(
+        "message that switches the relay off, and that is repeated while the relay must be off"
+    )
     set_up: tuple[str, ...] = entry("other settings that have to be made by hand in the relay")
     number: str = entry(
         "path of the question's $id in every answer; empty if the answers have no id, but arrive "
@@ -141,7 +143,7 @@ class RelayFile:
 
     @property
     def unverified_and_vital(self) -> tuple[str, ...]:
-        """The unverified keys that could let a pump run when it must not: all of them."""
+        """All unverified keys, since each could let a pump run when it must be off."""
         return self.unverified
 
 

@@ -98,11 +98,11 @@ class Sensor:
     )
 
     def convert(self, raw: float) -> float:
-        """Return the quantity for a raw value; this does not apply to totals."""
+        """Return the quantity for a raw value, except for a running total."""
         return (self.scale * raw + self.offset) * (self.substrate_depth or 1.0)
 
     def raw_for(self, value: float) -> float:
-        """Return the raw value at which :meth:`convert` returns this value."""
+        """Return the raw value that :meth:`convert` converts to a given value."""
         return (value / (self.substrate_depth or 1.0) - self.offset) / self.scale
 
 
@@ -259,7 +259,8 @@ def read_sensors(path: Path, max_ages: Mapping[str, float] | None = None) -> Sen
     Args:
         path: the file.
         max_ages: maximum ages of the quantities (s), as far as they are known, by name of their
-            parameters. They limit ``max_age``, and twice the ``period`` of a sensor.
+            parameters. Neither ``max_age`` nor twice the ``period`` of a sensor may exceed the
+            maximum age.
 
     Raises:
         ConfigurationError: if a key or value is missing, unknown, impossible or contradictory.

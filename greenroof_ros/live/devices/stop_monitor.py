@@ -31,7 +31,7 @@ class Deceleration:
         self._lowest, self._fell_at = math.inf, -math.inf
 
     def update(self, status: DriveStatus, now: float) -> float:
-        """Process a drive's status, and return how long its speed has not fallen (s)."""
+        """Process a drive's status, and return the time since its speed last fell (s)."""
         if abs(status.speed) < self._lowest - SLOWER:
             self._lowest, self._fell_at = abs(status.speed), now
         return now - self._fell_at
@@ -128,8 +128,8 @@ class StopMonitor:
         unread = now - self._unread_from > RUNS_ON_S
         if stopped and unread and now - self._silent_until > RUNS_ON_AGAIN_S:
             return (
-                f"; its speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown whether "
-                "it is stopped, although *stop* is written"
+                f"; the speed cannot be read, and for {RUNS_ON_S:g} s it has been unknown "
+                "whether " "the drive has stopped, although *stop* is written"
             )
         if self._refusals > 1:
             return "; *stop* could not be written on two successive connections"

@@ -81,7 +81,8 @@ class Total:
             raw: total as the sensor reports it; differences of whole numbers are exact.
 
         Raises:
-            ValueError: if the total rose faster than the maximum rate allows; it is then ignored.
+            ValueError: if the total rose faster than the maximum rate allows; the total is then
+                ignored.
         """
         with self._lock:
             now = boot_time()

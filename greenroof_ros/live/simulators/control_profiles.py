@@ -247,7 +247,8 @@ class Cia402(SimulatedDrive):
     3, 5 and 6 of the status word ETA. LFT contains the last error, which a reset does not clear. In
     the control word, bit 0 is switch on, bit 1 enable voltage, bit 2 no quick stop, bit 3 enable
     operation, bit 7 reset and bit 8 halt. After the timeout, the values 1 (freewheel), 6 (ramp), 7
-    (fast stop) and 8 (DC injection) of SLL and ETHL trip the drive; 2 stops it without an error.
+    (fast stop) and 8 (DC injection) of SLL and ETHL trip the drive; 2 stops the drive without an
+    error.
     """
 
     DELIVERED = (100, 1)  # TTO and TTOB 10.0 s, SLL and ETHL freewheel stop

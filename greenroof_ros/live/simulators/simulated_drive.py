@@ -270,7 +270,7 @@ class SimulatedDrive(ABC):
             self.standstill()
 
     def turn(self, step: float, motion: Motion) -> None:
-        """Update the speed after a time step (s) with this motion."""
+        """Update the speed after a time step (s) with a given motion."""
         if motion is not Motion.HOLD:
             setpoint = self.setpoint if motion is Motion.FOLLOW else 0.0
             full = self.settings.coast_s if motion is Motion.COAST else self.settings.ramp_s
@@ -328,7 +328,7 @@ class SimulatedDrive(ABC):
         return register.scale / (scale * self.read_raw(register.full_scale))
 
     def on_request(self) -> None:
-        """Handle any request, even without an effect; it restarts the timeout of some makes."""
+        """Handle any request, even without an effect; some makes then restart their timeout."""
         self.advance()
         if self.restarts_timeout(""):
             self._restart_timeout()

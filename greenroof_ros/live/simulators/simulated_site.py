@@ -136,7 +136,7 @@ class SimulatedSite:
         }[section]
 
     def published(self, section: str) -> float | None:
-        """Return the raw value that a sensor publishes on MQTT; None if it is silent."""
+        """Return the raw value that a sensor publishes on MQTT; None for a silent sensor."""
         return self.raw(section)
 
     async def run(self, ended: asyncio.Event) -> None:
