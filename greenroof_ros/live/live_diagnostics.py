@@ -49,8 +49,8 @@ class PartStatus:
     def for_programs(self) -> dict[str, str]:
         """Return the values for programs, without unknown values.
 
-        They are the values in the sentence, the code, the code's start (ISO 8601) and duration (s),
-        and the cause.
+        The result contains the values in the sentence, the code, the code's start (ISO 8601) and
+        duration (s), and the cause.
         """
         values = {
             key: f"{value:.6g}" if isinstance(value, (float, int)) else str(value)

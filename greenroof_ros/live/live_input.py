@@ -82,7 +82,7 @@ class LivePublishers(Publishers):
         return self._alive if self._by_lease else super().compatible
 
     def describe_second(self, wait_s: float = 0.0) -> str:
-        """Return a message if there is a second publisher or, with a lease, an incompatible one.
+        """Return a message if there is a second or, with a lease, an incompatible publisher.
 
         If only one of two publishers is known, the middleware has miscounted after a lease ran out
         on a busy machine.

@@ -243,7 +243,7 @@ def _give_up(controller: ControllerChoice, why: str) -> tuple[str, ...]:
 def _forecast(arguments: argparse.Namespace) -> Path | str | None:
     """Return the forecast file, or ``open-meteo`` if forecasts are fetched; None without forecasts.
 
-    The file may be written later: the weather node reports what is missing.
+    The file may be written later; the weather node reports a missing file.
 
     Raises:
         ConfigurationError: if the value is not the name of a CSV file.

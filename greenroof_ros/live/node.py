@@ -43,8 +43,8 @@ class LiveNode(GraphNode):
     """A node of a live site.
 
     A subclass opens its topics with :meth:`open_outputs` and :meth:`subscribe`, using their names
-    in the interface. It overrides :meth:`on_inputs` and, as needed, the other ``on_`` methods and
-    ``progress``.
+    in the interface. The subclass overrides :meth:`on_inputs` and, as needed, the other ``on_``
+    methods and ``progress``.
     """
 
     reports: LiveDiagnostics
@@ -187,8 +187,8 @@ class LiveNode(GraphNode):
 def spin(nodes: Sequence[LiveNode], check: Callable[[], None]) -> NoReturn:
     """Run the live nodes of this process until one fails or a check ends them.
 
-    It does not use rclpy's fast executor, which publisher events can lock up (rmw_fastrtps, pull
-    request 890).
+    The function does not use rclpy's fast executor, which publisher events can lock up
+    (rmw_fastrtps, pull request 890).
 
     Args:
         nodes: the nodes.

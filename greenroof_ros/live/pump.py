@@ -1,10 +1,10 @@
 """The pump node of a live site, which turns /pump/command into commands to a drive or a relay.
 
 The node acts once every tau of the site on the newest values, and lets the pump run only if they
-are fresh and valid. It connects to the drive automatically, and does not run the pump unless the
-drive's own communication timeout would stop it without this node. Between two such steps, checks on
-the steady clock can stop the drive. /pump/flow is published every tau, and /pump/state whenever it
-changes.
+are fresh and valid. The node connects to the drive automatically, and does not run the pump unless
+the drive's own communication timeout would stop it without this node. Between two such steps,
+checks on the steady clock can stop the drive. /pump/flow is published every tau, and /pump/state
+whenever it changes.
 
 ``~/stop`` (std_srvs/SetBool) with true holds the pump, which then stays off, regardless of the
 command, even after a restart. With false, the service ends any hold. ``~/hold``

@@ -109,7 +109,7 @@ class PumpReports:
         return "temperature_unknown" if unknown else diagnosis.code
 
     def _diagnose_dose(self, dose: Dose | None) -> None:
-        """Report the progress of a dose and, for a minute, how it ended."""
+        """Report the progress of a dose and, for a minute after its end, its outcome."""
         if dose is None:
             self._reports.diagnose("dose", None, "no dose is under way", log=False)
             return

@@ -2,8 +2,8 @@
 
 ``python -m greenroof_ros.live.sensors --sensors sensors.yaml`` creates a node for every section of
 the file, such as /cistern_sensor, which publishes /cistern/level. A node publishes once per period
-for a Modbus sensor, and at every message for an MQTT sensor. A bad reading is not published, and
-/diagnostics reports why; the last value then becomes too old for its readers.
+for a Modbus sensor, and at every message for an MQTT sensor. An invalid reading is not published,
+and /diagnostics states the reason; the last value then becomes too old for its readers.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class SensorNode(LiveNode):
         self._reader.start()
 
     def on_timer(self, now: float) -> None:
-        """Publish every new good reading, and report why a reading is bad."""
+        """Publish every new valid reading, and report the reason for an invalid reading."""
         reading = self._reader.snapshot
         if now - max(reading.read_at, self._started) > self._hangs_s:
             self.reports.diagnose(self._part, Diagnosis.of("sensor_hangs"), level=STALE)

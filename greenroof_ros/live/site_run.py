@@ -262,7 +262,7 @@ class _SiteRecord:
         }
 
     def update(self, reports: Mapping[str, Mapping[str, Any]]) -> None:
-        """Judge the last report of each node; print and record what has changed."""
+        """Judge the last report of each node, and print and record the changes."""
         self.alarms.update(reports)
         if self.alarms.log.changes != self._written:
             self.write(summary.RUNNING)

@@ -1,7 +1,7 @@
 """The weather node of a live site, which publishes the weather and the forecast in every tick.
 
-They come from the site's gauges, and from the forecasts of a file or a service, if there are any.
-A fetched forecast needs no disk: its file is only an archive, which is read once at the start.
+The values come from the site's gauges, and from the forecasts of a file or a service, if there are
+any. A fetched forecast needs no disk: its file is only an archive, which is read once at the start.
 """
 
 from __future__ import annotations

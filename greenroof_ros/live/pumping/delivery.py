@@ -1,6 +1,6 @@
 """The delivery check, which compares the pumped volume with the change of both levels.
 
-It keeps three balances of water (m3) that the levels do not explain:
+The check keeps three balances of water (m3) that the levels do not explain:
 
 - *missing on the roof*: a share ``min_delivery`` of the pumped volume (the measured volume, or what
   the speed should deliver if that is more, since a meter shows no flow behind a closed valve),
@@ -45,7 +45,7 @@ permanent error that a sensor may have.
 A level that does not change at all needs no averaging and no ``min_delivery``. An unchanged roof is
 a fault once ``level_tolerance`` times its area has been pumped since it last changed. If both
 levels are unchanged, it is a fault once the tolerance times the cistern's area has been pumped.
-Both volumes are net of ``max_loss``. Without this, the frozen-level rule, which clears
+Both volumes are net of ``max_loss``. Without this test, the frozen-level rule, which clears
 automatically, would stop the pump first, again and again.
 
 Why there are no false alarms: if a reading arrives every second with an independent error of 5 mm

@@ -70,9 +70,9 @@ class Dose:
 class Doses:
     """Requests for doses, and the progress of the newest dose.
 
-    A request is identified by the time at which it was made. It must be newer than the previous
-    request and newer than this object, so a repeated request is carried out neither twice nor after
-    a restart.
+    A request is identified by the time at which it was made. The request must be newer than the
+    previous request and newer than this object, so a repeated request is carried out neither twice
+    nor after a restart.
 
     Attributes:
         last: the newest dose, until a while after its end; None if there is none.
@@ -98,7 +98,7 @@ class Doses:
         """Return the reason why any request would be rejected now; empty if there is none.
 
         Args:
-            inhibit_reason: why the pump must not run now; empty if it may.
+            inhibit_reason: reason why the pump must not run now; empty if it may run.
         """
         if self._largest is None:
             return "the site file allows no dose (max_dose)"
@@ -115,8 +115,8 @@ class Doses:
             requested_at: time at which it was made (s since 1970), which is its id.
             volume: requested volume (m3).
             now: system time (s since 1970).
-            minimum: smallest volume that can be delivered (m3).
-            inhibit_reason: why the pump must not run now; empty if it may.
+            minimum: smallest volume that the pump can deliver (m3).
+            inhibit_reason: reason why the pump must not run now; empty if it may run.
         """
         if self._largest is None:
             return self.refusal(inhibit_reason)

@@ -118,8 +118,8 @@ def expected_movement(
 
     A rise is reduced by all possible losses: evapotranspiration from the roof, the flow of a low
     outlet, mains that are shut, and rain that surfaces hold back. A fall is reduced by all the rain
-    on the catchment, and by the mains. Both are reduced by the drift of a sensor, so small amounts
-    do not add up over days.
+    on the catchment, and by the mains. Rises and falls are reduced by the drift of a sensor, so
+    small amounts do not add up over days.
 
     A tank that overflows is not expected to move, since its inflow leaves it again. This applies to
     the cistern at its outlet, the roof at the depth of its soil, and a field-capacity soil once it
@@ -163,7 +163,7 @@ class LevelRule:
     To detect jumps, the rule keeps the interval that must contain the true level. The interval
     widens as fast as water can rise and fall, and each value narrows it to within half the
     tolerance of that value. If the interval becomes empty, the value has jumped, and the interval
-    restarts from it. This detects a single step as well as many small, rapid ones; noise within
+    restarts from it. The rule detects a single step as well as many small, rapid ones; noise within
     half the tolerance is never a jump.
 
     Attributes:

@@ -15,10 +15,10 @@ space is allocated when the file is made, so a hold or a fault can be saved even
 later (except on file systems that never write in place: btrfs, zfs). Each line begins with its
 checksum and is one page long. Killing the process does not tear a page, but a power cut may. The
 other line is then intact, but the torn line may have contained a hold or a fault, so it is unknown
-whether there was one. This is also unknown if the file cannot be read, has a later format, is an
-older copy or that of another site, or is missing while another file shows that there was a pump
-node before. Keys that this version does not know are ignored, and some keys may be missing. The
-file is made under another name, then renamed.
+whether there was one. Holds and faults are also unknown if the file cannot be read, has a later
+format, is an older copy or that of another site, or is missing while another file shows that there
+was a pump node before. Keys that this version does not know are ignored, and some keys may be
+missing. The file is made under another name, then renamed.
 
 The disk thread writes the file, so a slow disk does not delay the control of the pump. A lock on a
 file next to it ensures that only one ledger writes, since the record of a second one would erase a
@@ -365,7 +365,7 @@ class _Lines:
     Attributes:
         sequence: number of the newest line; 0 if the file must be made.
         changed: whether another program was found to have changed the file.
-        lock: the file of the lock, which also receives the number; None before it is locked.
+        lock: the file of the lock, which also receives the number; None before the file is locked.
     """
 
     def __init__(self, file: Path) -> None:
@@ -479,7 +479,7 @@ def _create(file: Path, first: int, record: PumpRecord) -> None:
 
 
 def _overwrite(file: Path, sequence: int, record: PumpRecord) -> None:
-    """Write the line whose turn it is.
+    """Write the line that is next in turn.
 
     Raises:
         OSError: if the disk fails.

@@ -169,9 +169,9 @@ class PumpControl:
     def count_unseen(self, dt: float) -> None:
         """Count unseen time, such as a suspension of the machine; the pump is off after it.
 
-        In the worst case, the pump ran on until the drive's own timeout stopped it. This time does
-        not count as time without an answer from the drive: whether the drive is stopped must be
-        read again.
+        In the worst case, the pump ran on until the drive's own timeout stopped it. The unseen time
+        does not count as time without an answer from the drive: whether the drive is stopped must
+        be read again.
 
         Args:
             dt: time since the last step (s).
@@ -193,7 +193,7 @@ class PumpControl:
         self._setpoint = None
 
     def step(self, dt: float, observed: Observation, drive_dt: float | None = None) -> Decision:
-        """Decide what the pump does now.
+        """Decide the present state and speed of the pump.
 
         Args:
             dt: time since the last step (s), 0 at the first.
