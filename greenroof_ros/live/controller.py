@@ -81,7 +81,7 @@ def parameters(choice: ControllerChoice | None) -> list[Parameter]:
 
 
 class LiveControllerNode(LiveNode):
-    """Node that runs one controller, and commands 0 in frost, quiet hours and on invalid inputs.
+    """Node that runs one controller; in frost, in quiet hours and on invalid inputs, it commands 0.
 
     On/off control with default parameters takes over from a controller that needs a forecast but
     has no valid forecast, or whose code fails, that is, raises an error, does not return, or
@@ -251,7 +251,7 @@ class LiveControllerNode(LiveNode):
         )
 
     def _update_stand_in(self) -> None:
-        """Let on/off control take over when the controller could not decide for too long."""
+        """Let on/off control take over once the controller has failed to decide for too long."""
         if not (self._failure or self._forecast_problem()):
             self._lacking_since, self._stand_in_since = math.inf, ""
             return

@@ -37,7 +37,7 @@ class Dose:
         begun: whether the pump has run for the dose.
         over: outcome of the dose, as a machine-readable word; empty until the dose ends.
         why: action of the pump for the dose, or the reason why the dose waits or has ended.
-        cause: code of the interlock that ended it.
+        cause: code of the interlock that ended the dose.
     """
 
     id: float
@@ -175,7 +175,7 @@ class Doses:
         Args:
             how: outcome of the dose, one of this module's constants such as ``DONE``.
             why: the reason, as a clause.
-            cause: code of the interlock that ended it.
+            cause: code of the interlock that ended the dose.
         """
         if (dose := self.present) is not None:
             dose.over, dose.why, dose.cause, dose.age = how, why, cause, 0.0

@@ -197,7 +197,7 @@ class LevelRule:
         self._frozen = False
 
     def expect(self, movement: Movement, passed: float) -> None:
-        """Update the distance that the level must have moved, from its movement over a time (s)."""
+        """Add the movement over a time (s) to the distance that the level must have moved."""
         self._risen = max(0.0, self._risen + movement.min * passed)
         self._fallen = max(0.0, self._fallen - movement.max * passed)
         moved = max(self._risen, self._fallen)

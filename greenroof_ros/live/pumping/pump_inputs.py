@@ -39,7 +39,7 @@ INPUTS = (
 
 @dataclass(frozen=True)
 class Observation:
-    """Everything known at a step; None means unknown or too old.
+    """Observations at a step; None stands for a value that is unknown or too old.
 
     Attributes:
         command: share of the maximum flow, as received.
