@@ -51,7 +51,7 @@ GROUPS = {
         "reset": Command("pump_requests", "clear a latched fault of the pump", "RESET"),
         "dose": Command("pump_requests", "pump a specified volume now", "DOSE"),
     },
-    "see what it does, or did": {
+    "watch and evaluate runs and sites": {
         "watch": Command("watch", "show a run or a site on a page in a browser"),
         "status": Command("status", "print the current state, with an exit code for scripts"),
         "bridge": Command("bridge", "publish a graph on MQTT, with a stop switch for the pump"),
@@ -61,11 +61,11 @@ GROUPS = {
     "compare controllers, without ROS": {
         "simulate": Command("simulate", "run once in one process, with the same results as the "
         "graph"),
-        "study": Command("study", "run a grid of runs: the paper's 30, or your own"),
+        "study": Command("study", "run a study: the paper's 30 runs, or a grid of your own"),
         "district": Command("district", "compute the total discharge of many buildings to a sewer"),
         "bound": Command("bound", "compute the minimum possible deviation"),
     },
-    "fit it to your site": {
+    "adapt the model to your site": {
         "new-site": Command("new_site", "write a site file from a few answers"),
         "size": Command("size", "choose a cistern, a target and an outlet over all seasons"),
         "calibrate": Command("calibrate", "fit the roof and its pumps to measurements"),
@@ -74,7 +74,8 @@ GROUPS = {
         "verify": Command("verify", "compare rain forecasts with records"),
     },
     "connect your own parts": {
-        "check-controller": Command("check_controller", "check a controller: a class or a node"),
+        "check-controller": Command("check_controller", "check a controller class or a controller "
+        "node"),
         "check-pump": Command("check_pump", "check whether a pump driver follows the interface"),
         "simulators site": Command("simulators", "simulate a site's sensors, and its drive or "
         "relay"),

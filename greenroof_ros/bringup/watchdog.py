@@ -20,7 +20,7 @@ _LAST_S = 5.0
 
 
 class Watchdog:
-    """Watchdog of the main thread, which must report between callbacks; a context manager.
+    """Context manager that monitors the main thread, which must report between callbacks.
 
     The nodes of a process share its main thread. A callback that does not return would therefore
     block all nodes, and Ctrl-C as well. After the limit, a :class:`HangError` is raised in the

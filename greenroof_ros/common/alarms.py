@@ -87,7 +87,7 @@ class StatusDiagnosis:
     def identity(self) -> tuple[str, str]:
         """Code and fault.
 
-        If they change, a new alarm begins; numbers in the sentence may change.
+        A new alarm begins when the code or the fault changes, but not when the sentence changes.
         """
         return self.code, self.fault
 
@@ -286,7 +286,7 @@ class NodeReport:
         self.ended = ""
 
     def replace_process(self, before: NodeReport | None) -> None:
-        """Take over from the previous process of this name; if it died, it was lost until now."""
+        """Replace the previous process of this name, and record the process as lost if it died."""
         if before is not None and not before.has_ended and (
             self.began - before.received_at > _DIED_S
         ):
@@ -387,7 +387,7 @@ class Change(NamedTuple):
 
 
 class _Lasting(NamedTuple):
-    """The identity of a current diagnosis, and its beginning by both clocks (s)."""
+    """The identity of a current diagnosis, and its beginning by steady clock and graph time (s)."""
 
     identity: tuple[str, str]
     began: float

@@ -51,9 +51,10 @@ class Interrupted(KeyboardInterrupt):
 class _Interrupts:
     """Signal handler that raises an error, again every second until the command has stopped.
 
-    Compiled code can discard an exception or replace it by another exception. So can a module that
-    is being imported, which may also continue without a module that it tried to import. Therefore
-    the exception is raised after the import, or during the import if it takes long.
+    Compiled code can discard an exception or replace it by another exception. A module that is
+    being imported can also discard an exception, or continue without a module that it tried to
+    import. Therefore the exception is raised after the import, or during the import if it takes
+    long.
     """
 
     _IMPORT_S, _MAX_IMPORTS, _REPEAT_S = 0.05, 40, 1.0
@@ -345,7 +346,7 @@ def refuse_unwritable(file: Path, endings: Sequence[str], key: str) -> None:
         key: option that specifies the file.
 
     Raises:
-        ConfigurationError: if the file is rejected for one of these reasons.
+        ConfigurationError: if the file has the wrong ending, already exists, or cannot be written.
     """
     def error(expected: str) -> ConfigurationError:
         return ConfigurationError(expected, key=key, value=str(file))

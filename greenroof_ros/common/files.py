@@ -86,8 +86,8 @@ was started with, each under its full path"""
 def as_started(file: Path) -> Path:
     """Return the path to read a file from, which for a live site's node is its copy, if any.
 
-    With the copy, a restarted node does not use later edits of the file. Messages name the original
-    file.
+    Because of the copy, a restarted node does not use later edits of the file. Messages name the
+    original file.
     """
     copies = os.environ.get(COPIES)
     copy = Path(f"{copies}{file.absolute()}") if copies else file

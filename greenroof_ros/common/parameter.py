@@ -184,8 +184,8 @@ def read_record(
         kind: frozen dataclass whose fields were created with `entry`.
         file: the file.
         mistakes: function that receives the dataclass and the content of the file. For every
-            mistake, it yields the key, such as ``registers.control`` (names, and numbers from 1 for
-            items of lists), and the text about the error.
+            mistake, the function yields the key, such as ``registers.control`` (names, and numbers
+            from 1 for items of lists), and the text about the error.
 
     Raises:
         ConfigurationError: if the file cannot be read, a key is unknown or missing, a value is of

@@ -96,10 +96,10 @@ class LockedError(Exception):
 def acquire_name_lock(name: str) -> socket.socket:
     """Lock a name for all users of this machine, and return the lock, which is held until closed.
 
-    The lock is a socket in Linux's abstract namespace. Unlike a file, it cannot be removed by a
-    cleanup of ``/tmp`` or at the end of a login session while the lock is held, and it is released
-    when its process exits. Like a network port, the lock applies to the processes of one network
-    namespace.
+    The lock is a socket in Linux's abstract namespace. Unlike a file, the lock cannot be removed by
+    a cleanup of ``/tmp`` or at the end of a login session while the lock is held, and it is
+    released when its process exits. Like a network port, the lock applies to the processes of one
+    network namespace.
 
     Args:
         name: the name to lock; a long name is replaced by its digest.
@@ -307,7 +307,7 @@ class InterruptedRun(Exception):
 
 
 class Signals:
-    """Handler that stores a received signal, so that the run can stop where it stops cleanly.
+    """Handler that stores a received signal, so that the run can stop at a safe point.
 
     An exception from the handler could interrupt any code, even the shutdown of the nodes. A signal
     that the process already ignores stays ignored: under ``nohup`` a process ignores the end of the

@@ -23,7 +23,7 @@ _MAXIMUM = sys.float_info.max
 
 
 def read_number(text: str) -> float:
-    """Return the number in a user's text; all of the package's numbers are parsed by this function.
+    """Return the number in a user's text; no other function parses numbers of users.
 
     Raises:
         ValueError: if the text is not a number. Python would also accept ``1_0`` as 10, and digits

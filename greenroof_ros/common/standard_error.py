@@ -48,7 +48,7 @@ class Lines:
         self.write(f"{text}\n")
 
     def print_seldom(self, kind: str, text: str) -> None:
-        """Print messages that other programs can cause at will, only once a minute of each kind.
+        """Print a message that other programs can cause at will, at most once a minute per kind.
 
         Args:
             kind: kind of the message, which is printed once a minute whatever its text is. The

@@ -57,7 +57,7 @@ class NodeDiagnostics:
         self._publisher = node.create_publisher(DiagnosticArray, topic.graph_name, profile)
 
     def publish(self, values: dict[str, Any]) -> None:
-        """Publish the node's state with these values; see :meth:`status`."""
+        """Publish the node's state with the given values; see :meth:`status`."""
         self.send([self.status(values)[0]])
 
     def status(self, values: dict[str, Any]) -> tuple[DiagnosticStatus, dict[str, Any]]:

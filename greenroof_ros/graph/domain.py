@@ -4,7 +4,7 @@ ROS is imported only when a function needs it.
 
 The nodes communicate by UDP on the loopback interface, never by shared memory, although Fast DDS
 (the default middleware of ROS 2) uses shared memory by default between processes of one machine. A
-process that is stopped while it holds a lock in shared memory, such as a ``ros2 topic echo`` under
+process that is stopped while it holds a lock in shared memory, such as a ``ros2 topic echo`` after
 Ctrl-Z, freezes unrelated nodes, and ``kill -9`` leaves the memory behind. UDP has neither problem,
 but makes each tick a little longer.
 """
@@ -149,7 +149,7 @@ def _occupied(reason: str, namespace: str) -> OccupiedError:
     domain = read_domain()
     place = f"in ROS domain {domain}" + (f", namespace {namespace}" if namespace else "")
     return OccupiedError(
-        f"{reason} already {place}; end it, or use another domain: "
+        f"{reason} is already running {place}; stop it, or use another domain: "
         f"ROS_DOMAIN_ID={domain % 100 + 1} greenroof run ..., or another --namespace"
     )
 
@@ -171,7 +171,7 @@ def lock_namespace(namespace: str) -> Iterator[None]:
     try:
         lock = acquire_name_lock(f"{os.getuid()}-domain-{read_domain()}{namespace}")
     except LockedError:
-        raise _occupied("a bringup is running", namespace) from None
+        raise _occupied("a bringup", namespace) from None
     with lock:
         yield
 
@@ -205,7 +205,7 @@ def refuse_other_nodes(namespace: str, names: Collection[str], check: Callable[[
                 if place == (namespace or "/") and name in names
             )
             if running:
-                raise _occupied(f"a graph with {', '.join(running)} is running", namespace)
+                raise _occupied(f"a graph with {', '.join(running)}", namespace)
     finally:
         node.destroy_node()
         context.try_shutdown()

@@ -89,7 +89,7 @@ def node_help(module: str, purpose: str | None, parameters: Iterable[Parameter])
     lines = [
         f"usage: python -m greenroof_ros.{module} [--help] [--ros-args ...]\n",
         f"{purpose}".strip().replace("``", "`"),
-        "\nparameters, after --ros-args, as -p NAME:=VALUE or with --params-file FILE:",
+        "\nparameters, set after --ros-args with -p NAME:=VALUE or --params-file FILE:",
     ]
     for parameter in parameters:
         lines += (f"  {parameter.name} ({_about(parameter)})", textwrap.fill(

@@ -176,7 +176,7 @@ class GraphNode(Node):
         return self.reports.state != STARTING
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the inputs without a compatible publisher, by missing role."""
+        """Return the inputs without a compatible publisher, grouped by the missing role."""
         raise NotImplementedError
 
     # --- ending -----------------------------------------------------------------------------

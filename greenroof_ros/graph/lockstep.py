@@ -18,7 +18,7 @@ end a run:
 - a second publisher, or a second message before the node has acted;
 - a second message after the node has acted. This message counts for the next tick, and is detected
   when the actual message of the next tick arrives; after the last tick, any message ends the run.
-  A message that only the recorder misses is detected by its count of messages.
+  A message that does not reach the recorder is detected by the recorder's message count.
 
 A malformed message is dropped, and the node still waits for a valid message of the tick.
 
@@ -76,7 +76,7 @@ class Lockstep:
 
         Args:
             act: function that makes the node act.
-            finish: callback for the time at which the node has acted on the last tick.
+            finish: callback that is called after the node has acted on the last tick.
             publishers_of: function that returns the names of the nodes that publish an input, for
                 errors.
         """
@@ -140,7 +140,7 @@ class Lockstep:
             early = self._of_tick if self.tick > end else self._of_tick - self.awaited
             if early:
                 raise LockstepError(
-                    f"{min(early)} has a second message in tick {end} (after the last)"
+                    f"{min(early)} has a second message in tick {end} (after the last tick)"
                 )
             self.awaited.clear()
             self._finish()

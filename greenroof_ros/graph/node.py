@@ -45,7 +45,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
 
     Attributes:
         lockstep: object that makes the node act.
-        peers: the nodes that publish its inputs.
+        peers: the nodes that publish the node's inputs.
         result: the node's additions to the summary of the run; empty until the run is over.
     """
 
@@ -131,7 +131,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
     # --- running ----------------------------------------------------------------------------
 
     def absent(self) -> dict[str, list[str]]:
-        """Return the inputs without a compatible publisher, by missing role."""
+        """Return the inputs without a compatible publisher, grouped by the missing role."""
         return self.peers.absent()
 
     @property
@@ -157,7 +157,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         self.report_state()
 
     def check(self, now: float) -> None:
-        """Check everything that depends on the wall clock, and report the node's state.
+        """Check the conditions that depend on the wall clock, and report the node's state.
 
         Args:
             now: time on the steady clock (s).
@@ -220,7 +220,7 @@ class SimulationNode(NoClockSubscription, GraphNode):
         return clock is not None and clock.count == 0
 
     def all_arrived(self) -> bool:
-        """Whether all subscribers have received everything that the node has published."""
+        """Return True if all subscribers have received all messages of the node."""
         now = Duration()
         return all(publisher.wait_for_all_acked(now) for publisher in self._outputs.values())
 

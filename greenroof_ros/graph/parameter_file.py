@@ -1,7 +1,7 @@
 """Check of the user's ROS 2 parameter file for the nodes of a graph, before any node starts.
 
 rclpy silently ignores a parameter that a node has not declared, so a limit with a mistyped name
-would have no effect. This module rejects such a parameter.
+would have no effect. This module rejects undeclared parameters.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def node_parameter_files(
     arguments: argparse.Namespace, modules: Mapping[str, str], controller: ControllerChoice,
     given: Mapping[str, float],
 ) -> list[Path]:
-    """Return a list of the file given by ``--node-parameters``; an empty list if none is given.
+    """Return the file given by ``--node-parameters`` as a list; an empty list if none is given.
 
     Args:
         arguments: the parsed command line.
@@ -47,8 +47,8 @@ def node_parameter_files(
 
     Raises:
         ConfigurationError: if the file does not exist, or if it sets a parameter that no node has
-            or that an option of bringup sets. With such a parameter, bringup might stop the wrong
-            drive, or a summary might be wrong.
+            or that an option of bringup sets. Otherwise bringup might stop the wrong drive, or a
+            summary might be wrong.
     """
     file: Path | None = arguments.node_parameters
     if file is None:
@@ -73,7 +73,7 @@ def _refuse_unknown(
         given: values of the controller's parameters, by name.
 
     Raises:
-        ConfigurationError: if the file contains such a parameter, a section for no node of the
+        ConfigurationError: if the file contains a parameter to reject, a section for no node of the
             graph, or a section in which ``ros__parameters`` is missing or is not a mapping.
     """
     known = {name: _names_of(module, controller) for name, module in nodes.items()}

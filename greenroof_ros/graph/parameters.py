@@ -1,8 +1,8 @@
 """Parameters of nodes: their declaration with description and range, and the check of their values.
 
 rclpy silently ignores a parameter that a node has not declared, so a limit with a mistyped name
-would have no effect. This module rejects such a parameter on a node's command line;
-:mod:`greenroof_ros.graph.parameter_file` rejects it in the parameter file for bringup.
+would have no effect. This module rejects undeclared parameters on a node's command line;
+:mod:`greenroof_ros.graph.parameter_file` rejects them in the parameter file for bringup.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def look_ahead_parameters() -> list[Parameter]:
 
 
 def default_site() -> Site:
-    """Return the site of the default value of the parameter ``site_file``."""
+    """Return the site in the default site file, for nodes without the parameter ``site_file``."""
     return read_site(Path(str(site_file().default)))
 
 

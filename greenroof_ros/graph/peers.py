@@ -21,7 +21,7 @@ class Peers:
     """
 
     def __init__(self, role: str) -> None:
-        """Create an object without inputs.
+        """Create the collection of peers, without inputs yet.
 
         Args:
             role: the node's own role in the interface.
@@ -52,8 +52,8 @@ class Peers:
         """Return the text about the node that all other missing nodes are waiting for.
 
         Args:
-            names: the awaited topics, in the order of the node's inputs: weather, controller, pump.
-                Each of these nodes waits for the nodes before it.
+            names: the awaited topics in the order of the node's inputs (weather, controller, pump),
+                in which each node waits for the nodes before it.
         """
         role, topics = next(iter(self._by_role(names).items()))
         return self.describe({role: topics})

@@ -160,8 +160,8 @@ def destroy_nodes(nodes: Sequence[GraphNode]) -> None:
 def end_soon() -> None:
     """Let the kernel kill this process if it locks up after everything has been sent and written.
 
-    A locked-up process spins, so its processor time is limited. On a busy machine, a normal exit
-    also takes longer in wall time, and must keep its exit code.
+    A locked-up process spins, so the limit applies to its processor time. On a busy machine, a
+    normal exit also takes longer in wall time, and must keep its exit code.
     """
     signal.signal(signal.SIGPROF, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_PROF, SHUTDOWN_S)

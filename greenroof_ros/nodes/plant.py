@@ -1,8 +1,8 @@
 """The plant node, which simulates the cistern and the roof, and sets the pace of the graph.
 
-In tick k it publishes ``/clock`` and the levels; waits for the weather, the command and, with an
-external pump, the flow; integrates the exact model over one tick; and publishes the clock and
-levels of tick k + 1, followed by the flows of tick k.
+In tick k, the node publishes ``/clock`` and the levels, and waits for the weather, the command and,
+with an external pump, the flow. Then the node integrates the exact model over one tick, and
+publishes the clock and the levels of tick k + 1, followed by the flows of tick k.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def parameters(site: Site) -> list[Parameter]:
             among=("internal", "external"),
         ),
         *PARAMETERS.values(),
-        Parameter("record", False, meaning="wait for the recorder node"),
+        Parameter("record", False, meaning="wait for the recorder at the start and during the run"),
         Parameter("peer_limit", 5.0, "", 2, 1e6, "maximum wait for another node (s of wall time)"),
         Parameter(
             "start_limit", 30.0, "", 0.1, 1e6, "maximum wait for the other nodes to appear (s of "

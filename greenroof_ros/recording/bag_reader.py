@@ -319,8 +319,8 @@ def _drop_outliers(
 
     Raises:
         ConfigurationError: if the implausible values are too many to be outliers, or if at least
-            half of the non-zero values are too large. The latter detects a wrong unit of rain or of
-            a pump that is active for less than a hundredth of the time.
+            half of the non-zero values are too large. The second condition detects a wrong unit of
+            rain, or of a pump that is active for less than a hundredth of the time.
     """
     high, why = topic.high, ""
     if of_site is not None and of_site[0] * _ROUNDING < high:

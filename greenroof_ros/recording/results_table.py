@@ -48,7 +48,7 @@ def summary_columns(summary: Mapping[str, Any]) -> dict[str, Any]:
 def find_differing_keys(rows: Sequence[Mapping[str, object]]) -> list[str]:
     """Return the keys that have more than one value in the rows, in the order of the keys.
 
-    Only these keys name the runs in tables and titles. A key that a row lacks counts as None.
+    These keys identify the runs in tables and titles. A key that a row lacks counts as None.
     """
     keys = dict.fromkeys(key for row in rows for key in row)
     return [key for key in keys if len({row.get(key) for row in rows}) > 1]

@@ -167,7 +167,7 @@ def zone_name(time: datetime) -> str:
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read a trajectory from a parquet file, or from a CSV file of the command.
+    """Read a trajectory from a parquet file, or from the CSV file of ``greenroof simulate``.
 
     Raises:
         ConfigurationError: if the file cannot be read, is damaged or is not a trajectory, or if

@@ -27,7 +27,7 @@ _OPCODES = frozenset(map(int, Opcode))
 
 
 def read_whole_chunks(stream: BinaryIO) -> Iterator[list[McapRecord] | int]:
-    """Yield the records of every intact chunk, in order, and the number of bytes lost between.
+    """Yield the records of every intact chunk, and the number of bytes lost between chunks.
 
     The topics and types of a closed file come first, in case the chunk that defines them is lost.
 
