@@ -1,1 +1,1 @@
-"""The controllers, one file each."""
+"""The controllers, each in a file of its own."""

@@ -41,16 +41,16 @@ Array = NDArray[np.float64]
 class AfterForecast:
     """Extends a forecast by days in which the roof dries slowly.
 
-    Water on the roof at the end of the forecast does not vanish: without rain it stays for days,
-    since only evapotranspiration removes it. A controller that plans only up to the end of the
-    forecast fills the roof before rain in the last hours, which costs nothing in the plan, and then
-    has too much water on the roof. The shorter the forecast, the larger this error. The plan
+    Water on the roof at the end of the forecast does not vanish: without rain, this water stays for
+    days, since only evapotranspiration removes it. A controller that plans only up to the end of
+    the forecast fills the roof before rain in the last hours, which costs nothing in the plan, and
+    then has too much water on the roof. The shorter the forecast, the larger this error. The plan
     therefore counts the deviation for ``days_after`` more days, without rain and with 0.3 times the
     mean evapotranspiration of the past day. In summer, about this share of the evapotranspiration
-    remains after rain is subtracted. The mean covers a whole day, so that it does not depend on the
-    time of day, and it starts from the mean over the first day of the forecast.
+    remains after rain is subtracted. The mean covers a whole day, so that the time of day does not
+    matter, and starts from the mean over the first day of the forecast.
 
-    With ``days_after`` = 0, the deviation after the end of the forecast does not count. This
+    With ``days_after`` = 0, the deviation after the end of the forecast does not count. Such a
     setting suits a study whose runs end with the forecast, such as the paper's runs of 12 h, but
     not a real roof.
 

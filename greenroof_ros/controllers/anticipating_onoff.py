@@ -25,7 +25,7 @@ _CHECK_S = 60.0
 
 
 class AnticipatingOnOff:
-    """Pumps like the on/off controller, except when coming rain makes it unnecessary.
+    """Pumps like the on/off controller, except when coming rain makes pumping unnecessary.
 
     The paper's Conclusion asks for a 'less expensive, hybrid' design: an on/off controller that
     anticipates the weather. The paper's on/off controller, Eq. (12), fills the roof to its target

@@ -1,4 +1,4 @@
-"""Checks whether a class meets all requirements for a controller, by running it."""
+"""Checks whether a class meets all requirements for a controller, by running the class."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _EVAPOTRANSPIRATION = (0.0, 3e-6)
 
 
 class _BrokenRuleError(Exception):
-    """A controller breaks a rule; the message states how."""
+    """The error for a controller that breaks a rule; the message names the fault."""
 
 
 def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:

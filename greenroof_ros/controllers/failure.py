@@ -21,10 +21,10 @@ class ControllerError(ConfigurationError):
 def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangError:
     """Return an error that a controller's code raised, with file and line added.
 
-    An error of this package that already names the cause is returned unchanged, unless a user's
-    code raised it. File and line are those of the last frame in the file in which the user's code
-    was entered. If no user's code was entered, as with a wrong number of arguments, file and line
-    are those of the method that the message names.
+    An error of this package that already names the cause is returned unchanged, unless the error
+    comes from a user's code. File and line are those of the last frame in the file in which the
+    user's code was entered. If no user's code was entered, as with a wrong number of arguments,
+    file and line are those of the method that the message names.
     """
     name = getattr(kind, "__name__", str(kind))
     file, line = None, None

@@ -54,9 +54,9 @@ class Lookahead:
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` finds the level, for all members of an
     ensemble of forecasts or for a single forecast, over growing steps and the days after the
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
-    :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` contains the assumption about when
-    it becomes known which members are wrong. Without a forecast, the controller fills the roof to
-    its target and holds it there, which is best if no rain comes. If the forecast is lost for a
+    :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` contains the assumption about the
+    times at which members are found to be wrong. Without a forecast, the controller fills the roof
+    to its target and holds it there, which is best if no rain comes. If the forecast is lost for a
     short time, the controller goes on waiting for rain, and follows the last plan until this plan
     is too old. During the loss, the rain gauge provides the present rain, and evapotranspiration is
     assumed to be the mean of the past day. A forecast with a missing value is treated as lost.
@@ -89,7 +89,7 @@ class Lookahead:
             the roof at its end (m), and the level to which the roof is filled if no rain has come
             by then (m; 0 if the roof is left alone). Pump flow and expected level are means over
             the members. The array is empty, with shape (0, 4), while the last plan is still
-            followed. If the controller did not decide, it has a single row of NaN.
+            followed. If the controller did not decide, the plan has a single row of NaN.
         planned_deviation: deviation expected in the last plan, as a mean over the horizon, the days
             after it and all members (m3); NaN before the first plan.
         solves: number of plans made.

@@ -28,7 +28,7 @@ class OnOff:
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
-        level: share of the target to which it fills the roof (1).
+        level: share of the target to which the roof is filled (1).
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = (FRACTION, LEVEL)

@@ -121,8 +121,8 @@ class OrderUpTo:
     is based on their mean; every member has its own V. If V were averaged as well, each step would
     draw a new member, and the total rain of a storm would be lost.
 
-    V is stored at nodes of the volume, which are dense around the target and include it, and is
-    interpolated linearly between them.
+    V is stored at nodes of the volume, which include the target and are dense around it, and is
+    interpolated linearly between the nodes.
 
     **Water.** If the cistern can run short, V depends on a second variable s, which is the usable
     water plus the water that would fill an empty roof to its present volume. Filling does not
@@ -161,8 +161,8 @@ class OrderUpTo:
 
         Between two nodes of the roof's volume, the decision at the lower node applies. Between two
         nodes of the water, the volume is interpolated; if the decision at either node is to leave
-        the roof alone, the decision at the upper node applies. This allows the last water to be
-        pumped, although there is none at the node below.
+        the roof alone, the decision at the upper node applies. This rule allows the last water to
+        be pumped, although there is no water at the node below.
 
         Args:
             policy: policy from the last :meth:`solve`.
@@ -432,11 +432,11 @@ def _find_minimum_onward(values: Array) -> Indices:
 def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
     """Return the group of every member in every step, identified by its lowest member index.
 
-    The pumping is the same for all members of a group, since they cannot be distinguished yet. At
-    first, all members form one group. After every period of ``recourse``, each group is halved into
-    the members with less rain and the members with more rain so far; ties are decided by the rain
-    up to the next step, and so on. If the number of members is odd, the wetter half has one more.
-    Groups therefore only split, and in the end every member has a group of its own.
+    The members of a group cannot be distinguished yet, so the pumping is the same for all of them.
+    At first, all members form one group. After every period of ``recourse``, each group is halved
+    into the members with less rain and the members with more rain so far; ties are decided by the
+    rain up to the next step, and so on. If the number of members is odd, the wetter half has one
+    member more. Groups therefore only split, and in the end every member has a group of its own.
 
     No forecast reveals immediately which member will come true. A controller that assumed otherwise
     would wait, because it would expect to know everything soon. Heitsch and Roemisch (2009,

@@ -176,13 +176,13 @@ class Fixed:
 class Drain:
     """Opens the valve in dry weather, until the cistern is down to a reserve.
 
-    The weather is wet while it rains at 0.1 mm/h or more, during lighter rain within an hour after
-    that, and for ``wet_after`` hours after all of this rain. Water that is released in dry weather
-    meets a sewer without storm water.
+    The weather is wet while it rains at 0.1 mm/h or more, during lighter rain within an hour of
+    such rain, and for ``wet_after`` hours afterwards. Water that is released in dry weather meets a
+    sewer without storm water.
     """
 
     def __init__(self, site: Site, reserve: float) -> None:
-        """Set the site, and the volume to be left in the cistern (m3)."""
+        """Set the site, and the volume that has to remain in the cistern (m3)."""
         self._site, self.reserve = site, reserve
         self._without_rain_s = 0.0  # time without rain until the end of the present tick (s)
         self._only_drizzle_s = math.inf  # the same, without rain of 0.1 mm/h or more (s)
@@ -232,9 +232,9 @@ class Plan:
 
     where c is 1 in wet weather and 0 in dry weather. The cost is the discharge in wet weather (m3)
     plus p per m3 of mains water. In wet weather, y is v, because a release then costs at least as
-    much as it can save. At the end of the plan, water is worth its price if the roof needs it
-    within ``reach``. Additional water is worth nothing, so it is released in dry weather, which
-    makes room for rain that no forecast has shown.
+    much as it can save. At the end of the plan, water is worth its price if the roof needs this
+    water within ``reach``. Additional water is worth nothing, so it is released in dry weather,
+    which makes room for rain that no forecast has shown.
 
     Above the outlet, U falls to its minimum and then rises. The best y is therefore a level to
     which the cistern is drained, as far as the valve allows. The level of the first hour is the

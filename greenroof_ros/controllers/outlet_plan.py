@@ -80,7 +80,7 @@ class PlannedLevels:
         """Return the volumes to which the cisterns are drained in a tick (m3).
 
         Call this method in every tick. No valve opens in wet weather, so the volumes have no
-        meaning then. A forecast with a missing value is treated as lost.
+        meaning in wet weather. A forecast with a missing value is treated as lost.
 
         Args:
             dry: whether the weather is dry.
@@ -96,7 +96,7 @@ class PlannedLevels:
         return self._levels
 
     def _plan(self, x1: Array, x2: Array, rain: Array, evaporated: Array) -> None:
-        """Make a plan if the last one is old or the forecast has changed."""
+        """Make a plan if the last plan is old or the forecast has changed."""
         self._unchecked, old = 0.0, self._age > _HOUR_S - self._tau / 2
         usable = rain.shape[1] == evaporated.size == len(self._lengths)
         total = rain @ self._lengths if usable else np.full(1, math.nan)

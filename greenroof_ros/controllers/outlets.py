@@ -1,6 +1,6 @@
 """The policies of :mod:`.outlet` for many sites together.
 
-Whether the weather is dry depends only on the rain, so it is determined for a whole run in advance.
+Dry weather depends only on the rain, so dry ticks are determined in advance for a whole run.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class OutletGroup:
         ends: boundaries of the forecasts' steps (s from now), beginning with 0.
         foresee: function that returns a tick's forecast: rain (m/s), shape (members, steps), and
             evapotranspiration of a bed with crop coefficient 1 (m/s), shape (steps,).
-        has_rain: whether the forecasts contain rain, so that they can change.
+        has_rain: whether the forecasts contain rain and can therefore change.
     """
 
     rows: Rows
@@ -65,7 +65,7 @@ class Outlets:
         self, sites: Sites, policies: Sequence[str], reserves: Array, prices: Array,
         reaches: Array, beds: Array, groups: Sequence[OutletGroup],
     ) -> None:
-        """Set the policies; :data:`.outlet.PARAMETERS` describes them, with units.
+        """Set the policies; :data:`.outlet.PARAMETERS` describes their parameters, with units.
 
         Args:
             sites: n sites with the same tau.
@@ -74,7 +74,7 @@ class Outlets:
             prices: ``outlet_price`` of each site.
             reaches: ``outlet_reach`` of each site.
             beds: areas with crop coefficient 1 that evaporate as much as the beds (m2).
-            groups: groups of sites; every site is in one of them.
+            groups: groups of sites; every site is in one group.
         """
         self._sites, names = sites, np.array(policies)
         moves = sites.low_outlet_valve & np.isin(names, (DRAIN, PLAN))

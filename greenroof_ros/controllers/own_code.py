@@ -1,7 +1,7 @@
 """A digest of the code of a user's controller, which tells a study when the code changes.
 
-The digest does not cover data files that the code reads, or modules that it imports by a computed
-name.
+The digest does not cover data files that the code reads, or modules that the code imports by a
+computed name.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from greenroof_ros.common.parameter import Parameter
 
 
 class Controller(Protocol):
-    """Anything that decides in each tick how much to pump.
+    """A controller, which decides in each tick how much to pump.
 
     A controller is constructed as ``Class(site, **parameters)``, with a value for each of its
     parameters. The same inputs must lead to the same commands, at any time and on any machine.
@@ -20,10 +20,10 @@ class Controller(Protocol):
     - ``ensemble = True``: the controller takes all members of an ensemble of forecasts.
       ``precipitation`` is then an array of shape (members, steps); a single forecast has one
       member.
-    - ``needs_forecast = False``: the controller can decide from the levels alone. It is also called
-      without a usable forecast, when both forecasts are empty. Any other class is not called
-      without a forecast; on a live site, the on/off controller takes over if the forecast stays
-      missing.
+    - ``needs_forecast = False``: the controller can decide from the levels alone. Such a class is
+      also called without a usable forecast, when both forecasts are empty. Any other class is not
+      called without a forecast; on a live site, the on/off controller takes over if the forecast
+      stays missing.
     - ``outputs``: topics of ``msg_defs/topics.yaml`` that the controller's node publishes after
       every command, each with the attribute that holds the value: ``{"/controller/cost": "cost"}``.
       The value is a number; for ``/controller/plan`` it is a numpy array of shape (steps, 4).
@@ -33,9 +33,9 @@ class Controller(Protocol):
     - ``time_ns``: the present time (ns since 1970), set before every command at a site with quiet
       hours. A class with this attribute is also called in quiet hours, when its command is replaced
       by 0, and can plan with ``site.quiet``. Any other class skips the ticks in quiet hours.
-    - ``forecast_ends``: an array that is set after construction. It contains the boundaries of the
-      forecasts' steps (s from the present tick), beginning with 0, shape (steps + 1,). Entry i of a
-      forecast is the mean from ``forecast_ends[i]`` to ``forecast_ends[i + 1]``.
+    - ``forecast_ends``: an array that is set after construction. The array contains the boundaries
+      of the forecasts' steps (s from the present tick), beginning with 0, shape (steps + 1,). Entry
+      i of a forecast is the mean from ``forecast_ends[i]`` to ``forecast_ends[i + 1]``.
     - ``outlet``: the share to which the valve of the low outlet is open, from 0 to 1, for a class
       that commands this valve itself. The attribute is read in every tick, after ``command`` or
       ``skip``, because the valve also works in frost and in quiet hours. The valve keeps its
@@ -106,7 +106,7 @@ class Controller(Protocol):
 
 
 class ControllerClass(Protocol):
-    """A controller class, as the registry returns it."""
+    """A controller class, as the registry provides it."""
 
     parameters: tuple[Parameter, ...]
 
@@ -116,7 +116,7 @@ class ControllerClass(Protocol):
 
 
 def set_optional(controller: Controller, **values: Any) -> None:
-    """Set attributes such as ``time_ns`` and ``forecast_ends``, as far as a controller has them."""
+    """Set optional attributes of a controller, such as ``time_ns``, if the controller has them."""
     for name, value in values.items():
         if hasattr(controller, name):
             setattr(controller, name, value)

@@ -311,8 +311,8 @@ def find_controller(reference: str) -> ControllerChoice:
         reference: name of a controller in :data:`BUILT_IN`, or ``package.module:Class``.
 
     Raises:
-        ConfigurationError: if there is no such controller, or if another node has the name of its
-            node.
+        ConfigurationError: if there is no such controller, or if the name of its node is already in
+            use.
     """
     if reference == EXTERNAL:
         return ControllerChoice(EXTERNAL, EXTERNAL, f"{_HERE}.external:External")
@@ -329,7 +329,7 @@ def find_controller(reference: str) -> ControllerChoice:
     name = _node_name(reference.partition(":")[2])
     if name in BUILT_IN or name in _OTHER_NODES:
         raise ConfigurationError(
-            f"its node would have the same name as another node, {name}; rename the class",
+            f"the controller's node would have the name of another node, {name}; rename the class",
             key="controller", value=reference,
         )
     return ControllerChoice(name, reference, reference)

@@ -28,7 +28,7 @@ WAITING_SHARE = Parameter(
 
 
 class RegretBudget:
-    """Adds up the extra cost of waiting for rain compared with plain on/off, and limits it.
+    """Limits the extra cost of waiting for rain, compared with plain on/off.
 
     A controller that leaves room for rain that does not come is worse off than the on/off
     controller, which has filled the roof. No rule can avoid this loss: while the controller waits,
@@ -59,15 +59,15 @@ class RegretBudget:
     Caching with Machine Learned Advice, J. ACM 68(4), doi:10.1145/3447579). In frost nothing may be
     pumped, so the loss goes on.
 
-    If the cistern overflows while the controller waits, it loses water that on/off control would
-    have pumped by then. The lost water costs nothing until a drought empties the cistern. From then
-    on the water is missing, and L grows until the drought ends, regardless of the limit. This loss
-    is counted when it occurs, and forecasts do not count until D has made up for it. It can
-    therefore happen once, but not in every drought.
+    If the cistern overflows while the controller waits, the site loses water that on/off control
+    would have pumped by then. The lost water costs nothing until a drought empties the cistern.
+    From then on the water is missing, and L grows until the drought ends, regardless of the limit.
+    This loss is counted when it occurs, and forecasts do not count until D has made up for it. The
+    loss can therefore happen once, but not in every drought.
 
     While the controller waits, a low outlet of the cistern can drain the water meant for the roof.
     The volume that on/off control would have on the roof, minus the volume that will stay in the
-    cistern, costs as much as if it were missing for a week.
+    cistern, counts as if it were missing for a week.
 
     If the mains fill the cistern more slowly than the pumps empty it, and the cistern holds less
     than the roof lacks, filling takes longer than assumed, and L can exceed the limit.
@@ -113,7 +113,7 @@ class RegretBudget:
         self.loss, self.onoff_cost = (values[name] for name in self.learned)
 
     def judge(self, x1: float, x2: float, fraction: float) -> bool:
-        """Count the present tick, and return whether to ignore forecasts of rain in it.
+        """Count the present tick, and return whether forecasts of rain are to be ignored.
 
         Args:
             x1: volume in the cistern (m3).
@@ -153,7 +153,7 @@ class RegretBudget:
         self, x1: float, x2: float, fraction: float, command: float,
         precipitation: float = 0.0, evapotranspiration: float = 0.0,
     ) -> None:
-        """Move on by one tick.
+        """Advance the comparison by one tick.
 
         Args:
             x1: volume in the cistern (m3).

@@ -37,11 +37,11 @@ class RoofObserver:
     without prior knowledge. If model and sensor are exact, the estimate equals the reading, apart
     from rounding.
 
-    If the pumps delivered more than the model assumes, they would stay on too long while the
-    observer catches up. So if all readings over fifteen seconds (at least ten readings) are off by
-    more than a millimetre in the same direction, the estimate moves by their mean difference in one
-    step. A single outlier counts like any other reading. After more than fifteen seconds without a
-    reading, the observer starts again.
+    If the pumps delivered more than the model assumes, the observer would lag behind, and the pumps
+    would stay on too long. So if all readings over fifteen seconds (at least ten readings) are off
+    by more than a millimetre in the same direction, the estimate moves by their mean difference in
+    one step. A single outlier counts like any other reading. After more than fifteen seconds
+    without a reading, the observer starts again.
     """
 
     def __init__(self, site: Site, observer_time_constant: float) -> None:
@@ -91,7 +91,7 @@ class RoofObserver:
     def predict(
         self, x2: float, precipitation: float, evapotranspiration: float, pumped: float
     ) -> float:
-        """Move on by one tick.
+        """Advance the estimate by one tick.
 
         Args:
             x2: volume that :meth:`correct` returned (m3).

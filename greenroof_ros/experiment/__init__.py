@@ -1,1 +1,1 @@
-"""Runs: options, the closed loop in one process, the clairvoyant bound, and summaries."""
+"""Runs, with their options, the closed loop in one process, lower bounds, and summaries."""

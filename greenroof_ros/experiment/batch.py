@@ -53,7 +53,7 @@ class Observer(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class BatchWeather:
-    """Weather, tick by tick, of all sites that share it; every array has shape (steps + 1,).
+    """Weather, tick by tick, for sites with the same weather; arrays have shape (steps + 1,).
 
     Attributes:
         run: run with this weather; the plans use its forecasts.
@@ -148,8 +148,8 @@ class Batch:
 
     Attributes:
         sites: n sites with the same tau.
-        weather: different weather of the sites, each with the same number of steps; the starting
-            times may differ.
+        weather: weather of the sites, each entry with the same number of steps; the starting times
+            may differ.
         weather_of: index of each site's weather, shape (n,).
         parameters: parameters of each site's controller, ``onoff``, and of its outlet valve;
             omitted parameters have their defaults.

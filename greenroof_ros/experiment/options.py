@@ -1,4 +1,4 @@
-"""The options of a run and of its output, which more than one command has."""
+"""The options of a run and of its output, shared by more than one command."""
 
 from __future__ import annotations
 
@@ -85,7 +85,8 @@ def add_controller_arguments(
     )
     of_controller.add_argument(
         "--parameters", type=Path, metavar="FILE",
-        help="ROS 2 parameter file of the controller; parameters that it omits keep their defaults",
+        help="ROS 2 parameter file of the controller; parameters that are not in the file keep "
+        "their defaults",
     )
     for parameter in controller.parameters.values():
         add_option(of_controller, parameter)
@@ -103,7 +104,7 @@ def add_site_arguments(group: argparse._ArgumentGroup) -> None:
 
 
 def add_option(group: argparse._ArgumentGroup, parameter: Parameter, **settings: Any) -> None:
-    """Add the option of an input; its value is None if the option is left out."""
+    """Add the option for an input; the value of an omitted option is None."""
     about = [] if parameter.unit in ("", "1") else [parameter.unit]
     if isinstance(parameter.default, (int, float)) or math.isfinite(parameter.low):
         kind = int if parameter.whole else float
@@ -162,7 +163,7 @@ def read_controller(
     """Return the controller and the parameters that a command line specifies.
 
     Raises:
-        ConfigurationError: if an option, or a file that it names, is wrong.
+        ConfigurationError: if an option, or a file named by an option, is invalid.
     """
     controller = find_controller(arguments.controller)
     given = {}
@@ -178,7 +179,7 @@ def build_run(arguments: argparse.Namespace) -> Run:
     For a command without ``--controller``, only site, weather and initial state matter.
 
     Raises:
-        ConfigurationError: if an option, or a file that it names, is wrong.
+        ConfigurationError: if an option, or a file named by an option, is invalid.
     """
     with rename_keys(_OPTIONS):
         given = _read_options(arguments, INPUTS)

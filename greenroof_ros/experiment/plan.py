@@ -116,7 +116,7 @@ def find_pumping_ticks(run: Run, first: int = 0, last: int | None = None) -> NDA
     Args:
         run: the run.
         first: first tick.
-        last: tick after the last tick; by default N.
+        last: end of the range of ticks, which is not included; by default N.
     """
     n, hours = run.steps if last is None else last, run.site.quiet
     may_pump = np.asarray(np.frombuffer(run.series.frost[first:n]) == 0)

@@ -133,9 +133,9 @@ def _ends(
     extremes are therefore at the ends of the range and on both sides of z_cap.
 
     On a field-capacity soil, the volume after a tick is a continuous function of the volume before
-    the tick. It is concave between the wilting point, the onset of stress and field capacity.
-    Subtracting a line changes neither property. The minimum is therefore at an end of one of these
-    pieces, and the maximum is at an end or where the slope is 0.
+    the tick. The function is concave between the wilting point, the onset of stress and field
+    capacity. Subtracting a line changes neither property. The minimum is therefore at an end of one
+    of these pieces, and the maximum is at an end or where the slope is 0.
 
     Args:
         site: parameters of the site.

@@ -33,7 +33,7 @@ class ForecastChoice:
 
     Attributes:
         model: one of :data:`MODELS`, or ``file``.
-        file: file of forecasts, or directory of such files; None for a model.
+        file: file of forecasts, or directory with files of forecasts; None for a model.
         skill: one of :data:`greenroof_ros.forecast.skill.SKILLS`, or the path of a file such as
             ``config/forecasts/skill.yaml``.
         seed: seed of the errors.

@@ -23,7 +23,7 @@ _HOUR_S = 3600.0
 
 
 class NoForecastError(Exception):
-    """There is no forecast for the present; the message states why."""
+    """There is no forecast for the present; the message states the reason."""
 
 
 class ForecastFile:
@@ -32,7 +32,7 @@ class ForecastFile:
     Attributes:
         issues: issues of the newest file that could be read, beginning with the issue that was the
             newest at that time; empty before the first file.
-        problem: description of the fault in the present file; empty if there is none.
+        problem: description of the fault in the present file; empty without a fault.
     """
 
     def __init__(self, path: Path) -> None:
@@ -155,9 +155,9 @@ class LiveForecast:
         shorter = f"; or set a horizon of up to {always} h" if always >= 1 and due >= HOUR else ""
         return (
             f"the forecast issued at {to_people(issue.issued)} ends at {to_people(end)}, before "
-            f"the look-ahead of {duration(due.total_seconds())} does; the hours after the "
-            "forecast are treated as dry. To cover the look-ahead until it is too old, an issue "
-            f"must be {needed} h long, not {issue.hours} h{shorter}"
+            f"the look-ahead of {duration(due.total_seconds())} does; the hours after the forecast "
+            "are treated as dry. To cover the look-ahead during all of its use, an issue must be "
+            f"{needed} h long, not {issue.hours} h{shorter}"
         )
 
     def _newest(self, now: datetime) -> IssuedForecast:

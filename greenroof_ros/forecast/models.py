@@ -11,12 +11,12 @@ times and wrong amounts. The number z behind the records' rain (see
     f_j = s z + sqrt(s - s^2) zeta + sqrt(1 - s) xi_j
 
 at each frequency, with the coherence s of that module. The first two terms are known to the
-forecasters; zeta is an error common to all members, and xi_j is the error of member j alone. All
-three have the spectrum of z, and so has f_j: it rains in forecasts as often as in the records. Any
-two members have the coherence s with each other, and each member has it with the truth. The truth
-is therefore like one more member, and the spread of the ensemble is reliable. Finally, f_j +
-wetness is turned into rain and multiplied by the amount. The wetness and the amount are a service's
-systematic errors.
+forecasters; zeta is an error common to all members, and xi_j is the error of member j alone. Both
+zeta and xi_j have the spectrum of z, and so does f_j. It therefore rains in forecasts as often as
+in the records. Any two members have the coherence s with each other, and each member has the same
+coherence with the truth. The truth is therefore like an additional member, and the spread of the
+ensemble is reliable. Finally, f_j + wetness is turned into rain and multiplied by the amount. The
+wetness and the amount are a service's systematic errors.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ class NormalRecords:
     is drawn repeatedly from its distribution given its neighbours (Gibbs sampling; Geman and Geman,
     IEEE Trans. PAMI 6:721, 1984), every other hour at a time. The z of a missing hour is drawn in
     the same way, without this limit. So the z of a dry hour amid rain is close to that of rain, and
-    the z of an hour in a dry week is far below it.
+    the z of an hour in a dry week is far below c.
 
     A draw depends only on the hour since 1970, and not on the order of the requests. Three weeks or
     more from the ends of the records, a draw does not depend on these ends either.
@@ -312,7 +312,7 @@ class ErrorModel(ForecastModel):
             skill: skill of the forecasts, whose leads count from the time of issue.
             members: number of members in an issue.
             delay: time from the nominal time of an issue until it is known (h), in which a service
-                computes the issue; it adds to the age of the newest issue.
+                computes the issue; this time adds to the age of the newest issue.
         """
         super().__init__(weather)
         self._delay = math.ceil(delay)  # an issue known within an hour counts from the next hour
@@ -492,7 +492,7 @@ def make_model(
         all_members: whether to use all members of an ensemble, or only member 0.
 
     Raises:
-        ConfigurationError: if the file of forecasts or of the skill is wrong.
+        ConfigurationError: if the file of forecasts or of the skill is invalid.
     """
     if choice.file is not None:
         archive = read_archive(choice.file, site, choice.delay)

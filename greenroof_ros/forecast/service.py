@@ -4,8 +4,8 @@ The service has two interfaces for the same variables: *forecast*, with one seri
 variable, and *ensemble*, with one series for each member (``precipitation``,
 ``precipitation_member01``, ...). The responses are read like files from the service
 (:mod:`greenroof_ros.formats.open_meteo`). A response does not state the model run from which it
-comes. Its forecast is assumed to be issued in the hour of its arrival, and to be available from
-then on, so that nothing is known too early. Open-Meteo's data are licensed under CC BY 4.0.
+comes. A forecast is assumed to be issued in the hour of its arrival, and to be available from its
+arrival on, so that nothing is known too early. Open-Meteo's data are licensed under CC BY 4.0.
 
 The service allows 600 requests a minute and 10,000 a day; a request for an ensemble of many
 variables counts as several requests. One request an hour is far below these limits. The wait before
@@ -223,7 +223,7 @@ class Fetcher:
 
     Attributes:
         problem: reason why the last attempt failed; empty if the attempt succeeded.
-        newest: last forecast that arrived; None before the first one.
+        newest: last forecast that arrived; None before the first forecast.
     """
 
     def __init__(
@@ -233,7 +233,8 @@ class Fetcher:
 
         Args:
             service: service from which forecasts are requested.
-            write: function that keeps a forecast; if it raises an error, the attempt has failed.
+            write: function that keeps a forecast; if this function raises an error, the attempt has
+                failed.
             every: time between two forecasts (s).
         """
         self.problem = ""
@@ -284,7 +285,7 @@ def _remove_oldest(archive: Path) -> None:
 
 
 def _repeats(before: IssuedForecast | None, issue: IssuedForecast) -> bool:
-    """Return whether a forecast only repeats the remaining hours of an earlier one."""
+    """Return whether a forecast only repeats the remaining hours of an earlier forecast."""
     if before is None:
         return False
     then, now = (

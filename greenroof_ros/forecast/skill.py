@@ -93,7 +93,7 @@ class Climate:
 
 @dataclass(frozen=True)
 class Errors:
-    """The errors of forecasts, and how they grow with the lead.
+    """The errors of forecasts, and their growth with the lead.
 
     ``wetness``, ``amount`` and ``evapotranspiration`` have their full effect if nothing is known.
     Otherwise, their effect is proportional to the unknown part of z (a standard deviation), which
@@ -127,8 +127,8 @@ class Skill:
         errors: errors of the forecasts.
     """
 
-    climate: Climate = entry("the rain of the place")
-    errors: Errors = entry("the errors of its forecasts")
+    climate: Climate = entry("climate of the rain at a place")
+    errors: Errors = entry("errors of the forecasts for this place")
 
     def times_lead(self, factor: float) -> Skill:
         """Return a skill that has at any lead the present errors at ``factor`` times this lead.
