@@ -80,9 +80,8 @@ class SensorNode(LiveNode):
         reading = self._reader.snapshot
         if now - max(reading.read_at, self._started) > self._hangs_s:
             self.reports.diagnose(self._part, Diagnosis.of("sensor_hangs"), level=STALE)
-        elif reading.read_at > self._published or reading.value != self._newest or (
-            math.isinf(reading.read_at) and now - self._started > _AWAITED_S
-        ):
+            return
+        if reading.read_at > self._published or reading.value != self._newest:
             if self._counts and self._newest and reading.value is None:
                 self.publish(self._topic, 0.0)  # all that was due has been published
             self._newest = reading.value
@@ -91,10 +90,13 @@ class SensorNode(LiveNode):
                 # An empty tank or a stopped pump may read slightly below 0 because of noise or a
                 # shifted zero.
                 self.publish(self._topic, max(reading.value, self._lowest))
-            problem = Diagnosis.if_any(reading.code, reading.problem)
-            if problem is None or problem.code == "sensor_lost":  # a lost broker is not a reading
-                problem = self._reader.share.diagnosis or problem
-            self.reports.diagnose(self._part, problem, "the sensor is read", self._level)
+        elif math.isinf(reading.read_at) and now - self._started <= _AWAITED_S:
+            return
+        problem = Diagnosis.if_any(reading.code, reading.problem)
+        if problem is None or problem.code == "sensor_lost":  # a lost broker is not a reading
+            # Without new readings, this becomes a lost sensor after a while.
+            problem = self._reader.share.diagnosis or problem
+        self.reports.diagnose(self._part, problem, "the sensor is read", self._level)
 
     def on_stop(self) -> None:
         """Close the connection to the sensor."""

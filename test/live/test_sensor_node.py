@@ -69,3 +69,26 @@ def test_garbage_between_true_values_is_an_alarm(
         observer.until(lambda: is_reported(next(messages)), 60, "an alarm")
         message = observer.diagnoses["/cistern_sensor: sensor"].message
         assert re.match(r"\d+ of \d+ readings within a minute were rejected; the last: ", message)
+
+
+def test_sensor_that_falls_silent_after_rejected_readings_is_lost(
+    observer: Any, tmp_path: Path
+) -> None:
+    """The page must not say that valid values of a silent sensor are used."""
+    with mosquitto(tmp_path) as broker, Talker(broker) as talker:
+        text, file = (CONFIG / "sensors_mqtt.yaml").read_text(), tmp_path / "sensors.yaml"
+        file.write_text(text.replace("mqtt://127.0.0.1:1883", broker.address))
+        messages = cycle([*20 * ["nan?"], "0.9"])
+        observer.start(f"live.sensors --sensors {file}")
+
+        def code() -> str | None:
+            values: dict[str, str] = observer.values("/cistern_sensor: sensor")
+            return values.get("code")
+
+        def is_reported(message: str) -> bool:
+            talker.publish("cistern/sensor/level/state", message)
+            time.sleep(0.02 if message == "nan?" else 0.2)
+            return code() == "readings_refused"
+
+        observer.until(lambda: is_reported(next(messages)), 60, "an alarm")
+        observer.until(lambda: code() == "sensor_lost", 60, "the silence")

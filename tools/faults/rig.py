@@ -540,7 +540,10 @@ RIGS: dict[str, Callable[[Path, int, str], Rig]] = {
     # A controller that uses all members of the forecast; an empty roof whose sensor reads -1 mm; no
     # forecast file, but a thermometer; much rain for the cistern.
     "lookahead": partial(
-        SiteRig, controller="lookahead", nodes=("pump", "lookahead", "weather"), forecast_h=168),
+        SiteRig, controller="lookahead", nodes=("pump", "lookahead", "weather"), forecast_h=168,
+        # With lookahead, bringup itself sets the pump's min_on.
+        pump_parameters={name: PUMP_SHORTENED[name] for name in PUMP_SHORTENED if name != "min_on"},
+    ),
     "empty": partial(SiteRig, roof_m3=0.0, roof_read={"offset": -0.001, "low": -0.001}),
     "no forecast": partial(GaugedRig, forecast_h=0),
     "catchment": partial(

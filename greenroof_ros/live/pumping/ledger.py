@@ -555,10 +555,21 @@ def _traces(file: Path, noted: int | None) -> list[str]:
     if file.is_symlink():
         return [f"it is a link to {file.readlink()}, which is missing"]
     names = *(file.name + ending for ending in _LEFTOVERS), *_OF_SITE
-    left = [name for name in names if os.path.lexists(file.with_name(name))]
+    left = [
+        name for name in names if os.path.lexists(file.with_name(name))
+        and not _is_empty_disk(file.with_name(name))
+    ]
     if noted is not None:
         left.append(_lock_file(file).name)
     return [f"it is missing, but {name} is there" for name in left]
+
+
+def _is_empty_disk(path: Path) -> bool:
+    """Return whether a path is a directory without files, such as a new disk mounted for bags."""
+    try:
+        return not path.is_symlink() and {each.name for each in path.iterdir()} <= {"lost+found"}
+    except OSError:  # not a directory, or one that cannot be read
+        return False
 
 
 def _parse(line: bytes, number: int) -> tuple[int, PumpRecord]:

@@ -340,6 +340,25 @@ def test_an_upgrade_needs_no_reset(tmp_path: Path, clock: Clock) -> None:
     assert written(file)["version"] == 1
 
 
+def write_in(directory: Path) -> None:
+    """Make a directory with a file in it."""
+    directory.mkdir()
+    (directory / "file").touch()
+
+
+@pytest.mark.parametrize("content", [(), ("lost+found",)])
+def test_empty_disk_mounted_for_the_bag_is_a_fresh_start(
+    content: tuple[str, ...], tmp_path: Path
+) -> None:
+    """A new site starts although a disk is mounted where its bag will be."""
+    for name in ("bag", *(f"bag/{each}" for each in content)):
+        (tmp_path / name).mkdir()
+    rig = Rig(file=tmp_path / "pump.json")
+    decision = rig.run(30, 1.0)
+    assert (decision.state, decision.interlocks) == ("running", {})
+    rig.ledger.close()
+
+
 @pytest.mark.parametrize("make", [
     lambda file: file.with_name("pump.json.new").write_bytes(lines_of()),
     lambda file: file.with_name("pump.json.broken").write_bytes(b"torn"),
@@ -350,10 +369,11 @@ def test_an_upgrade_needs_no_reset(tmp_path: Path, clock: Clock) -> None:
     lambda file: file.with_name("pump.json.lock").touch(),
     lambda file: file.with_name("summary.json").write_text("{}"),
     lambda file: file.with_name("alarms.jsonl").touch(),
-    lambda file: file.with_name("bag").mkdir(),
-    lambda file: file.with_name("configuration").mkdir(),
+    lambda file: write_in(file.with_name("bag")),
+    lambda file: write_in(file.with_name("configuration")),
+    lambda file: file.with_name("bag").symlink_to("unmounted"),
 ], ids=["new", "broken", "second link", "directory", "link to nothing", "loop of links", "lock",
-        "summary", "alarms", "bag", "configuration"])
+        "summary", "alarms", "bag", "configuration", "link to a missing bag"])
 def test_what_shows_that_a_file_existed_is_an_unknown_state(
     make: Callable[[Path], Any], tmp_path: Path
 ) -> None:
