@@ -1,4 +1,4 @@
-"""What no controller could beat, in deviation or wet-weather discharge: ``greenroof bound``."""
+"""Bounds on deviation or wet-weather discharge that no controller can beat: ``greenroof bound``."""
 
 from __future__ import annotations
 
@@ -50,18 +50,21 @@ def _table(result: dict[str, Any]) -> Table:
         ("bound", f"{result['bound_m3']:.2f}", "m3, total deviation that no controller can beat"),
         (
             "plan", f"{result['plan_m3']:.2f}",
-            "m3, from lookahead with all weather known, run through the exact plant",
+            "m3, total deviation of lookahead's plan with all weather known, in the exact plant",
         ),
         (
             "gap", "-" if gap is None else f"{100 * gap:.4f} %",
-            "between the bound and the plan; the optimum lies within it. On field-capacity soil, "
-            "it is mostly due to the bound, whose program replaces the soil with straight lines",
+            "between the bound and the plan; the optimum lies within this gap. On field-capacity "
+            "soil, the gap is mostly due to the bound, which replaces the soil with straight lines",
         ),
         (
             "pumped", f"{result['pumped_m3']:.4f}",
-            f"m3 in the plan, at a command of no more than {result['max_command']:g}",
+            f"m3 in the plan, with commands of at most {result['max_command']:g}",
         ),
-        ("block", f"{result['block_s']:g} s", "that share one variable"),
+        (
+            "block", f"{result['block_s']:g} s",
+            "length of the blocks of ticks that share one variable",
+        ),
     )
     return grid("Clairvoyant optimum", rows)
 
@@ -71,12 +74,12 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof bound",
         usage="%(prog)s [options]",
-        description="Compute a lower bound of the total deviation that any controller could "
-        "achieve if it knew all weather in advance, and the result of lookahead's plan in the "
-        "exact plant. The optimum lies between the two. It is the same for every controller. With "
-        "--of discharge, at a site with a valve on the low outlet: compute a lower bound of the "
-        "discharge in wet weather for some amounts of mains water, whatever commands the valve, "
-        "with the irrigation of on/off control.",
+        description="Compute a lower bound on the total deviation that any controller could "
+        "achieve if it knew all weather in advance, and simulate lookahead's plan in the exact "
+        "plant. The optimum lies between the bound and the result of the plan, and is the same for "
+        "every controller. With --of discharge, for a site with an outlet valve, compute a lower "
+        "bound on the discharge in wet weather for some amounts of mains water, however the valve "
+        "is commanded, with the irrigation of on/off control.",
         epilog="examples:\n"
         "  greenroof bound --start 2021-07-08T05:00\n"
         "  greenroof bound --block 1 --hours 2 --max-command 0.1\n"
@@ -91,8 +94,9 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--block", type=make_number_type(1e-9, 1e9), metavar="S",
-        help="seconds that share one variable: fewer are tighter and slower; one tick is exact "
-        f"and takes a minute for 12 h (default: {BLOCK_S:g}, or one tick if that is longer)",
+        help="length of the blocks of ticks that share one variable (s). Shorter blocks yield a "
+        "tighter bound and take longer; a block of one tick is exact and takes a minute for 12 h "
+        f"(default: {BLOCK_S:g}, or one tick if that is longer)",
     )
     group.add_argument(
         "--max-command", type=make_number_type(1e-9, 100.0), default=1.0, metavar="U",
@@ -143,7 +147,7 @@ def _print_frontier(run: Run, as_json: bool) -> None:
         ),
         (
             "on/off", f"{frontier.wet_discharge_m3:.2f}",
-            f"{about(frontier.mains_m3)}; its irrigation is the bound's",
+            f"{about(frontier.mains_m3)}; the bound is for the same irrigation",
         ),
     )
     console = Console()
@@ -153,11 +157,11 @@ def _print_frontier(run: Run, as_json: bool) -> None:
 
 @command
 def main() -> int:
-    """Compute the bound for the run on the command line."""
+    """Compute the bound for the run that the command line describes."""
     parser = make_parser()
     arguments = parser.parse_args()
     if arguments.of == "discharge" and (arguments.block, arguments.max_command) != (None, 1.0):
-        parser.error("--block and --max-command are for the deviation, not for --of discharge")
+        parser.error("--block and --max-command cannot be used with --of discharge")
     run = build_run(arguments)
     if arguments.of == "discharge":
         try:

@@ -17,10 +17,10 @@ from greenroof_ros.watch.store import GraphStore
 _NICENESS = 10
 
 _DESCRIPTION = """\
-Publish on MQTT what the page of 'greenroof watch' shows: levels, pump, rain, frost, what the
-controller plans, and alarms by code. Home Assistant discovers it automatically. It works alongside
-any graph that runs in this ROS domain, simulated or live. It may start
-late and stop early, as nothing waits for it.
+Publish the values from the page of 'greenroof watch' on MQTT: levels, pump, rain, frost, the
+controller's plan, and alarms by code. Home Assistant discovers the site automatically. The bridge
+works alongside any graph in this ROS domain, simulated or live. The bridge may be started and
+stopped at any time, since nothing waits for it.
 
 Anyone who may write to the topic greenroof/SITE/stop can stop the pump. Nothing can be released or
 started over MQTT.
@@ -31,10 +31,11 @@ examples:
   greenroof bridge --broker mqtts://home.example --login login.yaml
   greenroof bridge --broker mqtt://127.0.0.1 --namespace north
 
-With a namespace, the topics begin with it: greenroof/north/...
+With a namespace, the topics contain it: greenroof/north/...
 
-A login file has two lines, username: NAME and password: WORD. No one else may read it (chmod 600).
-If it cannot reach the broker, it reports this and keeps trying. Ctrl-C ends it.
+A login file has two lines, username: NAME and password: WORD. No one else may be able to read the
+file (chmod 600). If the bridge cannot reach the broker, it reports this and keeps trying. Ctrl-C
+stops the bridge.
 
 exit codes: 0 ended on request, 1 failed, 2 bad usage or configuration
 """
@@ -50,8 +51,8 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--broker", required=True, metavar="ADDRESS",
-        help="publish at this broker: mqtt://HOST[:PORT], or mqtts://HOST[:PORT] over TLS (ports "
-        "1883 and 8883)",
+        help="publish to this broker: mqtt://HOST[:PORT], or mqtts://HOST[:PORT] for TLS (default "
+        "ports: 1883 and 8883)",
     )
     parser.add_argument(
         "--login", default="", metavar="FILE",
@@ -63,15 +64,15 @@ def make_parser() -> Parser:
              "certificates)",
     )
     add_namespace(
-        parser, "; it is also the site's name on MQTT (roof without a namespace), so two sites at "
-            "one broker need different namespaces",
+        parser, "; the namespace is also the site's name on MQTT (roof if there is no namespace), "
+            "so two sites on one broker need different namespaces",
     )
     return parser
 
 
 @command
 def main() -> None:
-    """Publish a site until the command is ended."""
+    """Publish a site until the command is stopped."""
     arguments = make_parser().parse_args()
     broker = parse_broker(arguments.broker, "--broker", arguments.login, arguments.authority)
     os.nice(_NICENESS)

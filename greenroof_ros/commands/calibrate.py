@@ -39,17 +39,18 @@ _DESCRIPTION = """\
 Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
 drainage time and crop coefficient, as far as the record determines them. The fit uses the first
 half of the rain, and the second half validates it. If the record contains the pumps' state and the
-cistern's level, the pump curve is fitted first, to the speed at which the cistern's level falls.
+cistern's level, the pump curve is fitted first, to the rate at which the cistern's level falls.
 """
 _EPILOG = """\
-MEASURED is a bag of this project, or CSV with rows no more than a day apart; empty
-cells and missing rows are gaps:
+MEASURED is a bag of this project, or a CSV file with rows at most a day apart. Empty cells and
+missing rows are gaps. The columns are:
 
   time, rain [mm], runoff [mm], level [m], temperature [degC]
 
-The model has no snow: if winters were recorded, state which months count, as in --months 4-10.
+The model does not include snow. If the record covers winters, specify the months to use, as in
+--months 4-10.
 
-The command writes the site file, and next to it a page with the same name and .html.
+The command writes the site file and, next to it, a page of the same name that ends in .html.
 
 examples:
   greenroof calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
@@ -64,7 +65,8 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(prog="greenroof calibrate", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
-        "measured", type=Path, metavar="MEASURED", help="the record: CSV, a bag, or an .mcap file",
+        "measured", type=Path, metavar="MEASURED",
+        help="measured record: a CSV file, a bag, or an .mcap file",
     )
     add_site(parser, "start the fit from this site file")
     parser.add_argument(
@@ -73,8 +75,8 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--months", metavar="FIRST-LAST",
-        help="fit and judge only these months of the record, such as 4-10, or 11-3 over new "
-        "year; the other months are only simulated (default: all)",
+        help="fit and validate with only these months of the record, such as 4-10, or 11-3 across "
+        "the new year; the other months are only simulated (default: all)",
     )
     return parser
 
@@ -101,8 +103,8 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
 
     Args:
         measured: the record.
-        months: months of it that count, as in --months; None for all.
-        site_file: the file from which the fit starts.
+        months: months of the record to use, as in --months; None for all.
+        site_file: site file from which the fit starts.
     """
     with require_extra("study"):
         from greenroof_ros.analysis.calibration.page import render
@@ -154,24 +156,26 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
 def _list_notes(
     record: StepRecord, halves: Mapping[str, Steps], before: Site, fitted: Site, pumps: PumpFit
 ) -> list[str]:
-    """Return what the user should know about the fit, besides parameters and scores."""
+    """Return notes to the user about the fit, in addition to parameters and scores."""
     days = record.step_s / DAY_S
     compared = sum(int(np.count_nonzero(steps)) for steps in halves.values()) * days
     notes = [
-        f"compared: {compared:.3g} of {record.steps * days:.3g} days; the others have gaps, are in "
-        "months that do not count, or follow a time in which a storm may have gone unrecorded"
+        f"compared: {compared:.3g} of {record.steps * days:.3g} days; the other days have "
+        "gaps, are in months that are not used, or follow a time in which a storm may have gone "
+        "unrecorded"
     ]
     if fitted.z_veg != before.z_veg:
         notes.append(
             f"target: z_veg was {before.z_veg:g} m, and the fitted roof holds "
-            f"{fitted.roof_level(fitted.z_cap):.3g} m; it is set to {fitted.z_veg:g} m, where half "
-            "of what plants can take is left (FAO-56, chapter 8): choose your own target"
+            f"{fitted.roof_level(fitted.z_cap):.3g} m; z_veg is set to {fitted.z_veg:g} m, where "
+            "half of the water available to plants is left (FAO-56, chapter 8); choose your own "
+            "target"
         )
     if pumps.runs:
         notes.append(
             f"pumps: {1000 * pumps.flow:.3g} l/s at full command, plus or minus "
-            f"{1000 * pumps.half:.2g} l/s (95 %), with {pumps.level:.2f} m in the cistern; from "
-            f"{pumps.runs} runs"
+            f"{1000 * pumps.half:.2g} l/s (95 %), with {pumps.level:.2f} m in the cistern; "
+            f"estimated from {pumps.runs} runs"
         )
     elif record.command is not None and record.cistern is not None:
         notes.append(
@@ -182,13 +186,13 @@ def _list_notes(
 
 
 def _refuse_dry(record: StepRecord, halves: Mapping[str, Steps]) -> None:
-    """Reject a record if there is nothing to fit, or nothing to judge the fit by."""
+    """Reject a record with nothing to fit, or nothing with which to validate the fit."""
     for half, steps in zip(("first", "second"), halves.values(), strict=True):
         if not steps.any() or all(np.ptp(each[steps]) == 0 for each in record.measured.values()):
             raise ConfigurationError(
-                f"in the {half} half of its rain, nothing that was measured changes, but fit and "
-                "validation each need runoff or levels that change; leave out rows at the dry "
-                "end, or record longer, with fewer gaps", file=record.source,
+                f"in the {half} half of its rain, no measured quantity changes, but fit and "
+                "validation both need changes in runoff or levels; leave out rows at the dry "
+                "end, or record for longer with fewer gaps", file=record.source,
             )
 
 

@@ -1,4 +1,4 @@
-"""Check a controller, a class or a running node: ``greenroof check-controller``."""
+"""Check a controller, either a class or a running node: ``greenroof check-controller``."""
 
 from __future__ import annotations
 
@@ -20,26 +20,27 @@ from greenroof_ros.model.look_ahead import MAX_HORIZON
 from greenroof_ros.model.site import read_site
 
 _CLASS = (
-    "Check that a controller does what the node graph, simulate, studies and reports rely on: "
+    "Check that a controller behaves as the node graph, simulate, studies and reports require: "
     "its commands are finite, not negative, and the same for the same inputs, and it copes with "
-    "skipped ticks, missing forecasts and parameters. Every failure is listed with the correct "
-    "behaviour."
+    "skipped ticks, missing forecasts and parameters. Every failure is listed together with the "
+    "correct behaviour."
 )
 _NODE = (
-    "With --node, check a running node, in any language, that 'greenroof run --controller "
-    "external' can use. It must keep four rules: (1) every topic reliable, transient local, keep "
-    "last 64, with a liveliness lease of 1 s for its publisher; (2) exactly one message on "
-    "/pump/command for each tick, when all its inputs of the tick have arrived, and one on "
-    "/outlet/command at a site whose low outlet has a valve; (3) an answer to every tick, finite "
-    "and not negative, and at most 1 to the valve; 0 when a level or frost is not finite, and to "
-    "the pump also in frost; "
-    "(4) it ends when /clock no longer has a publisher. The check replaces plant and weather, "
-    "so start no run; it ends the node."
+    "With --node, check a running node, written in any language, for use with 'greenroof run "
+    "--controller external'. The node must obey four rules. (1) Every topic uses reliable, "
+    "transient-local quality of service with a history depth of 64, and a liveliness lease of 1 s "
+    "for its publisher. (2) For each tick, once all inputs of the tick have arrived, the node "
+    "publishes exactly one message on /pump/command and, at a site with an outlet valve, one on "
+    "/outlet/command. (3) Every tick has an answer. All commands are finite and not negative, and "
+    "commands to the valve are at most 1. Commands are 0 if a level or frost is not finite, and "
+    "the pump's command is also 0 in frost. (4) The node stops when /clock no longer has a "
+    "publisher. The check replaces plant and weather, so do not start a run. The check stops the "
+    "node."
 )
 
 
 def _options(reference: str) -> CheckResult:
-    """Check that no parameter bears the name of an option of the commands."""
+    """Check that no parameter has the same name as an option of the commands."""
     parser = Parser()
     problem = ""
     try:
@@ -58,8 +59,8 @@ def make_parser() -> Parser:
         epilog="examples:\n  greenroof check-controller my_package.my_module:MyController\n"
         "  python my_controller_node.py &\n"
         "  greenroof check-controller --node controller\n\n"
-        "exit codes: 0 all checks passed, 1 a check failed, 2 it cannot be imported, or there is "
-        "no such node, 3 a graph is running",
+        "exit codes: 0 all checks passed, 1 a check failed, 2 the controller cannot be "
+        "imported, or there is no such node, 3 a graph is running",
     )
     subject = parser.add_mutually_exclusive_group(required=True)
     subject.add_argument(
@@ -68,14 +69,14 @@ def make_parser() -> Parser:
     )
     subject.add_argument(
         "--node", metavar="NAME",
-        help="check the running node of this name, with its namespace if it has one: "
+        help="check the running node of this name, including its namespace if it has one, such as "
         "/site1/controller",
     )
     node = parser.add_argument_group("options with --node")
     node.add_argument(
         "--horizon", type=make_number_type(0.0, MAX_HORIZON), default=0.0, metavar="H",
-        help="send forecasts that reach this far (h), as for 'greenroof run --controller external' "
-        "(default: 0, the next M ticks)",
+        help="length of the forecasts to send (h), as for 'greenroof run --controller external' "
+        "(default: 0, for the next M ticks)",
     )
     add_site(parser, "check the controller with this site")
     return parser

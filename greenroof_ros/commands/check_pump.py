@@ -13,19 +13,20 @@ from greenroof_ros.graph.domain import require_ros
 from greenroof_ros.model.site import read_site
 
 _INVENTED = (
-    "THE PUMP WILL RUN. The levels and the weather that the check sends are invented, so it would "
-    "let the pump run a cistern dry, or pump into a frozen pipe. With a real pump, make sure "
-    "that there is water in the cistern, room on the roof and no frost, and set --period to the "
-    "site's tau (1): at 0.1, the minimum on and off times pass ten times as fast for the motor, "
+    "THE PUMP WILL RUN. The check sends invented levels and invented weather, so it would let the "
+    "pump run a cistern dry, or pump into a frozen pipe. With a real pump, make sure that there is "
+    "water in the cistern, room on the roof and no frost, and set --period to the site's tau (1). "
+    "With a period of 0.1, the minimum on and off times pass ten times as fast for the motor, "
     "which is started ten times."
 )
 _SUBJECT = (
-    "Check a running pump driver, this package's or your own in any language, against the "
-    "interface, using topics only. The check covers: off at start, one flow for each command, "
-    "rejected values, watchdog, a second publisher, frost, unknown levels and frost, a cistern at "
-    "the suction level, and that the pump runs again after each of these. The check replaces "
-    "plant, weather and controller, so start no run. Use --live for a driver of a live graph, such "
-    "as this package's pump node, which publishes its flow every tau by itself."
+    "Check through topics whether a running pump driver follows the interface. The driver can be "
+    "this package's or your own in any language. The check covers the stopped pump at the "
+    "start, one flow for each command, rejected values, the watchdog, a second publisher, frost, "
+    "unknown levels and frost, a cistern at the suction level, and the restart of the pump after "
+    "each of these. The check replaces plant, weather and controller, so do not start a run. Use "
+    "--live for the driver of a live graph, such as this package's pump node, which publishes its "
+    "flow every tau without being asked."
 )
 _LIMIT = (
     "The flows in the answers are the only evidence: topics do not show whether the pump's shaft "
@@ -46,7 +47,8 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--node", required=True, metavar="NAME",
-        help="check the node of this name, with its namespace if it has one: /site1/pump",
+        help="check the node of this name, including its namespace if it has one, such as "
+        "/site1/pump",
     )
     parser.add_argument(
         "--command", type=make_number_type(0.001, 1.0), default=0.5, metavar="SHARE",
@@ -58,7 +60,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--period", type=make_number_type(0.001, 3600.0), default=0.1, metavar="S",
-        help="wait at least this long between two commands (s), each a tick of the site; with "
+        help="minimum interval between two commands (s), each of which is a tick of the site; with "
         "--live and with a real pump, use the site's tau, 1 (default: 0.1)",
     )
     add_site(parser, "send the driver the levels and ticks of this site")

@@ -29,15 +29,15 @@ from greenroof_ros.common.processes import InterruptedRun, Signals
 from greenroof_ros.common.progress import ProgressBar
 
 _DESCRIPTION = """\
-Simulate a district: many buildings with green roofs and cisterns, which are drawn from
-distributions or listed in a CSV file. Their discharge to the sewer is added up for every kind of
-outlet and every adoption (the share of buildings that take part). The result is discharge in wet
-weather, peaks, overflow of a sewer with a specified capacity, and mains water, on one page that
-needs only a browser.
+Simulate a district of many buildings with green roofs and cisterns, which are drawn from
+distributions or listed in a CSV file. The discharge of all buildings to the sewer is added up for
+every kind of outlet and every adoption (the share of buildings that take part). The result is one
+page for a browser, with the discharge in wet weather, its peaks, the overflow of a sewer of a
+specified capacity, and the mains water.
 """
 _EPILOG = """\
 The output is page.html, its figures as SVG and PNG, results.csv (one row per adoption and outlet),
-buildings.csv (one row per building), hydrographs.parquet (m3/s, interval by interval), and with
+buildings.csv (one row per building), hydrographs.parquet (flows in m3/s, by interval), and with
 --swmm a folder for EPA SWMM.
 
 exit codes: 0 done, 1 the workers were lost, 2 bad usage or configuration, 130 interrupted
@@ -119,7 +119,7 @@ def _show(rows: Sequence[Mapping[str, Any]], page: ModuleType) -> None:
     table = Table(
         Column("buildings", justify="right"), Column("outlet", no_wrap=True),
         *(Column(header, justify="right") for header in columns),
-        title="What reaches the sewer", title_justify="left",
+        title="Discharge to the sewer", title_justify="left",
     )
     for row in rows:
         table.add_row(

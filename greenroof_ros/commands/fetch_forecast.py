@@ -36,40 +36,39 @@ def make_parser() -> Parser:
         "  greenroof fetch-forecast --site site.yaml --ensemble\n"
         "  greenroof fetch-forecast --site site.yaml --keep forecasts/    # every hour, from cron\n"
         "  greenroof verify forecasts/ --site site.yaml --weather gauge.csv\n\n"
-        "'greenroof live --forecast open-meteo' does the same every half hour.\n\n"
+        "'greenroof live --forecast open-meteo' fetches the forecast every half hour.\n\n"
         "exit codes: 0 done, 1 the service returned no forecast, 2 wrong usage or configuration, "
         "130 ended by Ctrl-C",
     )
-    add_site(parser, "site file, with its place and its plants")
+    add_site(parser, "site file, which states the place and the plants")
     parser.add_argument(
         "--ensemble", action="store_true",
-        help="request all members of an ensemble, for lookahead; otherwise a single forecast",
+        help="request all members of an ensemble, for lookahead (default: a single forecast)",
     )
     parser.add_argument(
         "--model", default="", metavar="NAME",
-        help="use this weather model, by the service's name for it, such as icon_seamless "
-             "(default: the service's "
-        "choice for the place)",
+        help="use this weather model, named as by the service, such as icon_seamless (default: the "
+        "service's choice for the place)",
     )
     parser.add_argument(
         "--days", type=make_number_type(1, MAX_DAYS, int), default=7, metavar="N",
-        help="request a forecast of this many days, from today (default: %(default)s)",
+        help="request a forecast for this many days, starting today (default: %(default)s)",
     )
     parser.add_argument(
         "--url", default="",
         help="use another server with the same interface, if necessary with a key, such as "
-        "https://customer-api.open-meteo.com/v1/forecast?apikey=KEY, which is neither printed nor "
-        "kept (default: Open-Meteo's)",
+        "https://customer-api.open-meteo.com/v1/forecast?apikey=KEY; the key is neither printed "
+        "nor stored (default: Open-Meteo's server)",
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("forecast.csv"), metavar="FILE",
-        help="write the forecast to this file; every newer forecast replaces it (default: "
+        help="write the forecast to this file, replacing any earlier forecast (default: "
              "%(default)s)",
     )
     parser.add_argument(
         "--keep", type=Path, metavar="DIR",
-        help="keep every new forecast in this directory, up to 2 GB; verify and simulate "
-             "--forecast can read it",
+        help="keep every new forecast in this directory, up to 2 GB, for use with verify and "
+             "simulate --forecast",
     )
     return parser
 

@@ -38,14 +38,14 @@ from greenroof_ros.weather.fetching import (
 )
 
 _DESCRIPTION = """\
-Fetch several years of hourly weather, with everything that evapotranspiration needs, into one CSV
-file that --weather of every command reads. Without further options, the data are Open-Meteo's
-reanalysis for the site's place. Its rain is the mean over a grid cell, so its peaks are lower than
-those of a rain gauge; the file and all results state this. In Canada, --eccc fetches the
+Fetch several years of hourly weather, with all data that evapotranspiration needs, into one CSV
+file that every command can read with --weather. By default, the data are Open-Meteo's reanalysis
+for the site's place. The reanalysis contains the mean rain over a grid cell, so its peaks are lower
+than those of a rain gauge; the file and all results state this. In Canada, --eccc fetches the
 observations of a station instead.
 
-Every year, or month, is kept in FILE.part until all have arrived. If the command is interrupted,
-run it again: it continues with what is missing. It pauses between requests, and waits after a
+Each year or month of data is kept in FILE.part until all data have arrived. If the command is
+interrupted, run it again to fetch the missing data. It pauses between requests, and waits after a
 failure, as the services ask.
 
 Open-Meteo: CC BY 4.0; the service is free for non-commercial use (https://open-meteo.com/en/terms).
@@ -70,8 +70,8 @@ def make_parser() -> Parser:
     add_site(parser, "site file, with latitude and longitude; --eccc also needs utc_offset")
     parser.add_argument(
         "--years", type=_parse_years, required=True, metavar="YEARS",
-        help="fetch this year, or the years from the first to the last, such as 2015-2024; the "
-        "current year is fetched as far as the service provides it",
+        help="fetch this year, or all years from the first to the last, such as 2015-2024; of the "
+        "current year, the hours that the service already provides are fetched",
     )
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE.csv",
@@ -86,7 +86,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--pause", type=make_number_type(0.01, 3600), metavar="S",
         help="wait S seconds between requests, and five times as long after a failure; every "
-        "further failure doubles the wait (default: 3 for Open-Meteo, 1 for ECCC)",
+        "additional failure doubles the wait (default: 3 for Open-Meteo, 1 for ECCC)",
     )
     parser.add_argument(
         "--url", default="",
@@ -110,7 +110,7 @@ def _parse_years(text: str) -> range:
             f"must begin with the earlier year: {last}-{first}, not {text}"
         )
     if years[0] < FIRST_YEAR:
-        raise argparse.ArgumentTypeError(f"must not begin before {FIRST_YEAR}, not {text}")
+        raise argparse.ArgumentTypeError(f"must begin in {FIRST_YEAR} or later, not {text}")
     return years
 
 
@@ -121,7 +121,7 @@ _parse_years.__name__ = "years"
 def _parse_station(text: str) -> int:
     if len(text) == 7:
         raise argparse.ArgumentTypeError(
-            f"must be the stationID, not the climate identifier {text}: it is the number after "
+            f"must be the stationID, not the climate identifier {text}: the stationID follows "
             "'StationID=' in the address of the station's page at climate.weather.gc.ca"
         )
     if not (text.isascii() and text.isdecimal()):

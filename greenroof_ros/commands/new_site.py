@@ -56,8 +56,8 @@ _MAX_FROM_SOLAR, _USUAL_FROM_SOLAR = 3.5, 1.6
 _DESCRIPTION = """\
 Write a site file for your house. On a terminal, the command asks for --roof,
 --catchment, --cistern and --place if they are left out. Everything else is assumed,
-and the file names the source of every assumption. Read the file, and change what you
-know better.
+and the file names the source of every assumption. Read the file, and change the values
+that you know better.
 """
 _EPILOG = f"""\
 examples:
@@ -108,12 +108,12 @@ def make_parser() -> Parser:
         _add_option(group, option, key, assumed.get(key, ""))
     group.add_argument(
         "--target", type=make_number_type(1.0, 1000.0), metavar="X",
-        help="water to keep in the substrate (mm; default: where plants begin to lack water, plus "
-        "a day's demand)",
+        help="water to keep in the substrate (mm; default: the depth at which plants begin to lack "
+        "water, plus one day's demand)",
     )
     group.add_argument(
         "--lift", dest="d", type=make_number_type(0.1, 500.0), metavar="X",
-        help="height of the roof above the cistern's base, on which only the pump's energy depends "
+        help="height of the roof above the cistern's base, which affects only the pump's energy "
         f"(m; default: {LIFT:g})",
     )
     group.add_argument(
@@ -127,7 +127,7 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--no-mains", action="store_true",
-        help="do not let mains water in when the cistern is empty",
+        help="do not let mains water into the cistern when it is empty",
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("my_site.yaml"), metavar="FILE.yaml",
@@ -145,7 +145,7 @@ def _add_option(
         group: group of options.
         option: name of the option, without dashes.
         key: the key.
-        default: text on the default; empty if there is none.
+        default: description of the default; empty if there is none.
     """
     about = [_describe_unit(KEYS[key]), default and f"default: {default}"]
     end = "; ".join(filter(None, about))
@@ -255,7 +255,7 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
     missing = [each for each in questions if getattr(arguments, each[1]) is None]
     if missing and not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ConfigurationError(
-            "must be specified, because there is no terminal on which to ask for it",
+            "must be specified, because there is no terminal for questions",
             key=", ".join(each[0] for each in missing),
         )
     for option, key, read, meaning, about in missing:
@@ -285,7 +285,8 @@ def _check_flow(arguments: argparse.Namespace) -> None:
     """Reject a pump's flow that is specified in more than one way, or incompletely.
 
     Raises:
-        ConfigurationError: if there are two ways, or one of a pair of options is missing.
+        ConfigurationError: if the flow is specified twice, or if one of a pair of options is
+            missing.
     """
     emitters = ("emitters", "emitter_flow")
     values = {
@@ -305,7 +306,7 @@ def _check_flow(arguments: argparse.Namespace) -> None:
 
 
 def _check_clock(place: Place, zone: str | None) -> None:
-    """Reject a place that is far from its time zone: latitude and longitude may be swapped.
+    """Reject a place that is far from its time zone, since its coordinates may be swapped.
 
     Args:
         place: the place.
@@ -323,18 +324,19 @@ def _check_clock(place: Place, zone: str | None) -> None:
     )
     if away > _MAX_FROM_SOLAR or swapped < _USUAL_FROM_SOLAR < away:
         raise ConfigurationError(
-            f"is not in {zone}, {offset:+g} h from UTC; it must be {_PLACE_FORM}", key="--place",
+            f"is not in {zone}, which is {offset:+g} h from UTC; must be "
+            f"{_PLACE_FORM}", key="--place",
             value=f"{place.latitude:g},{place.longitude:g}",
         )
 
 
 def _note_target(site: Site) -> Iterator[str]:
-    """Yield a note if plants lack water at the target, because its unit may be wrong."""
+    """Yield a note if plants lack water at the target, because the target's unit may be wrong."""
     onset = site.wilting_volume + site.stress_onset * site.available_volume
     if site.x2_star < onset:
         yield (
-            f"plants lack water at the target of {1000 * site.z_veg:g} mm: they begin to lack it "
-            f"at {1000 * site.roof_level(onset):.1f} mm"
+            f"plants lack water at the target of {1000 * site.z_veg:g} mm; they begin to lack "
+            f"water at {1000 * site.roof_level(onset):.1f} mm"
         )
 
 
@@ -343,7 +345,7 @@ def _note_unusual(option: str, entry: Parameter, value: Any) -> None:
 
     Args:
         option: name of the option, without dashes.
-        entry: the key that it sets, with the usual range.
+        entry: the key that the option sets, with its usual range.
         value: value of the option.
     """
     if isinstance(value, (int, float)) and entry.usual and not (

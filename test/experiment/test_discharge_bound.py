@@ -190,4 +190,4 @@ def test_command(
     assert result["wet_discharge_m3"] >= result["frontier"][0]["wet_discharge_m3"] - 1e-6
     for option in ("--block", "--max-command"):
         assert run(option, "60" if option == "--block" else "0.5") == 2
-        assert "are for the deviation" in capsys.readouterr().err
+        assert "cannot be used with --of discharge" in capsys.readouterr().err

@@ -183,7 +183,7 @@ def test_forms_of_places(tmp_path: Path) -> None:
     zone = ("--time-zone", "Europe/Berlin", "-o", "berlin.yaml")
     ended = new_site(tmp_path, *GIVEN[:-1], "13.40,52.52", *zone)
     assert ended.returncode == 2
-    assert f"'13.4,52.52': is not in Europe/Berlin, +1 h from UTC; it {PLACE}" in ended.stderr
+    assert f"'13.4,52.52': is not in Europe/Berlin, which is +1 h from UTC; {PLACE}" in ended.stderr
     assert new_site(tmp_path, *GIVEN[:-1], "52.52,13.40", *zone).returncode == 0
     assert read_site(tmp_path / "berlin.yaml").utc_offset == 1.0
 
@@ -242,7 +242,7 @@ def test_a_target_at_which_plants_lack_water_is_noted(tmp_path: Path) -> None:
     """Water stress begins at 35.1 mm, and cm were meant."""
     ended = new_site(tmp_path, *GIVEN, "--target", "5")
     assert ended.stderr == (
-        "note: plants lack water at the target of 5 mm: they begin to lack it at 35.1 mm\n"
+        "note: plants lack water at the target of 5 mm; they begin to lack water at 35.1 mm\n"
     )
 
 

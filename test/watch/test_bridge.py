@@ -184,7 +184,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
             assert retained == {stop, availability, *make_discovery("site1")}
         for wish in ("RELEASE", "", '{"data": false}', "stop"):
             heard.publish(stop, wish)
-        bridge.until_printed("it is not STOP")
+        bridge.until_printed("its payload is not STOP")
         assert state()["pump"] == "running"
         before = len(heard.of(availability))
         broker.kill()
@@ -202,7 +202,7 @@ def test_a_stop_holds_the_pump_and_a_lost_broker_disturbs_nothing(
         heard.publish(stop, "STOP", retain=True)
         wait_for(lambda: state()["pump"] == "held", 60, "a pump that is held off")
         wait_for(lambda: drive.speed() < 0.005, 60, "a pump that stands")
-        assert bridge.stderr().count("it is not STOP") == 1  # of four, once a minute
+        assert bridge.stderr().count("its payload is not STOP") == 1  # of four, once a minute
         # Until then the alarm was that it still turned.
         wait_for(lambda: state()["condition"] == "hold", 60, "the hold as its condition")
         assert state()["hold"] == "A hold by MQTT."

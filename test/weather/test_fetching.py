@@ -258,7 +258,7 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
     (["--years", "2024-2015"], "must begin with the earlier year: 2015-2024"),
     (["--years", "last"], "must be a year, or two years such as 2015-2024, not last"),
     (["--years", "2020-"], "must be a year, or two years such as 2015-2024, not 2020-"),
-    (["--years", "1940-1950"], "must not begin before 1971"),
+    (["--years", "1940-1950"], "must begin in 1971 or later, not 1940-1950"),
     (["--years", "99999"], "years = 99999: must end with"),
     (["--years", "2020-2199"], "years = 2199: must end with"),
     (["--years", "2199", "--eccc", "48549"], "years = 2199: is in the future"),

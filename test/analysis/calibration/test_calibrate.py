@@ -119,7 +119,7 @@ def test_a_record_without_any_runoff_has_nothing_to_fit(fitted: Path, tmp_path: 
     )
     assert ended.returncode == 2
     *_, line = ended.stderr.splitlines()
-    assert line.startswith(f"error: {record}: in the first half of its rain, nothing that was mea")
+    assert line.startswith(f"error: {record}: in the first half of its rain, no measured quanti")
     assert list(tmp_path.iterdir()) == []
 
 
