@@ -40,14 +40,14 @@ _QUESTION = (
 
 @dataclass(frozen=True)
 class PumpRequest:
-    """A command that makes one request to the pump node, and prints how it ended.
+    """A command that makes one request to the pump node, and prints the outcome.
 
     Attributes:
         name: name of the command.
-        done: state of the pump once the request was granted, for the list of exit codes.
+        done: state of the pump after a granted request, for the list of exit codes.
         description: description for the help.
         request: function that makes the request, given the command line and the nodes' reports, and
-            returns how it ended.
+            returns the outcome.
         add_options: function that adds the command's own options.
         examples: examples for the help.
     """
@@ -63,8 +63,8 @@ class PumpRequest:
         """Return the command's parser."""
         parser = Parser(
             prog=f"greenroof {self.name}", description=self.description,
-            epilog=f"{self.examples}exit codes: 0 {self.done}, 1 it is not, or that "
-            "was not confirmed, 2 bad usage",
+            epilog=f"{self.examples}exit codes: 0 {self.done}, 1 not {self.done}, or not "
+            "confirmed, 2 bad usage",
         )
         self.add_options(parser)
         add_namespace(parser)
@@ -95,8 +95,8 @@ def _add_hold_options(parser: Parser) -> None:
     end = parser.add_mutually_exclusive_group()
     end.add_argument(
         "--until", type=_parse_future_time, metavar="TIME",
-        help="end the hold at this future time (ISO 8601), on this machine's clock unless it has "
-        "an offset from UTC: 2026-12-24T08:00-05:00 (default: no end)",
+        help="end the hold at this future time (ISO 8601), such as 2026-12-24T08:00-05:00; without "
+        "an offset from UTC, the time is on this machine's clock (default: no end)",
     )
     end.add_argument(
         "--for", dest="hours", type=make_number_type(0.001, _MAX_HOLD_H), metavar="HOURS",
@@ -109,7 +109,7 @@ def _add_hold_options(parser: Parser) -> None:
 
 
 def _parse_future_time(text: str) -> float:
-    """Return a future time (s since 1970); in an hour that a clock repeats, the later one."""
+    """Return a future time (s since 1970); in an hour that the clock repeats, the later time."""
     try:
         end = max(parse_time(text).replace(fold=fold).astimezone() for fold in (0, 1))
     except ValueError:
@@ -118,7 +118,9 @@ def _parse_future_time(text: str) -> float:
         ) from None
     if end.timestamp() <= time.time():
         now = to_people(end.now().astimezone().replace(microsecond=0))
-        raise argparse.ArgumentTypeError(f"must be in the future, not {text}; it is now {now}")
+        raise argparse.ArgumentTypeError(
+            f"must be in the future, not {text}; the time is now {now}"
+        )
     return end.timestamp()
 
 
@@ -156,7 +158,9 @@ def _dose(client: GraphClient, arguments: argparse.Namespace, reports: Registry)
         client.receive(_POLL_S)
         now, pump = time.monotonic(), reports.node(PUMP)
         if now - max(accepted, pump.received_at if pump else 0.0) > _REPORT_S:
-            raise PumpRequestError("unknown whether the dose goes on: the pump node is silent")
+            raise PumpRequestError(
+                "it is unknown whether the dose continues: the pump node is silent"
+            )
         dose = None if pump is None else pump.values.get("dose")
         if isinstance(dose, dict) and dose.get("id") == requested_at:
             before, said = said, str(dose.get("said", ""))
@@ -184,12 +188,12 @@ def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Registry
         if pump is not None and (fault := pump.text("fault") or pump.text("unknown")):
             print(f"The fault: {fault}", file=sys.stderr)
         if not _ask_to_confirm():
-            raise PumpRequestError("not cleared: it was not confirmed")
+            raise PumpRequestError("not cleared: the request was not confirmed")
     return client.request("reset", _PATIENCE_S)
 
 
 def _ask_to_confirm() -> bool:
-    """Ask on the terminal; no answer counts as no."""
+    """Ask for confirmation on the terminal; no answer counts as no."""
     try:
         return input(_QUESTION).strip().lower() in ("y", "yes")
     except EOFError:
@@ -199,32 +203,32 @@ def _ask_to_confirm() -> bool:
 
 HOLD = PumpRequest(
     "hold", "held",
-    "Keep the pump off, regardless of the command and even after a restart, until 'greenroof "
-    "release' or until a time. There is one hold at a time: this one replaces the owner and the "
-    "reason of an earlier one, and never ends sooner than that one.",
+    "Keep the pump off, regardless of its command and even after a restart, until 'greenroof "
+    "release' or a given time. There is only one hold at a time: a new hold replaces the owner and "
+    "the reason of an earlier hold, and never ends sooner than the earlier hold.",
     _hold, _add_hold_options,
     "examples:\n  greenroof hold --reason 'the roof is being repaired'\n"
     "  greenroof hold --until 2026-12-24T08:00\n  greenroof hold --for 48\n\n",
 )
 RELEASE = PumpRequest(
     "release", "released",
-    "End the hold of the pump, whoever made it. The pump then starts automatically when the "
-    "controller requires it and nothing else keeps it off. A fault remains.",
+    "End the hold of the pump, whoever requested it. The pump then starts automatically when the "
+    "controller requires it and nothing else keeps it off. A fault is not cleared.",
     _release,
 )
 RESET = PumpRequest(
     "reset", "cleared",
-    "Clear a latched fault of the pump, in the pump node and in its drive, once its cause is "
-    "remedied. This is for the person at the pump, and asks for confirmation first. A hold remains "
-    "until 'greenroof release'. The pump then starts when the controller requires it and nothing "
-    "else keeps it off.",
+    "Clear a latched fault of the pump, in the pump node and in its drive, once the cause of the "
+    "fault is remedied. The command is for the person at the pump, and asks for confirmation "
+    "first. A hold remains until 'greenroof release'. After a reset, the pump starts when the "
+    "controller requires it and nothing else keeps it off.",
     _reset, _add_reset_options,
 )
 DOSE = PumpRequest(
     "dose", "delivered",
     "Deliver a volume now, regardless of the controller's command, if the site file allows "
-    "it (max_dose) and no interlock is active, but never above the roof's target. An interlock "
-    "ends a dose for good, and so does a start that is not possible within a minute. Ctrl-C ends "
-    "this command but not the dose: to end that, stop the pump.",
+    "doses (max_dose) and no interlock is active. A dose never fills the roof above its target. An "
+    "interlock ends a dose permanently, and so does a pump that cannot start within a minute. "
+    "Ctrl-C ends this command but not the dose; to end the dose, stop the pump.",
     _dose, _add_dose_options, "example:\n  greenroof dose --volume 0.2\n\n",
 )

@@ -27,12 +27,12 @@ from greenroof_ros.recording.whole_chunks import read_whole_chunks
 
 
 class Recovered(NamedTuple):
-    """What was recovered from a bag.
+    """The result of recovering a bag.
 
     Attributes:
         bag: the new bag.
-        messages: number of messages in it.
-        losses: what was lost, in one sentence each.
+        messages: number of messages in the new bag.
+        losses: descriptions of the losses, in one sentence each.
     """
 
     bag: Path
@@ -41,15 +41,15 @@ class Recovered(NamedTuple):
 
 
 def recover(directory: Path, output: Path | None = None) -> Recovered:
-    """Copy the whole chunks of a bag to a new bag.
+    """Copy the intact chunks of a bag to a new bag.
 
     Args:
         directory: a run directory, or the bag in it.
-        output: the new bag, which must not exist; by default it is next to the old one.
+        output: the new bag, which must not exist; by default, next to the old bag.
 
     Raises:
-        ConfigurationError: if there is no bag, or nothing whole in it, or the output exists or
-            cannot be written.
+        ConfigurationError: if there is no bag, if the bag contains no intact chunk, or if the
+            output exists or cannot be written.
     """
     bag = directory / "bag" if (directory / "bag").is_dir() else directory
     files = find_files(bag) or sorted(bag.glob("*.mcap"))  # other recorders may not number them
@@ -77,11 +77,12 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
     except OSError as error:
         shutil.rmtree(target, ignore_errors=True)
         raise ConfigurationError(
-            f"cannot be written: {error.strerror}; --output puts it elsewhere", file=target
+            f"cannot be written: {error.strerror}; use --output to write the bag "
+            "elsewhere", file=target
         ) from error
     if not copies:
         target.rmdir()
-        raise ConfigurationError("does not contain a single whole chunk of messages", file=bag)
+        raise ConfigurationError("does not contain an intact chunk of messages", file=bag)
     for name, had in _count_recorded(bag).items():
         if (missing := had - counts.get(name, 0)) > 0:
             losses.append(f"{name}: {missing} of its {had} messages are lost")
@@ -89,7 +90,7 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
 
 
 def _count_recorded(bag: Path) -> dict[str, int]:
-    """Return the number of messages in each closed file, from the bag's metadata if it is whole."""
+    """Return the number of messages in each closed file, from the bag's metadata if intact."""
     with suppress(ConfigurationError, KeyError, TypeError, ValueError):
         about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
         return {str(file["path"]): int(file["message_count"]) for file in about["files"]}
@@ -97,7 +98,7 @@ def _count_recorded(bag: Path) -> dict[str, int]:
 
 
 def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
-    """Write a file's whole chunks to another; return the number of messages, and the losses."""
+    """Copy the intact chunks of a file; return the number of messages and the losses."""
     try:
         stream = file.open("rb")
     except OSError as error:
@@ -139,7 +140,7 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
 
 
 def _describe_loss(file: Path, size: int, before: int | None, after: int | None) -> str:
-    """Return a loss in words, given the times of the messages around it (ns)."""
+    """Describe a loss, given the times of the messages before and after it (ns)."""
     start = "the beginning" if before is None else to_people(from_epoch_ns(before))
     end = "the end" if after is None else to_people(from_epoch_ns(after))
     return f"{file.name}: {size} bytes are lost between {start} and {end}"
@@ -149,19 +150,19 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(
         prog="greenroof recover",
-        description="Repair a damaged bag, or the bag of a run that was killed or ran out of disk: "
-        "everything that is whole is copied into a new bag next to the old one, which stays "
-        "intact. A report of the run then uses the new one.",
-        epilog="exit codes: 0 the new bag contains all that was recorded, 1 some was lost, as the "
-        "messages state, 2 nothing could be recovered, or bad usage",
+        description="Repair a damaged bag, or the bag of a run that was killed or ran out of disk "
+        "space. All intact data are copied to a new bag next to the old bag, which is left "
+        "unchanged. A report on the run then uses the new bag.",
+        epilog="exit codes: 0 the new bag contains all recorded data, 1 some data were lost, as "
+        "the messages state, 2 nothing could be recovered, or bad usage",
     )
     parser.add_argument(
         "directory", type=Path, metavar="DIR",
-        help="repair this bag, or the one in this run directory",
+        help="bag to repair, or run directory with the bag to repair",
     )
     parser.add_argument(
         "--output", type=Path, metavar="BAG",
-        help="write the new bag here (default: next to the old one)",
+        help="write the new bag to this path (default: next to the old bag)",
     )
     return parser
 

@@ -15,12 +15,12 @@ from greenroof_ros.experiment.run_directory import writable
 _PAGE = "report.html"
 
 _DESCRIPTION = """\
-Evaluate and plot runs: figures of deviation, levels and flows, and tables of deviation, water
-balance, energy and pump starts, on one page that needs nothing but a browser.
+Evaluate and plot runs on one page that needs nothing but a browser. The page contains figures of
+deviation, levels and flows, and tables of deviation, water balance, energy and pump starts.
 """
 _EPILOG = """\
 The output consists of report.html, and all figures as SVG and PNG in figures/. A bag needs
-/cistern/level, /roof/level, /pump/command and /pump/flow, possibly in a namespace; anything else
+/cistern/level, /roof/level, /pump/command and /pump/flow, possibly in a namespace. Any other topic
 that is missing is treated as 0, and the report notes this. The pumps' efficiency is the site's
 pump_efficiency.
 
@@ -40,13 +40,13 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH",
-        help="a study, a run or a bag (the directory), or an .mcap file",
+        help="directory of a study, a run or a bag, or an .mcap file",
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="write the report to this directory, which may be new, be empty or hold an earlier "
-             "report, which is replaced; "
-        "other files are never replaced (default: report in the first PATH)",
+        help="write the report to this directory, which may be new or empty, or hold an earlier "
+        "report, which is replaced. A directory with other files is rejected (default: report in "
+        "the first PATH)",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -61,10 +61,10 @@ def _former_figures(directory: Path, own: Callable[[str], bool]) -> list[Path]:
 
     Args:
         directory: directory of the new report.
-        own: returns, from its name, whether a file in ``figures/`` belongs to a report.
+        own: function that returns whether a file name in ``figures/`` is that of a report's figure.
 
     Raises:
-        ConfigurationError: if there are other files.
+        ConfigurationError: if the directory contains other files.
     """
     figures = directory / "figures"
     others = [file for file in directory.glob("*") if file not in (figures, directory / _PAGE)]

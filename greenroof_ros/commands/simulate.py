@@ -50,13 +50,13 @@ def make_parser() -> Parser:
     group = add_output_arguments(parser)
     group.add_argument(
         "--trajectory", action="store_true",
-        help="write every tick 0..N to trajectory.csv in the run's directory, from which greenroof "
-        "report draws; the numbers are written exactly",
+        help="write every tick from 0 to N, with exact numbers, to trajectory.csv in the run's "
+        "directory; greenroof report draws its figures from this file",
     )
     group.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
-        help="write a tick only every S seconds, and the last one, instead of all: at a hundred "
-        "bytes per tick, a year takes gigabytes",
+        help="write only one tick every S seconds, and the last tick, instead of all ticks. At a "
+        "hundred bytes per tick, all ticks of a year take gigabytes",
     )
     return parser
 
@@ -85,7 +85,7 @@ def main() -> None:
 
 @contextmanager
 def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[None]:
-    """Keep a summary of a run until it is done: that it is running, or how it ended early."""
+    """Keep a summary of an unfinished run: its status, and the reason if it ended early."""
     def write(status: str, reason: str | None = None) -> None:
         last = simulation.site.tick - 1
         summary.write(summary.make_unfinished_summary(
@@ -107,7 +107,7 @@ def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[No
 def _paced(
     run: Run, ticks: Iterator[Tick], speed: float, progress: RunProgress
 ) -> Iterator[Tick]:
-    """Yield the ticks, at a certain speed if it is not 0, and show the progress."""
+    """Yield the ticks, at the given speed unless it is 0, and show the progress."""
     began = shown = time.monotonic()
     for tick in ticks:
         yield tick
@@ -121,7 +121,7 @@ def _paced(
 
 
 def _written(run: Run, ticks: Iterator[Tick], every: int, file: Path) -> Iterator[Tick]:
-    """Yield the ticks, and write every n-th of them, and the last one, to a new file."""
+    """Yield the ticks, and write every n-th tick and the last tick to a new file."""
     columns = columns_of(run.site)
     values = attrgetter(*(column.tick for column in columns))
     with add_path_to_errors(file), file.open("x", newline="") as stream:

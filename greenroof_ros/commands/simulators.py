@@ -35,16 +35,17 @@ def make_parser() -> Parser:
         description="Simulate the devices of a live site in real time: cistern and roof with their "
         "sensors on Modbus or MQTT, and the pump with its drive on Modbus or its relay on MQTT. "
         "Registers, control word, ramp, fault codes and communication timeout are those of the "
-        "make that the drive file describes. The air is at 15 degC.",
+        "make that the drive file describes. The air temperature is 15 degC.",
         epilog="examples:\n"
         "  greenroof simulators site\n"
         "  greenroof simulators site --drive abb_acs880 --at tcp://127.0.0.1:5020\n"
         "  greenroof simulators site --drive tasmota --at mqtt://127.0.0.1/roof-pump\n\n"
-        "The first line states when it is ready, and at which addresses. Ctrl-C ends it.\n\n"
+        "The first line states that the simulator is ready, and its addresses. Ctrl-C stops the "
+        "simulator.\n\n"
         "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
     )
     devices = parser.add_argument_group(
-        "devices", "Anyone who can reach their addresses can operate them.",
+        "devices", "Anyone who can reach the devices' addresses can operate the devices.",
     )
     devices.add_argument(
         "--drive", default="danfoss_fc202", metavar="NAME",
@@ -53,8 +54,9 @@ def make_parser() -> Parser:
     )
     devices.add_argument(
         "--at", default="gateway://127.0.0.1:5020", metavar="ADDRESS",
-        help="answer at this address: tcp://HOST:PORT, gateway://HOST:PORT for its serial port, a "
-        "serial line, or mqtt://HOST/TOPIC for a relay (default: %(default)s)",
+        help="address of the drive or relay: tcp://HOST:PORT, gateway://HOST:PORT for a gateway to "
+        "the drive's serial port, a serial line, or mqtt://HOST/TOPIC for a relay (default: "
+        "%(default)s)",
     )
     devices.add_argument(
         "--sensors", type=Path, metavar="FILE",
@@ -62,7 +64,7 @@ def make_parser() -> Parser:
     )
     add_site_arguments(parser.add_argument_group(
         "the site",
-        "After --hours, the weather keeps its last values, and the simulator continues.",
+        "After --hours, the simulator continues with the last values of the weather.",
     ))
     return parser
 
@@ -82,7 +84,7 @@ def main() -> None:
 def _find_make(simulated: Mapping[str, type[_Device]], make: str) -> type[_Device]:
     if make not in simulated:
         raise ConfigurationError(
-            f"cannot be simulated; these can: {', '.join(simulated)}", key="make", value=make
+            f"cannot be simulated; must be one of {', '.join(simulated)}", key="make", value=make
         )
     return simulated[make]
 

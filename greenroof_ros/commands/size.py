@@ -33,14 +33,14 @@ from greenroof_ros.experiment.options import add_option, option_of
 from greenroof_ros.experiment.run_directory import writable
 
 _DESCRIPTION = """\
-Compare cisterns, targets and outlets of a site over all seasons of a weather record: how much of
-the irrigation the cistern meets, and how much storm water it keeps out of the sewer. The result is
-a sentence, a page for a client, and a table. No forecast is used.
+Compare cisterns, targets and outlets of a site over all seasons of a weather record, by the share
+of the irrigation that the cistern meets and by the storm water that it keeps out of the sewer. The
+result is a sentence, a page for a client, and a table. No forecast is used.
 """
 _EPILOG = """\
-The outlets are: none; drain, a valve that empties the cistern to a reserve in dry weather; and
-plan, a valve that keeps what the roof needs for 20 days. If the site file has no mains top-up or
-valve, one is assumed, and the results state it.
+The outlets are none; drain, a valve that empties the cistern to a reserve in dry weather; and plan,
+a valve that keeps the water that the roof needs for 20 days. If the site file has no mains top-up
+or no outlet valve, it is assumed, and the results state this.
 
 The output is sizes.html, which can be printed as a PDF, sizes.csv with one row per design and
 season, and the figures as SVG and PNG.
@@ -62,44 +62,45 @@ def make_parser() -> Parser:
     add_site(group)
     group.add_argument(
         "--weather", nargs="+", required=True, metavar="FILE",
-        help="read these weather files, or a pattern, which are joined in order of time; they "
-        "must cover at least one season",
+        help="weather files, which are joined in chronological order, or a glob pattern; together, "
+        "the files must cover at least one season",
     )
     add_option(group, INPUTS["evapotranspiration"], metavar="METHOD")
     add_option(group, INPUTS["gaps"])
     group.add_argument(
         "--season", metavar="MM-DD/MM-DD",
-        help="set the first and last day of a season (default: 05-01/10-31, or 11-01/04-30 south "
-        "of the equator); seasons that the record covers only in part are left out and named",
+        help="first and last day of a season (default: 05-01/10-31, or 11-01/04-30 south of the "
+        "equator). Seasons that the record covers only in part are left out and listed",
     )
     group = parser.add_argument_group("designs")
     group.add_argument(
         "--volumes", nargs="+", type=make_number_type(VOLUMES.low, VOLUMES.high), metavar="M3",
         help="compare cisterns of these volumes up to the overflow (m3; default: eight preferred "
-        "numbers, from 4 to about 100 mm of rain on roof and catchment)",
+        "numbers, equal to about 4 to 100 mm of rain on roof and catchment)",
     )
     group.add_argument(
         "--targets", nargs="+", type=make_number_type(TARGETS.low, TARGETS.high), metavar="MM",
         help="compare these depths of water to keep on the roof (mm; default: z_veg of the site, "
-        "and 4 mm, one day's irrigation, below and above it)",
+        "and the depths 4 mm, one day's irrigation, below and above z_veg)",
     )
     group.add_argument(
         "--outlets", nargs="+", choices=OUTLETS,
-        help="compare these ways to empty the cistern (default: all)",
+        help="compare these kinds of outlet of the cistern (default: all)",
     )
-    group = parser.add_argument_group("what is worth a larger cistern")
+    group = parser.add_argument_group("value of a larger cistern")
     group.add_argument(
         "--knee", type=make_number_type(KNEE_RANGE.low, KNEE_RANGE.high), metavar="M3",
-        help="recommend the smallest cistern beyond which another m3 saves less than this much "
-        "mains water and storm water in the sewer in a season (m3; default: "
-        f"{KNEE:g}, one filling); if there are prices, beyond which it saves less than it costs",
+        help="recommend the smallest cistern for which one more m3 would save less than this "
+        "amount of mains water and storm water in the sewer per season (m3; default: "
+        f"{KNEE:g}, one filling). If there are prices, the smallest cistern is recommended for "
+        "which one more m3 would save less than it costs",
     )
     for parameter in PRICES.values():
         add_option(group, parameter)
     group = parser.add_argument_group("output and pace")
     group.add_argument(
         "--output", type=Path, default=Path("sizes"), metavar="DIR",
-        help=f"write {PAGE}, {TABLE} and the figures to DIR, which may be new, be empty or hold an "
+        help=f"write {PAGE}, {TABLE} and the figures to DIR, which may be new or empty, or hold an "
         "earlier sizing (default: %(default)s)",
     )
     group.add_argument(

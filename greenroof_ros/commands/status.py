@@ -24,15 +24,16 @@ _TILES = "roof", "cistern", "pump", "rain", "controller"
 # For a pump that should be off: its drive reports standstill, or its timeout must have stopped it.
 _STANDS = {
     True: "stopped, according to the drive",
-    False: "it may still turn; if it should be off, stop it at the drive or the main switch",
+    False: "the pump may still turn; if it should be off, stop it at the drive or the main switch",
     None: "",
 }
 _LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not responding"}
 
 _DESCRIPTION = """\
 Print the present state of the run or the site in this ROS domain: levels, pump, rain and forecast,
-controller and alarms, in at most 15 lines, in the same words as the page of 'greenroof watch'. It
-only subscribes, for 2 s once it has found a node, or for 5 s if values are missing or nothing runs.
+controller and alarms, in at most 15 lines, in the same words as the page of 'greenroof watch'. The
+command only subscribes, for 2 s after it has found a node, or for 5 s if values are missing or no
+graph is running.
 """
 _EPILOG = """\
 examples:
@@ -40,7 +41,7 @@ examples:
   ssh pi@roof greenroof status          from another machine
   greenroof status --namespace site1
 
-exit codes, as for monitoring plug-ins: 0 all is well, 1 warning, 2 alarm, 3 nothing is running, or
+exit codes, as for monitoring plug-ins: 0 all is well, 1 warning, 2 alarm, 3 no graph is running, or
 the command failed or was used wrongly
 """
 
@@ -57,7 +58,7 @@ def make_parser() -> Parser:
 
 @partial(command, failed=NOTHING)
 def main() -> int:
-    """Print the status, and return how serious it is."""
+    """Print the status, and return its severity as an exit code."""
     arguments = make_parser().parse_args()
     store = GraphStore(arguments.namespace)
     with Feed(store):
@@ -71,7 +72,7 @@ def main() -> int:
 
 
 def _read_status(store: GraphStore) -> dict[str, Any]:
-    """Return the document once everything is known, or after the longest time."""
+    """Return the document once all values are known, or after the maximum time."""
     began, first = time.monotonic(), None
     while True:
         time.sleep(_POLL_S)
@@ -90,11 +91,11 @@ def _find_unknown(shown: Mapping[str, Any]) -> set[str]:
 
 
 def _judge(shown: Mapping[str, Any]) -> int:
-    """Return the exit code, based on the alarms and on what is unknown although no one reports it.
+    """Return the exit code, based on the alarms and on unknown values that no node reports.
 
-    At a live site, the latter is an alarm, since a node that died before this command began sends
-    nothing, and a pump about which nothing is known may be running. A level out of its range is not
-    in itself an alarm, since a controller that waits for rain lets the roof dry.
+    At a live site, an unknown value is an alarm, since a node that died before this command started
+    sends nothing, and a pump about which nothing is known may be running. A level out of its range
+    is not in itself an alarm, since a controller that waits for rain lets the roof dry.
     """
     mode, tiles = shown["mode"], shown["tiles"]
     unknown = _find_unknown(shown) - {"rain"}
@@ -126,7 +127,7 @@ def _write_lines(shown: Mapping[str, Any], code: int, stands: bool | None) -> li
     warning = filter(None, [shown["stop"]["warning"]])
     lines += [*warning, *map(_write_alarm, list_present(shown)), *shown["notes"]]
     if (hidden := len(lines) - _MAX_LINES + 1) > 1:
-        lines[-hidden:] = [f"and {hidden} more: see 'greenroof watch'"]
+        lines[-hidden:] = [f"and {hidden} more lines; see 'greenroof watch'"]
     return lines
 
 

@@ -43,7 +43,7 @@ from greenroof_ros.common.processes import InterruptedRun, Signals, scratch_dire
 from greenroof_ros.common.progress import ProgressBar
 
 _Bound: TypeAlias = tuple[Callable[[Path, Case], Any], Case, Callable[[Case, Any], None]]
-"""What computes a bound, for which case, and what stores it."""
+"""Function that computes a bound, the case, and function that stores the bound."""
 
 _REFRESH_S = 0.5
 # What every worker needs.
@@ -58,9 +58,9 @@ _NOTES = {
 }
 
 _DESCRIPTION = """\
-Run every combination of a grid - sites, weather windows, initial states, controllers and their
-parameters - in parallel, and collect the results in one table, results.csv. Without a grid, these
-are the paper's 30 runs. After an interruption or a kill, run the same command again to continue.
+Run every combination of the sites, weather windows, initial states, controllers and parameters in a
+grid in parallel, and collect the results in one table, results.csv. Without a grid, the command
+runs the paper's 30 runs. If the command is interrupted or killed, run it again to continue.
 """
 _EPILOG = """\
 exit codes: 0 done, 1 a run failed (the others are in the table) or the workers are gone (run
@@ -82,39 +82,39 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "grid", nargs="?", type=Path, metavar="GRID.yaml",
-        help="the grid, your own or this package's (default: the paper's, "
+        help="grid file, your own or one of this package's (default: the paper's, "
         "config/studies/paper.yaml)",
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="write the study to this directory, which may be new or hold a study begun earlier "
-             "(default: studies/ and the grid's name)",
+        help="write the study to this directory, which may be new or hold a study that was begun "
+             "earlier (default: a directory in studies/ with the grid's name)",
     )
     parser.add_argument(
         "--weather", type=Path, metavar="DIR",
-        help="look in this directory for weather files that the grid names but that are not next "
-             "to it, such as "
-        "the record of years for config/studies/seasons.yaml",
+        help="directory in which to look for weather files that the grid names but that are not "
+        "next to the grid file, such as the record of several years for "
+        "config/studies/seasons.yaml",
     )
     add_worker_arguments(parser, "runs")
     trajectories = parser.add_mutually_exclusive_group()
     trajectories.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
-        help="keep a sample of each run every S seconds, in whole ticks: with one-second ticks, "
-        "half a year takes a gigabyte of memory (default: every tick)",
+        help="keep a sample of each run every S seconds, a whole number of ticks (default: every "
+        "tick). With every one-second tick, half a year takes a gigabyte of memory",
     )
     trajectories.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep only the table and the rain events, for thousands of runs. Runs of onoff in "
-        "ticks of about a minute are then usually several times as fast. A report has no figures "
-        "of weather, commands and volumes",
+        help="keep only the table and the rain events, for studies of thousands of runs. Runs of "
+        "onoff with ticks of about a minute are then usually several times as fast, but a report "
+        "has no figures of weather, commands and volumes",
     )
     return parser
 
 
 @command
 def main() -> int:
-    """Run a study, or the cases of it that are not finished."""
+    """Run the cases of a study that are not finished yet."""
     arguments = make_parser().parse_args()
     check_workers(arguments)
     grid = shared_directory() / "config/studies/paper.yaml"
@@ -131,7 +131,7 @@ def main() -> int:
         if case.bound_block != 0 and case.bound_identity not in store.bounds
     }
     if store.outcomes:
-        print(f"{len(store.outcomes)} of {len(cases)} runs are stored already", file=sys.stderr)
+        print(f"{len(store.outcomes)} of {len(cases)} runs are already stored", file=sys.stderr)
     unbounded_discharges = {
         identity: case for case in cases
         if (identity := case.discharge_bound_identity)
@@ -169,7 +169,7 @@ def _run(
     store: StudyStore, cases: Sequence[Case], bounds: Sequence[_Bound], workers: Workers,
     signals: Signals,
 ) -> None:
-    """Run some cases and compute some bounds; store each result when it arrives."""
+    """Run some cases and compute some bounds; store each result as it arrives."""
     names = Names(store.cases)
     groups = group_cases(cases, workers.slots, store.trajectory_every)
     # The longest first, or at the end one core may have a long run while the others are idle.
@@ -222,7 +222,7 @@ def _run(
 def _report_failure(
     store: StudyStore, names: Names, case: Case, error: Exception, *, is_run: bool
 ) -> None:
-    """Print why a run failed, or why a case has no bound, and keep the former for the table."""
+    """Print the reason for a failed run or a missing bound; keep that of a run for the table."""
     what, reason = "no bound", str(error) or type(error).__name__
     if is_run:  # a missing bound is no failure
         what, store.failures[case.identity] = "failed", reason
@@ -232,7 +232,7 @@ def _report_failure(
 
 
 def show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
-    """Print mean deviations of each window: a row for each case, initial states as columns.
+    """Print mean deviations for each window, with cases as rows and initial states as columns.
 
     Args:
         rows: rows of the study's ``results.csv``, one for each run.
@@ -261,7 +261,7 @@ def show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
 
 
 def _mean(values: Sequence[float | None]) -> str:
-    """Return the mean over seeds and years, and how many runs have no result."""
+    """Return the mean over seeds and years, and the number of runs without a result."""
     known = [value for value in values if value is not None]
     lacking = len(values) - len(known)
     return " ".join([

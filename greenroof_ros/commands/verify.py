@@ -32,22 +32,21 @@ from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import find_files, read_weather
 
 _DESCRIPTION = """\
-Score rain forecasts against records, by lead time and by sums over hours, including the events
-among these sums. FORECASTS are an archive: a file or a directory of files, as for --forecast of
-simulate.
+Score rain forecasts against records, by lead time and by the number of hours over which rain is
+summed. Sums from a given amount on are also scored as events. FORECASTS is an archive: a file or a
+directory of files, as for --forecast of simulate.
 """
 _EPILOG = """\
-  bias   forecast rain over observed rain
+  bias forecast rain divided by observed rain
   r      correlation
-  POD    probability of detection: events that were forecast over events
-  FAR    false alarm ratio: forecast events that did not occur over forecast
-  events
+  POD    probability of detection: share of the events that were forecast
+  FAR    false alarm ratio: share of the forecast events that did not occur
   ETS    equitable threat score: 1 is perfect, 0 is no skill
   Brier  mean squared error of the event's probability
   CRPS   error of the whole distribution (mm), in its fair form, comparable for
          any number of members; for a single forecast, the mean error
 
-For an ensemble, the first five use member 0, the last two all members.
+For an ensemble, the first five scores use member 0, and the last two use all members.
 
 examples:
   greenroof verify gem_previous_runs.csv --weather gauge.csv
@@ -68,26 +67,25 @@ def make_parser() -> Parser:
     parser.add_argument("forecasts", type=Path, metavar="FORECASTS", help="archive")
     parser.add_argument(
         "--weather", nargs="+", required=True, metavar="FILE",
-        help="read these records, as simulate does: files, or a pattern in quotes; missing hours "
-             "are left "
-        "out",
+        help="records of rain: weather files as for simulate, or a glob pattern in quotes; missing "
+        "hours are left out",
     )
     add_site(parser, "take the place from this site file")
     whole_hours = make_number_type(1, _MAX_HOURS, int)
     parser.add_argument(
         "--sums", type=whole_hours, nargs="+", metavar="H",
-        help="score sums over these numbers of hours (default: 1, 6, 12 and 24, if they divide "
-             "--lead)",
+        help="score sums of rain over these numbers of hours (default: 1, 6, 12 and 24, if they "
+             "divide --lead)",
     )
     parser.add_argument(
         "--events", type=make_number_type(1e-3, 1e3), nargs="+", metavar="MM",
-        help="count a sum as an event from this amount (mm), one for each of --sums (default: "
+        help="amount from which a sum counts as an event (mm), one for each of --sums (default: "
              "1, 2, 3 and 5)",
     )
     parser.add_argument(
         "--lead", type=whole_hours, default=24, metavar="H",
-        help="score this many hours of lead time together, a multiple of every sum (default: "
-        "%(default)s, days)",
+        help="number of hours of lead time that are scored together, a multiple of every sum "
+        "(default: %(default)s, one day)",
     )
     parser.add_argument(
         "--horizon", type=whole_hours, default=120, metavar="H",
@@ -124,8 +122,8 @@ def main() -> None:
     span = f"{to_people(weather.first)} to {to_people(weather.end)}"
     if not any(of_class.scores().n for of_class in tallies.values()):
         raise ConfigurationError(
-            f"have no whole sum in common with the records: these cover {forecasts.span}, the "
-            f"records {span}",
+            f"have no complete sum in common with the records: the forecasts cover "
+            f"{forecasts.span}, and the records cover {span}",
             file=arguments.forecasts, key="FORECASTS", value=str(arguments.forecasts),
         )
     # Only archives put together from previous runs have leads in whole days.
@@ -135,11 +133,11 @@ def main() -> None:
             arguments.output.write_text(_write_csv(tallies), encoding="utf-8")
     console = Console()
     console.print(_make_table(
-        f"{forecasts.name}: {count} issues, against {weather.source}", tallies
+        f"{forecasts.name}: {count} issues, compared with {weather.source}", tallies
     ))
     notes = [*filter(None, [weather.rain_note]), *weather.notes, *forecasts.notes]
     if len(notes) > _MAX_NOTES:
-        notes[_MAX_NOTES:] = [f"and {len(notes) - _MAX_NOTES} more of this kind"]
+        notes[_MAX_NOTES:] = [f"and {len(notes) - _MAX_NOTES} more notes"]
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
     for warning in warnings:
@@ -155,13 +153,14 @@ def _read_sums(arguments: argparse.Namespace) -> list[Sum]:
         raise ConfigurationError("must be used together", key="--sums and --events")
     if len(arguments.sums) != len(arguments.events):
         raise ConfigurationError(
-            f"must be as many as --sums, {len(arguments.sums)}, not {len(arguments.events)}",
+            f"must have as many values as --sums, {len(arguments.sums)}, not "
+            f"{len(arguments.events)}",
             key="--events",
         )
     for hours in arguments.sums:
         if arguments.lead % hours or arguments.sums.count(hours) > 1:
             raise ConfigurationError(
-                f"must each divide --lead, {arguments.lead} h, and appear only once",
+                f"must each be a divisor of --lead, {arguments.lead} h, and appear only once",
                 key="--sums", value=hours,
             )
     return [Sum(*values) for values in zip(arguments.sums, arguments.events, strict=True)]

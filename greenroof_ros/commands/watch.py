@@ -1,4 +1,4 @@
-"""What the roof does, on a page: ``greenroof watch``."""
+"""Show the state of the roof on a page: ``greenroof watch``."""
 
 from __future__ import annotations
 
@@ -27,17 +27,18 @@ from greenroof_ros.watch.store import GraphStore
 _NICENESS = 10
 
 _DESCRIPTION = """\
-Show what the roof does on a page in a browser: levels, pump, rain, what the controller intends,
-alarms and what to do. It shows any graph that runs in this ROS domain, either live or simulated at
-up to 60 times real time. Any number of watchers may start and stop at any time, as no run
-waits for them. The pump can be stopped on the page, and released if that was allowed. With
---foxglove there is no page: Foxglove or Lichtblick shows the graph instead.
+Show the state of the roof on a page in a browser: levels, pump, rain, the controller's plan, alarms
+and advice. The page shows any graph in this ROS domain, either live or simulated at up to 60 times
+real time. Any number of watchers may start and stop at any time, since no run waits for them. The
+page can stop the pump, and can also release it with --allow-release. With --foxglove, there is no
+page: Foxglove or Lichtblick shows the graph instead.
 
-It shows the last week of what it has itself received. The past of a live site is saved for the next
-start, every 10 minutes and at the end, in $XDG_STATE_HOME/greenroof_ros or
-~/.local/state/greenroof_ros. The bags of a run or a site are shown by greenroof report.
+The page shows the last week of the values that it has itself received. The values of a live site
+are saved for the next start, every 10 minutes and at the end, in $XDG_STATE_HOME/greenroof_ros or
+~/.local/state/greenroof_ros. To show the bag of a run or a site, use greenroof report.
 
-The address is printed. Only this machine can reach it; from another machine, use an ssh tunnel:
+The command prints the page's address, which only this machine can reach. From another machine, use
+an ssh tunnel:
   ssh -L 8080:localhost:8080 NAME_OF_THIS_MACHINE
 and open http://localhost:8080 there.
 """
@@ -72,15 +73,15 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--allow-release", action="store_true",
-        help="allow the page to release the pump, whoever holds it, and to clear the "
-        "fault speed_not_followed; if the site file allows it, also to request a dose. "
-        "The page then needs its token on this machine, too",
+        help="allow the page to release the pump, whoever holds it, to clear the fault "
+        "speed_not_followed and, if the site file allows doses, to request a dose. The page then "
+        "requires its token on this machine as well",
     )
     parser.add_argument(
         "--host", metavar="ADDRESS",
-        help="serve the page at this address, where other machines can view it and stop the pump; "
-        "0.0.0.0 stands for all addresses. An address that others can reach needs a token, "
-        "which is printed with it; the connection is not encrypted "
+        help="serve the page at this address, where other machines can view the page and stop the "
+        "pump; 0.0.0.0 stands for all addresses. An address that other machines can reach requires "
+        "a token, which is printed with the address; the connection is not encrypted "
         f"(default: {LOOPBACK})",
     )
     parser.add_argument(
@@ -90,34 +91,36 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--token-file", type=Path, metavar="FILE",
-        help="read from this file the token that the page then always needs, so its address stays "
-        "the same; a missing file is made with a new token. Only its owner may have access "
-        "(default: a new token at each start, if the page needs one)",
+        help="read the page's token from this file, so that the address stays the same; the page "
+        "then always requires the token. If the file does not exist, it is created with a new "
+        "token. Only the owner of the file may have access to it (default: a new token at each "
+        "start, if the page requires a token)",
     )
     return parser
 
 
 def _refuse_wrong(arguments: argparse.Namespace) -> None:
-    """Reject wrong options.
+    """Reject options of the page if --foxglove is given, so that there is no page.
 
     Raises:
-        ConfigurationError: if an option is wrong.
+        ConfigurationError: if there is such an option.
     """
     for option in ("allow_release", "host", "port", "token_file"):
         if arguments.foxglove is not None and getattr(arguments, option):
             raise ConfigurationError(
-                "is for the page; omit it, or --foxglove", key=f"--{option.replace('_', '-')}"
+                "applies only to the page; omit this option or "
+                "--foxglove", key=f"--{option.replace('_', '-')}"
             )
 
 
 def _find_past_file(namespace: str) -> Path:
-    """Return the file with the past of this domain and namespace, whose names have no dot."""
+    """Return the history file of this domain and namespace, whose names contain no dot."""
     place = [os.environ.get("ROS_DOMAIN_ID") or "0", *filter(None, namespace.split("/"))]
     return state_directory() / f"watch_{'.'.join(place)}.npz"
 
 
 def _print_address(url: str, host: str, port: int | None, *, release: bool) -> None:
-    """Print the page's address, and what other people can do with it."""
+    """Print the page's address, and warnings about the actions that it allows to other people."""
     if port is None and f":{PORTS[0]}/" not in url:
         print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
     if not is_loopback(host):
@@ -135,7 +138,7 @@ def _print_address(url: str, host: str, port: int | None, *, release: bool) -> N
 
 @command
 def main() -> None:
-    """Watch until asked to end."""
+    """Watch the graph until a signal arrives."""
     arguments = make_parser().parse_args()
     _refuse_wrong(arguments)
     os.nice(_NICENESS)

@@ -28,12 +28,13 @@ from greenroof_ros.weather.reading import complete_records, find_files, read_mea
 from greenroof_ros.weather.series import Weather
 
 _DESCRIPTION = """\
-Read weather as simulate does, and describe it: service, place, period, columns, sums of rain,
-gaps, what is odd, and how evapotranspiration would be computed. Several files are joined. Your own
-file needs only the times and a column 'rain [mm]': the amount in each row, which begins at its
-time. Rows are at a regular interval of an hour or less. With a column 'temperature [degC]',
-evapotranspiration is computed with Hargreaves' equation; without it, the site's monthly means are
-used, and no frost is assumed.
+Read weather files in the same way as simulate, and describe the weather: service, place, period,
+columns, sums of rain, gaps, suspicious values, and the method by which evapotranspiration would be
+computed. Several files are joined into one record. Your own file needs only the times and a column
+'rain [mm]' with the amount of rain in the interval that begins at the time of the row. The interval
+must be regular, and at most an hour. With a column 'temperature [degC]', evapotranspiration is
+computed with Hargreaves' equation. Without a temperature, the site's monthly means are used, and
+no frost is assumed.
 """
 _EPILOG = """\
 your own file:
@@ -59,17 +60,18 @@ def make_parser() -> Parser:
     """Return the command's parser."""
     parser = Parser(prog="greenroof weather", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
-        "files", nargs="+", metavar="FILE", help="weather files, or a pattern in quotes"
+        "files", nargs="+", metavar="FILE", help="weather files, or a glob pattern in quotes"
     )
     add_site(parser, "take place, time zone and monthly means from this site file")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.csv",
-        help="write a new CSV in this project's format, with which a run yields the same numbers",
+        help="write the weather to this new CSV file in this project's format, with which a run "
+        "yields the same numbers",
     )
     parser.add_argument(
         "--stamped", choices=STAMPS,
-        help="treat the time of a row in your own file as its start or its end (default: as the "
-        "comment 'stamped: end' states, otherwise start)",
+        help="treat the time of a row in your own file as the start or the end of its interval "
+        "(default: end if the file has the comment 'stamped: end', otherwise start)",
     )
     return parser
 
@@ -99,7 +101,7 @@ def main() -> None:
 
 
 def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
-    """Yield the rows of the table: what it is about, a value, and a description."""
+    """Yield the rows of the table, each with a label, a value and a description."""
     try:
         weather = complete_records(measured, site)
         unknown = ""
@@ -120,7 +122,7 @@ def _describe(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
         )
     yield from _sum_rain(measured)
     if measured.rain_late:
-        yield "rain", "1 h late", "its time is the end of its hour; a run treats it as the start"
+        yield "rain", "1 h late", "each time is the end of an hour; a run treats it as the start"
     if measured.rain_kind:
         yield "rain", measured.rain_kind, measured.rain_note
     missing = {name: np.isnan(weather.values[name]) for name in measured.values}
@@ -141,7 +143,7 @@ def _name_formats(measured: Records) -> str:
 
 
 def _describe_places(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
-    """Yield a row for every place in the records, with its distance if the site's is known."""
+    """Yield a row for every place in the records, with its distance from the site if known."""
     for place in dict.fromkeys(measured.places.values()):
         away = ""
         if site.latitude is not None and site.longitude is not None:
@@ -173,7 +175,7 @@ def _sum_rain(measured: Records) -> Iterator[tuple[str, str, str]]:
 
 
 def _describe_evapotranspiration(weather: Weather, unknown: str) -> tuple[str, str, str]:
-    """Return the row of evapotranspiration: its method and mean, or why there is none."""
+    """Return the row of evapotranspiration: its method and mean, or why it is unknown."""
     if unknown:
         return "EVAPOTRANSPIRATION", "unknown", unknown
     known = weather.evapotranspiration[~np.isnan(weather.evapotranspiration)]
@@ -201,6 +203,6 @@ def _count_missing(separator: str, missing: int) -> str:
 
 
 def _shorten(texts: Sequence[str]) -> str:
-    """Return the first of some texts, and how many more there are."""
+    """Return the first few of some texts, and the number of the others."""
     more = len(texts) - _MAX_NAMED
     return "; ".join([*texts[:_MAX_NAMED], *([f"and {more} more"] if more > 0 else [])])

@@ -438,7 +438,7 @@ def test_a_broken_state_needs_a_reset(rig: PumpRig) -> None:
     rig.join()
     with forged(rig, fault='"another"', unknown='""'):
         code, output = command(rig, "reset")
-    assert code == 1 and "not cleared: it was not confirmed" in output
+    assert code == 1 and "not cleared: the request was not confirmed" in output
     assert re.search("The fault: .* pump.json.broken is there", output) and "another" not in output
     assert [rig.tick(0.5) for _ in range(5)] == [0.0] * 5
     code, output = command(rig, "reset", "--yes")

@@ -155,7 +155,7 @@ def test_a_port_in_use_is_refused(unused_domain: int, tmp_path: Path) -> None:
         "watch", "--foxglove", "--port", "8081", cwd=tmp_path, env=environment(unused_domain)
     )
     assert (done.returncode, done.stderr) == (
-        2, "error: --port: is for the page; omit it, or --foxglove\n"
+        2, "error: --port: applies only to the page; omit this option or --foxglove\n"
     )
 
 

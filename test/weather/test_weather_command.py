@@ -100,7 +100,7 @@ def test_what_the_file_of_a_service_is(tmp_path: Path) -> None:
         ("temperature", "degC", "13.6 to 32.7, mean 21.1; 6 missing"),
         # The sum of its column of precipitation.
         ("rain", "112.3 mm", "2021-07, 744 hours"),
-        ("rain", "1 h late", "its time is the end of its hour; a run treats it as the start"),
+        ("rain", "1 h late", "each time is the end of an hour; a run treats it as the start"),
         ("interpolated", "temperature", "2021-07-20T13:00-05:00 to 2021-07-20T17:00-05:00 "
          "(5 hours); 2021-07-21T11:00-05:00"),
     }

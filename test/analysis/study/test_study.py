@@ -73,7 +73,7 @@ def test_killed_and_gone_on(finished: Path) -> None:
     there = {run / "outcome.json": (run / "outcome.json").stat() for run in stored(killed)}
     result = study(killed, name, "--output", "out")
     assert result.returncode == 0, result.stderr
-    (kept,) = re.findall(r"(\d+) of 12 runs are stored already", result.stderr)
+    (kept,) = re.findall(r"(\d+) of 12 runs are already stored", result.stderr)
     assert int(kept) >= len(there) >= 3
     for file, written in there.items():
         assert file.stat().st_mtime_ns == written.st_mtime_ns  # it has not run again
@@ -91,7 +91,7 @@ def test_killed_and_gone_on(finished: Path) -> None:
     bounds.write_text(re.sub(r"\d+\.\d+", '"much"', bounds.read_text()))
     again = study(killed, name, "--output", "out")
     assert again.returncode == 0, again.stderr
-    assert f"{12 - 2 - len(DAMAGE)} of 12 runs are stored already" in again.stderr
+    assert f"{12 - 2 - len(DAMAGE)} of 12 runs are already stored" in again.stderr
     assert (killed / "out" / "results.csv").read_bytes() == whole
     assert again.stdout == result.stdout == (finished / "printed").read_text()
 

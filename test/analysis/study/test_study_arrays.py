@@ -159,7 +159,7 @@ def test_killed_and_continued(tmp_path: Path) -> None:
     assert len(there) < len(cases)
     result = study(tmp_path, "grid.yaml", "--output", "out", *options)
     assert result.returncode == 0, result.stderr
-    (kept,) = re.findall(rf"(\d+) of {len(cases)} runs are stored already", result.stderr)
+    (kept,) = re.findall(rf"(\d+) of {len(cases)} runs are already stored", result.stderr)
     assert int(kept) >= len(there)
     for run, written in there.items():
         assert (run / "outcome.json").stat().st_mtime_ns == written
