@@ -39,8 +39,8 @@ result is a sentence, a page for a client, and a table. No forecast is used.
 """
 _EPILOG = """\
 The outlets are none; drain, a valve that empties the cistern to a reserve in dry weather; and plan,
-a valve that keeps the water that the roof needs for 20 days. If the site file has no mains top-up
-or no outlet valve, it is assumed, and the results state this.
+a valve that keeps the water that the roof needs for 20 days. A mains top-up or an outlet
+valve that the site file lacks is assumed, and the results state this.
 
 The output is sizes.html, which can be printed as a PDF, sizes.csv with one row per design and
 season, and the figures as SVG and PNG.

@@ -101,7 +101,7 @@ def make_parser() -> Parser:
     trajectories.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
         help="keep a sample of each run every S seconds, a whole number of ticks (default: every "
-        "tick). With every one-second tick, half a year takes a gigabyte of memory",
+        "tick). If all one-second ticks are kept, half a year takes a gigabyte of memory",
     )
     trajectories.add_argument(
         "--no-trajectories", action="store_true",

@@ -37,7 +37,7 @@ summed. Sums from a given amount on are also scored as events. FORECASTS is an a
 directory of files, as for --forecast of simulate.
 """
 _EPILOG = """\
-  bias forecast rain divided by observed rain
+  bias   forecast rain divided by observed rain
   r      correlation
   POD    probability of detection: share of the events that were forecast
   FAR    false alarm ratio: share of the forecast events that did not occur
