@@ -1,1 +1,1 @@
-"""Studies: many runs from one grid, in parallel, and their results in one table."""
+"""Studies: many runs that a grid defines, simulated in parallel, with one table of results."""

@@ -49,12 +49,13 @@ class Case:
         inputs: complete inputs of the run, with values for everything that the grid leaves out.
         site: site file.
         weather: weather files, in order of time, which are joined.
-        weather_name: one name for these files, unique in the study.
-        forecast_files: files of forecasts, by the attribute of the choice that names them.
-        bound_block: time that shares a variable when the minimum possible deviation is computed
-            (s); 0 to compute no bound.
-        together: duration of a tick (s) and N, if the case can run together with others for which
-            they are the same; None if it runs alone.
+        weather_name: common name of the weather files, unique in the study.
+        forecast_files: files of forecasts, by the attribute of the forecast choice that contains
+            the path.
+        bound_block: length of the time blocks that have one variable each when the minimum possible
+            deviation is computed (s); 0 to compute no bound.
+        together: duration of a tick (s) and N, if the case can run together with other cases that
+            have the same values; None if the case must run alone.
     """
 
     inputs: RunInputs
@@ -104,7 +105,7 @@ class Case:
 
     @property
     def bound_identity(self) -> str:
-        """Identity of the inputs that do not depend on the controller, with the bound's block."""
+        """Identity of the inputs without those of the controller, followed by the time block."""
         return f"{self.plain.identity}-{format_exactly(self.bound_block)}"
 
     @property
@@ -123,7 +124,7 @@ class Case:
     def columns(self) -> dict[str, Any]:
         """Return the columns of the table that describe the case.
 
-        They do not include its parameters, nor those of the sensor and the pumps.
+        The columns do not include the parameters of the controller, the sensor and the pumps.
         """
         inputs = self.inputs
         return {

@@ -31,8 +31,8 @@ class Outcome:
     """The results of a run.
 
     Attributes:
-        results: columns of the table. They do not depend on how long the run took; only their
-            last digits depend on the cases with which it was simulated.
+        results: columns of the table. They do not depend on the duration of the run, and only their
+            last digits depend on the cases with which the run was simulated.
         files: contents of the files that are kept, by name.
     """
 
@@ -43,7 +43,7 @@ class Outcome:
 def group_cases(
     cases: Sequence[Case], workers: int, trajectory_every: float | None
 ) -> list[tuple[Case, ...]]:
-    """Return the cases in groups, each of which one worker runs; most groups have one case.
+    """Return the cases in groups, each for one worker; most groups consist of one case.
 
     Args:
         cases: cases to run.
@@ -136,8 +136,8 @@ def bound_case(directory: Path, case: Case) -> float:
 def bound_discharge(directory: Path, case: Case) -> dict[str, float]:
     """Return the columns of the minimum discharge in wet weather with on/off control's irrigation.
 
-    They describe the point of the frontier at which mains water costs as much as ``plan`` assumes.
-    Its mains water is left out if the site has no mains top-up.
+    The columns describe the point of the frontier at which mains water costs as much as ``plan``
+    assumes. The mains water is left out if the site has no mains top-up.
     """
     run = case.plain.find_inputs(directory).build()
     point = simulate_frontier(run).at(PRICE)

@@ -49,8 +49,8 @@ _BLOCKS = {
     f"{', '.join(BUILT_IN)}, or package.module:Class",
     "forecast": f"one of {', '.join(MODELS)}, a file or directory of forecasts, "
     "{model: errors, skill: real, seed: [1, 2]}, or a list of these",
-    "sensor_and_pump": "{roof_noise: 0.0005, roof_offset: [0, 0.002]} and the like, or a list of "
-    "these",
+    "sensor_and_pump": "a mapping such as {roof_noise: 0.0005, roof_offset: [0, 0.002]}, "
+    "or a list of these",
 }
 _NEEDED = ("site", "weather", "initial", "controllers")
 # The inputs that a window sets, in addition to its files.
@@ -80,7 +80,8 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
         sensor_and_pump, controllers with their parameters, forecasts.
 
     Raises:
-        ConfigurationError: if the grid, or a file that it names, is wrong; nothing has run then.
+        ConfigurationError: if the grid, or a file that it names, is wrong; this is checked before
+            the first run.
     """
     cases = list(_Grid(path, weather).cases())
     identities: set[str] = set()
@@ -88,7 +89,7 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
         if case.identity in identities:
             inputs = case.inputs
             raise ConfigurationError(
-                f"is the same run twice: {inputs.controller.name} {inputs.parameters}, "
+                f"contains the same run twice: {inputs.controller.name} {inputs.parameters}, "
                 f"{inputs.initial}, from {inputs.start}, forecast {inputs.forecast}, "
                 f"{inputs.sensor_and_pump.values()}", file=path,
             )
@@ -193,7 +194,7 @@ class _Grid:
                 yield site, self._input(path, format_site(site).encode())
 
     def _expand_windows(self) -> Iterator[tuple[YamlMapping, list[YamlMapping]]]:
-        """Yield the inputs that every window sets, and its forecasts."""
+        """Yield the inputs and the forecasts of every window."""
         for window in self._expand(
             self._mapping, "weather", ("file", "start"), (*_OF_WINDOW, "year", "forecast"),
             whole=("file", "forecast"),
@@ -247,7 +248,9 @@ class _Grid:
         """Yield every controller with every combination of its parameters."""
         section = self._mapping["controllers"]
         if not isinstance(section, YamlMapping):
-            raise self._refuse(self._mapping, "controllers", f"must hold {_BLOCKS['controllers']}")
+            raise self._refuse(
+                self._mapping, "controllers", f"must contain {_BLOCKS['controllers']}"
+            )
         references: dict[str, str] = {}
         for reference in section:
             with self._at(section.lines, reference):
@@ -270,7 +273,7 @@ class _Grid:
                 yield _Setting(controller, YamlMapping(parameters, block.lines), forecasts)
 
     def _bound_block(self, site: Site) -> float:
-        """Return ``bound_block:``, whole ticks of a site or 0 (s); without the key, a minute."""
+        """Return ``bound_block:`` (s), in whole ticks of a site, or 0; a minute without the key."""
         if "bound_block" not in self._mapping:
             return BLOCK_S
         seconds = self._number(self._mapping, "bound_block")
@@ -285,7 +288,7 @@ class _Grid:
         return any((place / name).is_dir() for place in self._places)
 
     def _find(self, mapping: YamlMapping, key: str, name: str | None = None) -> list[Path]:
-        """Return the files with a name or pattern, from the first directory that contains some.
+        """Return the files with a name or pattern, from the first directory with such files.
 
         Args:
             mapping: a mapping in the grid.
@@ -312,7 +315,8 @@ class _Grid:
     def _input(self, path: Path, content: bytes | None = None) -> InputFile:
         """Return a file's content under a name that is unique in the study.
 
-        This is the file's own name, preceded by the folder's name if another file has that name.
+        This is the file's own name, preceded by the folder's name if another file has the same
+        name.
 
         Args:
             path: path of the file.
@@ -329,7 +333,7 @@ class _Grid:
     def _carry_forecast(
         self, choice: ForecastChoice, site: Site
     ) -> tuple[ForecastChoice, dict[str, InputFile]]:
-        """Return a choice of forecasts with the study's names of its files, and the files.
+        """Return a choice of forecasts, with the names of its files in the study, and the files.
 
         A directory becomes one file in the project's own format.
         """
@@ -358,7 +362,7 @@ class _Grid:
             key: key of a block or of a list of blocks; a text stands for a block that contains
                 only the first needed key.
             needed: keys that a block must contain.
-            further: keys that it may contain.
+            further: keys that a block may contain.
             whole: keys whose lists do not multiply the runs.
         """
         for block in self._list(mapping, key):
@@ -375,7 +379,7 @@ class _Grid:
                 yield YamlMapping(dict(zip(block, values, strict=True)), block.lines)
 
     def _list(self, mapping: YamlMapping, key: str) -> list[Any]:
-        """Return a value as a list; a single value becomes a list of one.
+        """Return a value as a list; a single value becomes a list with one item.
 
         A range of whole numbers may be written as ``{from: 1, to: 50}``.
         """
@@ -383,7 +387,9 @@ class _Grid:
         values = value if isinstance(value, list) else [value]
         if isinstance(value, YamlMapping) and value.keys() & {"from", "to"}:
             if value.keys() != {"from", "to"} or {*map(type, value.values())} != {int}:
-                raise self._refuse(mapping, key, "must be {from: 1, to: 50} or the like")
+                raise self._refuse(
+                    mapping, key, "must be a range of whole numbers, such as {from: 1, to: 50}"
+                )
             values = list(range(value["from"], value["to"] + 1))
         if not values:
             raise self._refuse(mapping, key, "is empty")
@@ -398,7 +404,7 @@ class _Grid:
         """Reject a mapping in which a needed key is missing or a key is unknown.
 
         Raises:
-            ConfigurationError: if there is such a key.
+            ConfigurationError: if a needed key is missing or a key is unknown.
         """
         known = dict.fromkeys((*needed, *further))
         for key in mapping:
@@ -426,7 +432,7 @@ class _Grid:
 
         Args:
             lines: lines of the inputs, by their names in errors.
-            otherwise: input whose line is used if the error names none of them.
+            otherwise: input whose line is used if the error names no other input.
             prefix: beginning of the message.
         """
         try:

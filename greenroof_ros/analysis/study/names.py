@@ -1,4 +1,4 @@
-"""Names of a study's runs, from their differences, and the groups that a report compares."""
+"""Names of a study's runs, made from their differences, and the groups that a report compares."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Names:
     def columns(self, case: Case) -> dict[str, str]:
         """Return the columns that group the runs of a study.
 
-        Runs are compared if they agree in ``window`` and initial state. Among them, runs with the
+        Runs with the same ``window`` and initial state are compared. Among these, runs with the
         same ``case`` differ only in their seeds and, if ``season`` is not empty, in the year.
         """
         window, name = self._name_window(case), self._name_setting(case)
@@ -66,7 +66,8 @@ class Names:
 
 
 def _find_season(case: Case) -> tuple[object, ...]:
-    """Return what the runs of a season in several years share; the first item is the start."""
+    """Return the values that the runs of a season in different years share; the first is the start.
+    """
     inputs = case.inputs
     return (
         f"{case.start:%m-%dT%H:%M}" if case.hours >= _SEASON_HOURS else "", case.site.name,

@@ -30,7 +30,7 @@ _LOCK = ".lock"
 
 
 class StudyStore:
-    """Store the outcome of every run when it arrives, either whole or not at all.
+    """The store of a study's outcomes, each of which is stored completely or not at all.
 
     Attributes:
         directory: directory of the study.
@@ -38,7 +38,8 @@ class StudyStore:
         trajectory_every: time between the samples of each run's trajectory (s), 0 for every tick;
             None to keep only the results.
         outcomes: outcomes of finished runs, without their files, by identity.
-        failures: reasons why runs failed, by identity; a run in neither was not run.
+        failures: reasons why runs failed, by identity; a run that is neither in ``outcomes`` nor in
+            ``failures`` was not run.
         bounds: known minimum possible total deviations (m3), by bound_identity.
         discharge_bounds: columns of the known minimum discharges, by discharge_bound_identity.
     """
@@ -53,8 +54,8 @@ class StudyStore:
     ) -> None:
         """Begin a study, or continue one.
 
-        A damaged outcome, for instance after a power cut, does not count: the run is repeated and
-        replaces it.
+        A damaged outcome, for instance after a power cut, does not count: the run is repeated, and
+        the new outcome replaces the damaged one.
 
         Args:
             directory: directory of the study: new, empty, or from an earlier start of the same
@@ -64,10 +65,10 @@ class StudyStore:
             trajectory_every: see the attribute.
 
         Raises:
-            ConfigurationError: if the directory contains something else, or a study with another
-                grid, trajectories or code; if it cannot be written to; if another process uses it;
-                or if an outcome cannot be read now, for instance on a network drive. That outcome
-                is kept.
+            ConfigurationError: if the directory contains other files, or a study with another grid,
+                trajectories or code; if it cannot be written to; if another process uses it; or if
+                an outcome exists but cannot be read, for instance on a network drive. The outcome
+                is kept then.
         """
         self.directory = directory
         self.cases, self.trajectory_every = cases, trajectory_every
@@ -103,7 +104,7 @@ class StudyStore:
         killed = _LOCK in there and there <= {_LOCK, configuration.name}
         if there and not killed and not file.is_file():
             raise ConfigurationError(
-                "exists and is neither empty nor a study, and nothing is overwritten",
+                "exists and is neither empty nor a study, so it was left unchanged",
                 key="--output", value=str(self.directory),
             )
         self._lock()
@@ -119,7 +120,7 @@ class StudyStore:
             shutil.rmtree(cut_short)
 
     def _lock(self) -> None:
-        """Keep other processes out while this one runs."""
+        """Lock the directory against other processes while this process runs."""
         try:
             self._lock_file = acquire_file_lock(self.directory / _LOCK)
         except LockedError:
@@ -144,13 +145,13 @@ class StudyStore:
         ):
             if not isinstance(begun, dict) or begun.get(key) != identity[key]:
                 raise ConfigurationError(
-                    f"holds a study that was begun with {what}; use those, or choose another "
-                    "directory",
+                    f"contains a study that was begun with {what}; continue the study as it was "
+                    "begun, or choose another directory",
                     key="--output", value=str(self.directory),
                 )
 
     def write_outcome(self, case: Case, outcome: Outcome) -> None:
-        """Write an outcome; if the process is killed meanwhile, the outcome does not exist.
+        """Write an outcome, which exists only once it has been written completely.
 
         Raises:
             OSError: if writing fails, for instance because the disk is full.
@@ -220,7 +221,7 @@ def _read(file: Path) -> dict[str, Any]:
     """Return the values that :func:`_with_digest` wrote; empty if the file is missing or damaged.
 
     Raises:
-        ConfigurationError: if the file exists but cannot be read now.
+        ConfigurationError: if the file exists but cannot be read.
     """
     try:
         text = file.read_text(encoding="utf-8")

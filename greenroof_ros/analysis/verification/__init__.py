@@ -1,1 +1,1 @@
-"""Forecasts compared with records: how good they are at different lead times."""
+"""Verification of forecasts: a comparison with records at different lead times."""

@@ -1,4 +1,4 @@
-"""What is most likely wrong with an archive: leads that lack water, or rain for another place."""
+"""Checks for likely errors in an archive: leads that lack water, or rain for another place."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _MIN_R, _MIN_PAIRS = 0.1, 1000
 
 
 def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> list[str]:
-    """Return what is most likely wrong with forecasts, each in a sentence.
+    """Return the most likely errors in forecasts, each in a sentence.
 
     Args:
         tallies: tally of every class.
-        previous_runs: whether these are previous runs, whose leads can lack water.
+        previous_runs: whether the forecasts are previous runs, whose leads can lack water.
     """
     scores = {key: tally.scores() for key, tally in tallies.items()}
     warnings = [
@@ -41,19 +41,20 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     ]
     if known and max(known) < _MIN_R:
         warnings.append(
-            f"these forecasts are unrelated to these records: no correlation reaches {_MIN_R:g}; "
-            "are both for the same place, and are the times of both right?"
+            f"the forecasts are unrelated to the records: no correlation reaches {_MIN_R:g}. Are "
+            "both for the same place, and are the times of both right?"
         )
     return warnings
 
 
 def _find_odd_leads(scores: Mapping[Class, ForecastScores]) -> dict[str, float]:
-    """Return leads, in words, whose water differs from the others', with the ratio (1).
+    """Return the leads, in words, whose water differs from that of other leads, and the ratios (1).
 
     The water of a lead is its bias, which leaves out the hours that the lead lacks. A lead is odd
-    if it has less than 0.55 of the median of the other leads, or more than 1 / 0.55 of it, because
-    a model's climate does not change with the lead, even if its forecasts get worse. Leads with
-    less than a year of hours are left out; if fewer than three leads remain, none is odd.
+    if its water is less than 0.55 times or more than 1 / 0.55 times the median of the other leads.
+    The reason is that a model's climate does not change with the lead, even if its forecasts get
+    worse. Leads with less than a year of hours are left out. If fewer than three leads remain, no
+    lead is odd.
 
     Args:
         scores: scores of previous runs, where every pair of a lead covers different hours.

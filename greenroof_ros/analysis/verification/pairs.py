@@ -1,4 +1,4 @@
-"""Pairs of rain sums, forecast (in an archive) and recorded, by lead."""
+"""Pairs of rain sums, one from an archive of forecasts and one from records, by lead."""
 
 from __future__ import annotations
 
@@ -29,17 +29,18 @@ _DIGITS = 6
 
 @dataclass(frozen=True)
 class IssuedForecasts:
-    """Forecasts of an archive.
+    """The forecasts of an archive.
 
     Attributes:
         name: name of the forecasts, in words.
         members: number of members of each forecast.
         hours: length of the longest forecast (h).
         finest_lead: finest resolution of the lead (h); more than 1 for previous runs.
-        span: the period that they cover, in words.
-        issues: in order of time, for every issue the hour of the records in which it begins
-            (negative if before them) and its rain (mm/h), shape (members, hours), NaN if missing.
-        notes: what could not be used unchanged, in sentences.
+        span: period that the forecasts cover, in words.
+        issues: issues in order of time, each with the hour of the records in which it begins
+            (negative if it begins before the records) and its rain (mm/h), shape (members, hours),
+            NaN if missing.
+        notes: sentences about the data that could not be used unchanged.
     """
 
     name: str
@@ -56,15 +57,15 @@ def read_issued_forecasts(
 ) -> IssuedForecasts:
     """Return the forecasts of an archive, for comparison with records.
 
-    They are compared with rain at the time when it fell, even if the records count it later
-    (``rain_late``). Forecasts that end before the records begin, or begin after they end, are left
-    out.
+    The forecasts are compared with the rain at the time at which it fell, even if the records count
+    it later (``rain_late``). Forecasts that end before the records begin, or begin after the
+    records end, are left out.
 
     Args:
         file: the archive, a file or a directory of files.
         weather: the records.
         site: site with its place on earth.
-        horizon: hours of every forecast that are compared.
+        horizon: number of hours of every forecast to compare.
 
     Raises:
         ConfigurationError: if the archive is wrong.
@@ -96,7 +97,9 @@ class Sum(NamedTuple):
 
 
 class Class(NamedTuple):
-    """Pairs that are scored together: leads from ``low`` to before ``high`` (h), and a sum."""
+    """A class of pairs that are scored together: leads from ``low`` to before ``high`` (h), and a
+    sum.
+    """
 
     low: int
     high: int
@@ -117,16 +120,16 @@ def tally_pairs(
     """Add up all pairs of forecasts and records.
 
     A pair consists of a sum over consecutive hours of an issue, and the sum over the same hours of
-    the records. An issue is divided from its start: with sums of 12 h into its first 12 hours, the
-    next 12, and so on. Every sum belongs to the class of leads that contains it. A sum is left out
-    if the issue or the records lack one of its hours.
+    the records. An issue is divided from its start: for sums of 12 h, into its first 12 hours, the
+    next 12 hours, and so on. Every sum belongs to the class of leads that contains it. A sum is
+    left out if the issue or the records lack one of its hours.
 
     Args:
-        forecasts: any number of forecasts.
+        forecasts: forecasts to compare with the records.
         observed: records (mm/h), shape (hours,); NaN if missing.
         lead: width of a class of leads (h); a multiple of the length of every sum.
         sums: lengths of the sums, and events.
-        done: called with the number of forecasts added so far.
+        done: callback that receives the number of forecasts added so far.
 
     Returns:
         The tally of every class, in the order of leads and sums.

@@ -1,9 +1,9 @@
 """Scores of rain forecasts.
 
-They are written out here, in a few lines each. Among the libraries that offer them, ``scores``
-needs xarray, pandas and bottleneck; ``scoringrules`` needs Python 3.11, and ``properscoring`` had
-its only release in 2015. The tests compare them with worked examples, closed forms and other ways
-of computing them.
+The scores are implemented here, in a few lines each. Among the libraries that offer these scores,
+``scores`` needs xarray, pandas and bottleneck; ``scoringrules`` needs Python 3.11, and
+``properscoring`` had its only release in 2015. The tests compare the scores with worked examples,
+closed forms and other methods of computation.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def compute_event_scores(
 class ForecastScores(NamedTuple):
     """Scores of pairs of forecast and observed sums; NaN if undefined.
 
-    Bias, r, POD, FAR and ETS are scores of member 0, the forecast of controllers that use a single
-    one; the Brier score and CRPS are scores of all members.
+    Bias, r, POD, FAR and ETS are scores of member 0, which is the forecast of controllers that use
+    a single member. The Brier score and CRPS are scores of all members.
     """
 
     n: int
@@ -82,7 +82,8 @@ SHOWN = {
 
 
 class Tally:
-    """Sums from which all scores follow, so that memory does not grow with the number of pairs.
+    """Sums from which all scores are computed, so that memory does not grow with the number of
+    pairs.
 
     Attributes:
         table: numbers of hits, false alarms, misses and correct negatives, shape (4,).

@@ -1,1 +1,1 @@
-"""Work in parallel: in processes on this machine, or on the workers of a Dask cluster."""
+"""Parallel work in processes on this machine, or on the workers of a Dask cluster."""

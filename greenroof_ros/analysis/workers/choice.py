@@ -1,4 +1,4 @@
-"""The options that choose where a command's work is done, and the workers that they choose."""
+"""The options that choose the workers of a command, and the workers that the options request."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def add_worker_arguments(parser: argparse.ArgumentParser, what: str) -> None:
 
     Args:
         parser: the command's parser.
-        what: the work that is handed to them, such as ``runs``.
+        what: name of the work that is handed to the workers, such as ``runs``.
     """
     parser.add_argument(
         "--jobs", type=make_number_type(1, 1024, int), metavar="N",
@@ -44,7 +44,7 @@ def check_workers(arguments: argparse.Namespace) -> None:
     """
     refuse((
         arguments.scheduler is not None and arguments.jobs is not None, "--jobs", arguments.jobs,
-        "cannot be combined with --scheduler: the cluster sets the number",
+        "cannot be combined with --scheduler: the cluster sets the number of processes",
     ))
     weather: Path | None = arguments.weather
     refuse((
@@ -54,13 +54,13 @@ def check_workers(arguments: argparse.Namespace) -> None:
 
 
 def describe_end(error: Exception, signals: Signals | None) -> tuple[str, int]:
-    """Return why the work ended early, and the exit code.
+    """Return the reason why the work ended early, and the exit code.
 
-    A signal to all processes, as a batch system sends it, also ends the workers.
+    A signal that a batch system sends to all processes also stops the workers.
 
     Args:
         error: error that ended the work.
-        signals: signals that the command has received; None before it handles any.
+        signals: signals that the command has received; None before the command handles signals.
     """
     received = None if signals is None else signals.received
     if received is None:

@@ -36,7 +36,7 @@ _DELETE_S = 5.0
 
 
 class InputFiles(WorkerPlugin):
-    """Keep the input files on a worker; Dask sends them to every worker once."""
+    """The input files on a worker, which Dask sends to every worker once."""
 
     def __init__(self, files: Mapping[str, bytes]) -> None:
         """Set the contents of the files, by name."""
@@ -62,7 +62,7 @@ def _on_worker(plugin: str, function: Callable[..., Any], *arguments: Any) -> An
 
 @contextmanager
 def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
-    """Work on the workers of a Dask scheduler.
+    """Provide the workers of a Dask scheduler.
 
     Args:
         address: address of the scheduler, such as ``tcp://10.0.0.1:8786``.
@@ -150,6 +150,6 @@ def _check_versions(workers: Mapping[str, Mapping[str, str]]) -> None:
             if theirs.get(package) != here.get(package):
                 raise ConfigurationError(
                     f"its worker {address} uses {package} {theirs.get(package, '(missing)')}, but "
-                    f"this process {here.get(package, '(missing)')}; install the same version",
+                    f"this process uses {here.get(package, '(missing)')}; install the same version",
                     key="--scheduler",
                 )

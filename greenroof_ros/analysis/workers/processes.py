@@ -30,13 +30,13 @@ class WorkersLostError(BrokenExecutor):
 
 
 class Workers(NamedTuple):
-    """The means to hand out work."""
+    """The functions that hand out work to the workers."""
 
     submit: Callable[..., Future[Any]]
     """schedules a function, which is called with the directory of the input files, followed by
     the arguments that were passed"""
     result: Callable[[Future[Any]], Any]
-    """returns what the function of a future returned, or raises what it raised"""
+    """returns the result of the function of a future, or raises the error that it raised"""
     check: Callable[[], None]
     """raises :class:`WorkersLostError` if no worker is left"""
     slots: int
@@ -45,7 +45,7 @@ class Workers(NamedTuple):
 
 @contextmanager
 def this_process(files: Mapping[str, bytes]) -> Iterator[Workers]:
-    """Work in this process: every task runs when it is submitted.
+    """Provide this process as the only worker, in which every task runs when it is submitted.
 
     Args:
         files: contents of the input files, by name.
@@ -65,7 +65,7 @@ def this_process(files: Mapping[str, bytes]) -> Iterator[Workers]:
 def processes(
     jobs: int, files: Mapping[str, bytes], preload: Sequence[str]
 ) -> Iterator[Workers]:
-    """Work in parallel processes on this machine.
+    """Provide parallel processes on this machine as workers.
 
     Args:
         jobs: number of processes.
@@ -139,10 +139,10 @@ def _from_file(future: Future[Path]) -> Any:
 
 
 def _prepare(scratch: str) -> None:
-    """Prepare a worker: set its directory for temporary files, silence warnings, and tie its end.
+    """Prepare a worker: set its temporary directory, silence warnings, and end it with the command.
 
-    Warnings from single runs would break the progress bar. The worker ends together with the
-    command itself, because its parent, the fork server, stays while any of its children runs.
+    Warnings from single runs would break the progress bar. The worker has to end with the command
+    itself, because its parent, the fork server, continues to run while any of its children runs.
 
     Args:
         scratch: directory for temporary files, which the command deletes.

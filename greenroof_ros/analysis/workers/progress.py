@@ -1,4 +1,4 @@
-"""The progress of a task: its worker writes the share that is done to a file for this task."""
+"""The progress of a task: the share that is done, which its worker writes to a file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _REFRESH_S = 0.5
 
 @dataclass
 class ShareFile:
-    """The share of a task that is done, 0 to 1; nobody reads what another machine writes."""
+    """The share of a task that is done, 0 to 1. A share that another machine writes is not read."""
 
     path: Path
     _written: float = 0.0
@@ -25,7 +25,7 @@ class ShareFile:
                 self.path.write_text(f"{share:.3f}")
 
     def read(self) -> float:
-        """Return the share, or 0 if none has been written yet."""
+        """Return the share, or 0 if no share has been written yet."""
         with suppress(OSError, ValueError):  # the file does not exist yet or is being written
             return float(self.path.read_text())
         return 0.0

@@ -222,7 +222,7 @@ def test_a_knee_at_the_ends_of_the_volumes(sizes: Sizes) -> None:
     assert never.describe_knee().startswith("this is the smallest of the sizes. Beyond it, another")
     assert never.format_knee(never.targets[0], "plan") == "at most 2 m³"
     assert always.recommended.volume == 10
-    assert always.describe_knee().startswith("the largest of all")
+    assert always.describe_knee().startswith("this is the largest of the sizes")
     assert always.format_knee(always.targets[0], "none") == "above 10 m³"
 
 

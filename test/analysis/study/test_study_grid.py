@@ -54,7 +54,7 @@ WRONG = {
     "value": (edit_grid("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than"),
     "sensor_and_pump-twice": (
         GRID + "sensor_and_pump: [{}, {roof_noise: 0}]\n",
-        "is the same run twice: mpc {'weight': 0.001, ",
+        "contains the same run twice: mpc {'weight': 0.001, ",
     ),
 }
 
