@@ -66,8 +66,7 @@ class Names:
 
 
 def _find_season(case: Case) -> tuple[object, ...]:
-    """Return the values that the runs of a season in different years share; the first is the start.
-    """
+    """Return the values that the runs of a season share in all years; the first is the start."""
     inputs = case.inputs
     return (
         f"{case.start:%m-%dT%H:%M}" if case.hours >= _SEASON_HOURS else "", case.site.name,

@@ -97,9 +97,7 @@ class Sum(NamedTuple):
 
 
 class Class(NamedTuple):
-    """A class of pairs that are scored together: leads from ``low`` to before ``high`` (h), and a
-    sum.
-    """
+    """Pairs that are scored together: leads from ``low`` to below ``high`` (h), and a sum."""
 
     low: int
     high: int

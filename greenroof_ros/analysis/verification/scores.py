@@ -82,8 +82,7 @@ SHOWN = {
 
 
 class Tally:
-    """Sums from which all scores are computed, so that memory does not grow with the number of
-    pairs.
+    """Sums that yield all scores, so that memory does not grow with the number of pairs.
 
     Attributes:
         table: numbers of hits, false alarms, misses and correct negatives, shape (4,).
