@@ -19,7 +19,7 @@ def test_too_little_for_a_fit() -> None:
     empty = a_record(rain, level=nothing)
     refusal(check_record, empty, TWIN, match="level: has 0 values; a fit needs")
     wet = a_record(rain / 1000, level=np.linspace(0, 0.02, 3000))
-    refusal(check_record, wet, TWIN, match="rain: is 0.03 mm in total, .* Is the unit of the column")
+    refusal(check_record, wet, TWIN, match="rain: is 0.03 mm in total, .* Is the unit of the")
 
 
 FILE = Path("roof.csv")

@@ -48,7 +48,10 @@ WRONG = {
         "3600 s (duration of a tick)",
     ),
     "no-file": (edit_grid("site.yaml", "absent.yaml"), "absent.yaml does not exist"),
-    "year": (edit_grid(HOURS, f"{HOURS}    year: {{from: 1}}\n"), "year: must be a range of whole numbers, such as {from: 1, to: 5"),
+    "year": (
+        edit_grid(HOURS, f"{HOURS}    year: {{from: 1}}\n"),
+        "year: must be a range of whole numbers, such as {from: 1, to: 5",
+    ),
     "state-twice": (edit_grid("name: dry", "name: low-low"), "line 8: name = 'low-low': appears"),
     "parameter": (edit_grid("weight", "weights"), "line 11: weights: is not a valid key; did you"),
     "value": (edit_grid("0.1]", "-0.1]"), "line 11: weight = -0.1: must be a number greater than"),
