@@ -247,7 +247,7 @@ def simulate(
             - parameters of the controller, such as ``weight=0.01``.
 
     Returns:
-        The metrics, and the trajectory with a chart; both can be saved.
+        The metrics and the trajectory, with methods that draw and save them.
 
     Raises:
         ConfigurationError: if an input is wrong; the message names the input and states what would
@@ -309,7 +309,7 @@ class Comparison:
     """The results of several controllers.
 
     Attributes:
-        results: results by name.
+        results: results of the controllers, by name.
     """
 
     results: Mapping[str, Result]

@@ -34,10 +34,10 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
     forecasts of a live site do not include the crop coefficient, so all other evapotranspiration is
     used as it is.
 
-    The command counts only while the pumps deliver water. It is unknown in steps with a command
-    above 1, which no real pump can follow. In a gap only evapotranspiration is known, because the
-    roof continues to dry: it is the value of the previous day or, on the first day, the last value
-    before the gap.
+    The command counts only while the pumps deliver water. The command is unknown in steps with a
+    command above 1, which no real pump can follow. In a gap only evapotranspiration is known,
+    because the roof continues to dry: the value is that of the previous day or, on the first day,
+    the last value before the gap.
 
     Raises:
         ConfigurationError: if the bag cannot be read, is shorter than two steps, or contains no

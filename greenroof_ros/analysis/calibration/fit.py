@@ -139,7 +139,7 @@ _DEPLETION = 0.5
 
 
 def lower_target(site: Site) -> Site:
-    """Return the site with a target that its roof can hold; a target that it can hold is unchanged.
+    """Return the site, with a lower target if its roof cannot hold the present target.
 
     Water above field capacity drains, so the pumps would never reach a target above it. Because a
     record says nothing about the target, it is set half-way between wilting point and field
@@ -198,8 +198,8 @@ def fit(
     are longer than an hour, and any parameter whose column of the Jacobian, scaled by the
     parameter's range, is small or a linear combination of other columns (QR with column pivoting;
     Golub and Van Loan, Matrix Computations, 5.5.7). Intervals come from :func:`compute_intervals`,
-    with weeks as groups. They are widened by the largest change of a parameter that a change of the
-    held parameters within their ranges causes.
+    with weeks as groups. The intervals are widened by the largest effect that a change of the held
+    parameters within their ranges has on a parameter.
 
     Args:
         site: site with the start of the search, and the values of the parameters that are held.

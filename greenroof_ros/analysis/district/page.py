@@ -225,7 +225,7 @@ def draw_figures(
         "Do the valves open together?" if valves else "The highest flow over five minutes",
         " ".join([
             *(
-                ["They open together in dry weather.", *valves,
+                ["The valves open together in dry weather.", *valves,
                  "The figure shows the highest flow over five minutes."]
                 if valves else ["No valve opens."]
             ),

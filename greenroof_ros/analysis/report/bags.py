@@ -1,7 +1,7 @@
 """Reading of run directories and bags as runs of a report.
 
-A run directory contains a bag. For a simulation in one process, it contains the trajectory instead,
-or only the results.
+A run directory contains a bag. The directory of a simulation in one process contains the trajectory
+instead, or only the results.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def _moment(seconds: float, zone: tzinfo | None) -> str:
 def complete_row(known: Row, site: Site, trajectory: Trajectory, samples: Samples) -> Row:
     """Return a run's row: the known results, and all other results from its trajectory.
 
-    Sums are Euler sums, in which a value is constant from its sample to the next. They do not
+    Sums are Euler sums, in which a value is constant from its sample to the next. The sums do not
     include the flows of the last sample, because the run ends in the state of this sample.
     """
     frost = trajectory.frost[:-1] > 0

@@ -171,10 +171,11 @@ def _sum(row: Row, terms: Mapping[str, float]) -> float | None:
 def _compare(place: Sequence[CaseRuns]) -> None:
     """Compare the cases of a place with the on/off controller that fills to the target.
 
-    This is the paper's controller; if some of its cases keep the valve of the low outlet closed,
-    only these are used. If there is more than one such case, with different shares of the flow, the
-    case with the most runs is used and, among equals, the case with the smallest mean deviation.
-    Deviations are compared for seasons. Volumes are compared if both cases ran in the same years.
+    The reference is the paper's controller; if some of its cases keep the valve of the low outlet
+    closed, only these are used. If there is more than one such case, with different shares of the
+    flow, the case with the most runs is used and, among equals, the case with the smallest mean
+    deviation. Deviations are compared for seasons. Volumes are compared if both cases ran in the
+    same years.
     """
     (level,) = (known.default for known in OnOff.parameters if known.name == "level")
     plain = [

@@ -99,9 +99,10 @@ def compare(own: Deviations, other: Deviations) -> SeasonComparison | None:
 
 @cache
 def _draws(years: int) -> Array:
-    """Return how often each year occurs in each resample of the years with replacement.
+    """Return the number of times that each year occurs in each resample.
 
-    The seed is fixed, so the same runs always yield the same report.
+    Years are drawn with replacement. The seed is fixed, so the same runs always yield the same
+    report.
     """
     drawn = np.random.default_rng(_SEED).integers(years, size=(years, _RESAMPLES))
     counts: Array = (drawn[:, :, None] == np.arange(years)).sum(axis=0).astype(np.float64)

@@ -32,7 +32,7 @@ class InputFile:
     content: bytes
 
     def __getstate__(self) -> dict[str, str]:
-        """Return what a worker receives with a case, which is only the name."""
+        """Return the state that a worker receives with a case, which is only the name."""
         return {"name": self.name}
 
     @cached_property

@@ -31,8 +31,8 @@ class Outcome:
     """The results of a run.
 
     Attributes:
-        results: columns of the table. They do not depend on the duration of the run, and only their
-            last digits depend on the cases with which the run was simulated.
+        results: columns of the table. The results do not depend on the duration of the run, and
+            only their last digits depend on the cases with which the run was simulated.
         files: contents of the files that are kept, by name.
     """
 

@@ -315,7 +315,7 @@ class _Grid:
     def _input(self, path: Path, content: bytes | None = None) -> InputFile:
         """Return a file's content under a name that is unique in the study.
 
-        This is the file's own name, preceded by the folder's name if another file has the same
+        The name is the file's own name, preceded by the folder's name if another file has the same
         name.
 
         Args:

@@ -62,7 +62,7 @@ class StudyStore:
                 study.
             grid: file of the grid.
             cases: runs of the study.
-            trajectory_every: see the attribute.
+            trajectory_every: time between the samples of each trajectory, as in the attribute.
 
         Raises:
             ConfigurationError: if the directory contains other files, or a study with another grid,

@@ -30,7 +30,8 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     """
     scores = {key: tally.scores() for key, tally in tallies.items()}
     warnings = [
-        f"{lead} has {ratio:.2f} times the rain of the other lead times, most likely because of an "
+        f"{lead} contains {ratio:.2f} times the rain of the other lead times, most likely "
+        "because of an "
         "error in the archive; --horizon excludes long lead times"
         for lead, ratio in (_find_odd_leads(scores) if previous_runs else {}).items()
     ]
@@ -50,11 +51,11 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
 def _find_odd_leads(scores: Mapping[Class, ForecastScores]) -> dict[str, float]:
     """Return the leads, in words, whose water differs from that of other leads, and the ratios (1).
 
-    The water of a lead is its bias, which leaves out the hours that the lead lacks. A lead is odd
-    if its water is less than 0.55 times or more than 1 / 0.55 times the median of the other leads.
-    The reason is that a model's climate does not change with the lead, even if its forecasts get
-    worse. Leads with less than a year of hours are left out. If fewer than three leads remain, no
-    lead is odd.
+    The water of a lead is measured by its bias, which leaves out the hours that the lead lacks. A
+    lead is odd if its water is less than 0.55 times or more than 1 / 0.55 times the median of the
+    other leads. The reason is that a model's climate does not change with the lead, even if its
+    forecasts get worse. Leads with less than a year of hours are left out. If fewer than three
+    leads remain, no lead is odd.
 
     Args:
         scores: scores of previous runs, where every pair of a lead covers different hours.
