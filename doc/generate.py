@@ -265,7 +265,7 @@ def site() -> str:
             f"`{entry.name}`", quantity(getattr(paper, entry.name), entry.unit),
             sentences(
                 entry.meaning,
-                "" if entry.default is None else f"If omitted: {number(entry.default)}",
+                "" if entry.default is None else f"The default is {number(entry.default)}",
             ),
         )
         for entry in site_parameters()
@@ -522,13 +522,17 @@ def conditions() -> str:
 def plausible_values() -> str:
     """Return the columns of a CSV of measurements, with their units and the accepted values."""
     return markdown(
-        ("column", "units", "of", "accepted", "set to the limit if outside by up to"),
+        (
+            "column", "units", "record", "accepted range",
+            "tolerance, within which a value is set to the limit",
+        ),
         (
             (
                 name, ", ".join(f"`{unit}`" for unit in quantity.columns),
                 "roof" if name in ROOF else "weather",
-                f"{quantity.low:g} to {quantity.high:g} {quantity.unit}",
-                f"{quantity.nearly:g} {quantity.unit}" if quantity.nearly else "",
+                f"{quantity.low:g} to {quantity.high:g} {quantity.unit}".removesuffix(" 1"),
+                f"{quantity.nearly:g} "
+                f"{quantity.unit}".removesuffix(" 1") if quantity.nearly else "",
             )
             for name, quantity in QUANTITIES.items()
         ),

@@ -56,10 +56,12 @@ class Climate:
     of 2015 to 2025.
     """
 
-    wet_share: float = entry("share of the hours with rain (1)", 1e-4, 0.9)
-    scale: float = entry("k, scale of an hour's rain (mm)", 1e-3, 100.0)
-    growth: float = entry("b, exponent of the growth of rain with z (1)", 0.1, 5.0)
-    memory: float = entry("T, lag at which the autocorrelation of z is 1/e (h)", 0.5, 24.0)
+    wet_share: float = entry("share of hours that have rain (1)", 1e-4, 0.9)
+    scale: float = entry("scale k of hourly rain (mm)", 1e-3, 100.0)
+    growth: float = entry(
+        "exponent b of the increase of rain with the normal variable z (1)", 0.1, 5.0,
+    )
+    memory: float = entry("time lag T at which the autocorrelation of z is 1/e (h)", 0.5, 24.0)
 
     @property
     def threshold(self) -> float:
@@ -100,21 +102,29 @@ class Errors:
     is 0 at lead 0.
     """
 
-    reach: float = entry("L, lead at which the coherence has fallen to 1/e (h)", 1.0, 1e6)
-    fading: float = entry("p, steepness of the decay of the coherence with the lead (1)", 0.1, 10.0)
-    timing: float = entry("sigma_1, error of timing one day ahead (h)", 0.0, 24.0)
-    timing_growth: float = entry(
-        "q, exponent of the growth of the error of timing with the lead (1)", 0.0, 2.0
+    reach: float = entry("lead time L at which the coherence has fallen to 1/e (h)", 1.0, 1e6)
+    fading: float = entry(
+        "exponent p, the steepness of the decay of coherence with lead time (1)", 0.1, 10.0,
     )
-    wetness: float = entry("shift of z toward rain if nothing is known (1)", -2.0, 2.0)
+    timing: float = entry(
+        "standard deviation sigma_1 of the timing error one day ahead (h)", 0.0, 24.0,
+    )
+    timing_growth: float = entry(
+        "exponent q of the growth of the timing error with lead time (1)", 0.0, 2.0,
+    )
+    wetness: float = entry(
+        "shift of z toward rain at a lead time at which nothing is known (1)", -2.0, 2.0,
+    )
     amount: float = entry(
-        "factor applied to the rain if nothing is known (1)", 0.0, 10.0
+        "factor applied to the rain at a lead time at which nothing is known (1)", 0.0, 10.0
     )
     persistence: float = entry(
-        "time between issues after which the correlation of their errors is 1/e (h)", 1.0, 240.0
+        "time between two issues of a forecast at which the correlation of their errors is 1/e "
+        "(h)", 1.0, 240.0
     )
     evapotranspiration: float = entry(
-        "relative error of evapotranspiration if nothing is known (1)", 0.0, 2.0
+        "relative error of evapotranspiration at a lead time at which nothing is known "
+        "(1)", 0.0, 2.0
     )
 
 

@@ -1,8 +1,9 @@
-"""Keys of a site file in everyday words, each of which stands for parameters of the paper.
+"""Plain keys of a site file: everyday words that replace parameters of the paper.
 
-A file may use either. Files that extend one another, and values that a program changes, are levels
-of a site. A value on one level takes precedence over every value of the same quantity on the levels
-below it, whatever its name. Within a level, two keys for the same quantity are an error.
+A file may use plain keys or the paper's symbols. Files that extend one another, and values that a
+program changes, are levels of a site. A value on one level takes precedence over all values of the
+same quantity on lower levels, whichever key they use. Within a level, two keys for the same
+quantity are an error.
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ _HEAD_OF_CONSTANT_FLOW = 1e6
 
 @dataclass(frozen=True)
 class Substrate:
-    """A named substrate with its drainage layer: parameters of a field-capacity soil.
+    """A named substrate and its drainage layer: the parameters of a field-capacity soil.
 
     Attributes:
-        about: description, with the sources of the values.
-        depth: usual depth, for a new site (m).
-        field_capacity: the site's parameter of this name (1).
-        wilting_point: the site's parameter of this name (1).
-        depletion_fraction: the site's parameter of this name (1).
-        drainage_storage: the site's parameter of this name (m).
-        drainage_time: the site's parameter of this name (s).
+        about: description of the substrate, with the sources of its values.
+        depth: usual depth of the substrate, used for a new site (m).
+        field_capacity: value of the site's parameter ``field_capacity`` (1).
+        wilting_point: value of the site's parameter ``wilting_point`` (1).
+        depletion_fraction: value of the site's parameter ``depletion_fraction`` (1).
+        drainage_storage: value of the site's parameter ``drainage_storage`` (m).
+        drainage_time: value of the site's parameter ``drainage_time`` (s).
     """
 
     about: str
@@ -55,65 +56,77 @@ _OF_SUBSTRATE = (
 )
 SUBSTRATES = {
     "neubrandenburg": Substrate(
-        "a whole roof in Germany, including plants and mat, fitted to 16 months of runoff: "
+        "a whole roof in Germany, including its plants and mat; the values were fitted to 16 "
+        "months of measured runoff, see "
         "config/site_neubrandenburg.yaml", 0.108, 0.63, 0.02, drainage_storage=0.0055,
     ),
     "berlin": Substrate(
-        "a roof in Berlin, as calibrated for SWMM 5 (KWB-R/keys.lid, bbr18.inp): 10 cm of "
-        "substrate on a drainage layer of 3 mm, half of which is voids", 0.1, 0.2, 0.1,
+        "a roof in Berlin with 10 cm of substrate on a drainage layer of 3 mm, half of which is "
+        "voids; the values are from a calibration of SWMM 5 (KWB-R/keys.lid, "
+        "bbr18.inp)", 0.1, 0.2, 0.1,
         drainage_storage=0.0015,
     ),
     "extensive": Substrate(
-        "assumed: its maximum water capacity of 35 % is quoted as the minimum in the FLL "
-        "guidelines (2018) for extensive roofs with several layers, but was not checked in their "
-        "text; wilting point and drainage layer are within the ranges of EPA's SWMM Reference "
-        "Manual III (2016), 0.05 to 0.2 and 3 to 20 mm", 0.1, 0.35, 0.1,
+        "assumed values: a maximum water capacity of 35 % is quoted as the minimum in the FLL "
+        "guidelines (2018) for extensive roofs with more than one layer, but was not checked in "
+        "their text; the wilting point and the drainage layer are within the ranges in EPA's "
+        "SWMM Reference Manual III (2016), 0.05 to 0.2 and 3 to 20 mm", 0.1, 0.35, 0.1,
     ),
     "intensive": Substrate(
-        "assumed: as extensive, but with the 45 % quoted for intensive roofs", 0.3, 0.45, 0.1,
+        "assumed values: those of extensive, but with the maximum water capacity of 45 % that is "
+        "quoted for intensive roofs", 0.3, 0.45, 0.1,
     ),
     "sandy_loam": Substrate(
-        "a garden soil: the middle of the ranges in FAO-56, Table 19 (0.18 to 0.28 and 0.06 to "
-        "0.16)", 0.3, 0.23, 0.11,
+        "a garden soil; the values are the middle of the ranges in FAO-56, Table 19 (0.18 to "
+        "0.28 and 0.06 to 0.16)", 0.3, 0.23, 0.11,
     ),
     "loam": Substrate(
-        "a garden soil: the middle of the ranges in FAO-56, Table 19 (0.20 to 0.30 and 0.07 to "
-        "0.17)", 0.3, 0.25, 0.12,
+        "a garden soil; the values are the middle of the ranges in FAO-56, Table 19 (0.20 to "
+        "0.30 and 0.07 to 0.17)", 0.3, 0.25, 0.12,
     ),
 }
-"""the substrates, by name. The depletion fraction is the middle of the range 0.3 to 0.7 in FAO-56,
-Table 22. The time of the drainage layer is that of Neubrandenburg; under garden soils, its storage
-is the middle of SWMM's range"""
+"""The substrates, by name.
+
+The depletion fraction is the middle of the range 0.3 to 0.7 in FAO-56, Table 22. The time constant
+of the drainage layer is that of the roof in Neubrandenburg. The storage under garden soils is the
+middle of the range in SWMM's manual.
+"""
 
 
 @dataclass(frozen=True)
 class PlainKeys:
-    """The keys, each of which can be left out."""
+    """The plain keys, each of which is optional."""
 
     cistern_volume: float | None = entry(
-        "volume of the cistern up to its overflow: divided by its height, this is a1", 0.01, 1e5,
+        "volume of the cistern up to its overflow; determines a1, which is this volume divided "
+        "by the height", 0.01, 1e5,
         unit="m3", default=None, usual=(1, 50),
     )
     cistern_height: float | None = entry(
-        "height of the cistern's overflow above its base: z_o", 0.1, 50.0, unit="m", default=None,
+        "height of the cistern's overflow above its base; determines "
+        "z_o", 0.1, 50.0, unit="m", default=None,
         usual=(1, 3),
     )
     catchment_area: float | None = entry(
-        "area that drains to the cistern: a_in", 0.1, 1e6, unit="m2", default=None,
+        "area that drains to the cistern; determines a_in", 0.1, 1e6, unit="m2", default=None,
         usual=(50, 2000),
     )
     roof_area: float | None = entry(
-        "area of the green roof: a2", 0.1, 1e6, unit="m2", default=None, usual=(20, 2000),
+        "area of the green roof; determines "
+        "a2", 0.1, 1e6, unit="m2", default=None, usual=(20, 2000),
     )
     substrate: str | None = entry(
-        "substrate of the green roof, by name: field_capacity, wilting_point, depletion_fraction, "
-        "drainage_storage and drainage_time", choices=tuple(SUBSTRATES), default=None,
+        "name of the green roof's substrate; determines field_capacity, wilting_point, "
+        "depletion_fraction, drainage_storage and "
+        "drainage_time", choices=tuple(SUBSTRATES), default=None,
     )
     substrate_depth: float | None = entry(
-        "depth of the substrate: z_soil", 0.02, 2.0, unit="m", default=None, usual=(0.06, 0.5),
+        "depth of the substrate; determines "
+        "z_soil", 0.02, 2.0, unit="m", default=None, usual=(0.06, 0.5),
     )
     pump_flow: float | None = entry(
-        "flow of the pump at full command, whatever the level of the cistern: a_hat and c_hat",
+        "flow of the pump at full command, independent of the cistern's level; determines a_hat "
+        "and c_hat",
         1.0, 1e6,
         unit="l/h", default=None, usual=(100, 5000),
     )
@@ -131,7 +144,7 @@ class PlainKeys:
 
 
 PLAIN: dict[str, Parameter] = {each.name: each for each in parameters_of(PlainKeys)}
-"""the keys, by name"""
+"""plain keys, by name"""
 
 # Keys that are only another name for a parameter.
 _RENAMED = {
@@ -150,7 +163,7 @@ _RIVALS: dict[str, tuple[str, ...]] = {
 }
 _PLACE = {"latitude", "longitude"}
 NO_VALUE = "must have a value; leave this line out if there is none"
-"""why an empty value is rejected"""
+"""reason for rejecting an empty value"""
 
 # Keys that a file for another place does not inherit from the file that it extends.
 _FOLLOW_PLACE = (
@@ -159,33 +172,33 @@ _FOLLOW_PLACE = (
 
 
 class Entry(NamedTuple):
-    """A value of a site, and its source."""
+    """A value in a site's description, and its source."""
 
     value: Any
     file: Path | None = None
-    """file that contains the value; None if a program set it"""
+    """file that contains the value; None if a program set the value"""
     line: int | None = None
     plain: str = ""
-    """plain key from which the value follows; empty if there is none"""
+    """plain key that determines the value; empty without a plain key"""
 
 
 class Translation(NamedTuple):
     """A site's entries under the paper's names."""
 
     entries: dict[str, Entry]
-    """entries by name; those in `computed` have a placeholder as their value"""
+    """entries by name; entries in `computed` have a placeholder as their value"""
     computed: dict[str, Callable[[Site], float]]
-    """functions that compute a parameter from the others of a site, by name"""
+    """functions that compute parameters from a site's other parameters, by name"""
 
 
 def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, Entry]:
     """Return the entries of a level of a site together with those of the levels below it.
 
-    The entries of the level itself take precedence.
+    Entries of the level itself take precedence.
 
     Args:
-        base: entries of the levels below; may be empty.
-        own: entries of the level.
+        base: entries of the lower levels; may be empty.
+        own: entries of the level itself.
 
     Raises:
         ConfigurationError: if two keys of the level set the same parameter; the message names both.
@@ -199,7 +212,7 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
             where = "" if own[rival].line is None else f" in line {own[rival].line}"
             raise ConfigurationError(
                 f"contradicts {rival} = {own[rival].value}{where}, which sets the same quantity: "
-                "remove one of them", file=file, line=line, key=name, value=value,
+                "remove one of the two", file=file, line=line, key=name, value=value,
             )
     if own.keys() >= _PLACE:
         replaced.update(_FOLLOW_PLACE)
@@ -207,10 +220,11 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
 
 
 def translate(entries: Mapping[str, Entry]) -> Translation:
-    """Return the entries under the paper's names.
+    """Convert plain keys, and return all entries under the paper's names.
 
     Raises:
-        ConfigurationError: if a plain key has a wrong value, or a key that it needs is missing.
+        ConfigurationError: if a plain key has a wrong value, or another key that it requires is
+            missing.
     """
     given = {name: each.value for name, each in entries.items() if name in PLAIN}
     for name, value in given.items():
@@ -246,10 +260,10 @@ def translate(entries: Mapping[str, Entry]) -> Translation:
 
 
 def _find_pump(keys: PlainKeys) -> tuple[str, Callable[[Site], float]] | None:
-    """Return the key that sets the pump's flow, and a function for the flow at a site (m3/s).
+    """Return the key that sets the pump's flow, and a function that returns the flow (m3/s).
 
     Raises:
-        ConfigurationError: if either the number or the flow of emitters is missing.
+        ConfigurationError: if only one of the number and the flow of emitters is given.
     """
     litres, rate = keys.pump_flow, keys.irrigation_rate
     if litres is not None:

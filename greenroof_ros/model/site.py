@@ -1,4 +1,4 @@
-"""The site: Table I of the paper and its place on earth, read from a YAML file and checked."""
+"""The parameters of a site: Table I of the paper, and its location, read from YAML and checked."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ _FOLLOW = {
 _OF_CLOCK: dict[str, tuple[Callable[[Any], object], str]] = {
     "quiet_hours": (
         lambda intervals: QuietHours(intervals, timezone.utc),
-        'must be times of day in brackets, such as ["22:00-06:00", "12:00-13:30"], and must leave '
-        "time to pump",
+        'must be a list of times of day, such as ["22:00-06:00", "12:00-13:30"], and must leave '
+        "some time for pumping",
     ),
     "time_zone": (
         ZoneInfo,
@@ -78,39 +78,45 @@ _TOGETHER = (
 
 @dataclass(frozen=True)
 class Site:
-    """The parameters of Table I under the paper's symbols, and optional ones.
+    """The parameters of Table I under the paper's symbols, and optional parameters.
 
-    Unit, range and meaning of each are next to it; :func:`site_parameters` lists them.
+    The definition of each parameter contains its unit, range and meaning; :func:`site_parameters`
+    lists them.
     """
 
     a1: float = entry("area of the cistern's base", *_POSITIVE, unit="m2")
     a_in: float = entry(
-        "area whose rain flows into the cistern; in Table I the area of its inlet", *_POSITIVE,
+        "catchment area from which rain flows into the cistern; in Table I, only the cistern's "
+        "inlet", *_POSITIVE,
         unit="m2",
     )
-    z_o: float = entry("elevation of the cistern's overflow", *_POSITIVE, unit="m")
+    z_o: float = entry("elevation of the cistern's overflow above its base", *_POSITIVE, unit="m")
     r_o: float = entry("radius of the cistern's overflow", *_POSITIVE, unit="m")
     c_d: float = entry(
         "discharge coefficient of the overflow and of the low outlet", *_POSITIVE, unit="1"
     )
     a2: float = entry("area of the rooftop vegetation", *_POSITIVE, unit="m2")
-    z_veg: float = entry("desired water in the substrate, as a depth", *_POSITIVE, unit="m")
+    z_veg: float = entry("desired depth of water in the substrate", *_POSITIVE, unit="m")
     x2_star: float = entry(
-        "desired water volume on the roof: a2 z_veg; computed if omitted", *_POSITIVE,
+        "desired water volume on the roof, equal to a2 z_veg; computed if omitted", *_POSITIVE,
         unit="m3",
     )
-    z_soil: float = entry("soil depth of the roof", *_POSITIVE, unit="m")
+    z_soil: float = entry("depth of the soil on the roof", *_POSITIVE, unit="m")
     z_cap: float = entry(
-        "water that the soil holds before it drains: a2 z_soil; for field-capacity soil, a2 z_soil "
-        "field_capacity; computed if omitted", *_POSITIVE, unit="m3",
+        "volume of water that the soil holds before it drains, equal to a2 z_soil or, for a "
+        "field-capacity soil, to a2 z_soil field_capacity; computed if "
+        "omitted", *_POSITIVE, unit="m3",
     )
     K: float = entry("saturated hydraulic conductivity", *_POSITIVE, unit="m/s")
     a_hat: float = entry(
-        "coefficient of the pump curve, negative, Eq. (3b)", *_NEGATIVE, unit="s2/m5",
+        "quadratic coefficient of the pump curve in Eq. (3b); must be "
+        "negative", *_NEGATIVE, unit="s2/m5",
     )
-    c_hat: float = entry("coefficient of the pump curve, Eq. (3b)", *_POSITIVE, unit="m")
-    a_pump: float = entry("area of flow through the pump", *_POSITIVE, unit="m2")
-    d: float = entry("elevation of the vegetation relative to the cistern", *_POSITIVE, unit="m")
+    c_hat: float = entry("constant coefficient of the pump curve in Eq. (3b)", *_POSITIVE, unit="m")
+    a_pump: float = entry(
+        "cross-sectional area of the flow through the pump", *_POSITIVE, unit="m2",
+    )
+    d: float = entry("elevation of the vegetation above the cistern's base", *_POSITIVE, unit="m")
     D: float = entry("diameter of the pipe", *_POSITIVE, unit="m")
     F: float = entry("friction factor of the pipe", *_POSITIVE, unit="1")
     k_L: float = entry("minor loss coefficient of the pipe", *_NOT_NEGATIVE, unit="1")
@@ -122,44 +128,53 @@ class Site:
         "minimum water level that the pumps need above their base", *_NOT_NEGATIVE, unit="m",
     )
     g: float = entry("acceleration due to gravity", *_POSITIVE, unit="m/s2")
-    epsilon: float = entry("steepness of the smooth model's sigmoids", *_POSITIVE, unit="1")
+    epsilon: float = entry(
+        "steepness of the sigmoid functions in the smooth model", *_POSITIVE, unit="1",
+    )
     tau: float = entry("duration of a tick", 0.001, 3600.0, unit="s")
-    M: int = entry("look-ahead of the controller", 1, 1000, unit="ticks")
+    M: int = entry("length of the controller's look-ahead", 1, 1000, unit="ticks")
     N: int = entry("length of a run", 1, 2**40, unit="ticks")
     runoff_coefficient: float = entry(
-        "share of the rain on the catchment, a_in, that reaches the cistern", 0.01, 1.0, unit="1",
+        "share of the rain on the catchment area a_in that reaches the "
+        "cistern", 0.01, 1.0, unit="1",
         default=1.0, usual=(0.75, 0.95),
     )
     field_capacity: float | None = entry(
-        "water that the substrate holds against gravity, per volume of substrate; if given, the "
-        "roof has a field-capacity soil; if omitted, it drains according to Eq. (4)",
+        "volume of water that the substrate holds against gravity, per volume of substrate; if "
+        "omitted, the roof has no field-capacity soil, and drains according to Eq. (4)",
         0.01, 0.9, unit="1",
         default=None,
     )
     wilting_point: float | None = entry(
-        "water that plants cannot take up, per volume of substrate", 0.0, 0.5, unit="1",
+        "volume of water that plants cannot take up, per volume of substrate", 0.0, 0.5, unit="1",
         default=None,
     )
     depletion_fraction: float | None = entry(
-        "p of FAO-56 Eq. 84: share of the water between field capacity and wilting point that "
-        "plants take up before they evaporate less", 0.0, 0.95, unit="1", default=None,
+        "depletion fraction p in FAO-56 Eq. 84: the share of the water between field capacity "
+        "and wilting point that plants can take up before their evapotranspiration "
+        "decreases", 0.0, 0.95, unit="1", default=None,
     )
     drainage_storage: float | None = entry(
-        "depth of water in the full drainage layer below the substrate; if omitted, the roof has "
-        "no drainage layer", 0.0001, 1.0, unit="m", default=None,
+        "depth of the water in the drainage layer below the substrate when the layer is full; if "
+        "omitted, the roof has no drainage layer", 0.0001, 1.0, unit="m", default=None,
     )
     drainage_time: float | None = entry(
-        "time constant of the full drainage layer: its storage divided by its outflow", 1.0, 1e6,
+        "time constant of the drainage layer: the storage of the full layer divided by its "
+        "outflow", 1.0, 1e6,
         unit="s", default=None,
     )
     mains_level: float | None = entry(
-        "cistern level below which a valve lets mains water in; if omitted, there is no such valve",
+        "level of the cistern below which a valve adds mains water; if omitted, the cistern has "
+        "no mains supply",
         0.01, 100.0, unit="m", default=None,
     )
-    mains_flow: float | None = entry("inflow from the mains", 1e-6, 1.0, unit="m3/s", default=None)
+    mains_flow: float | None = entry(
+        "flow of mains water into the cistern", 1e-6, 1.0, unit="m3/s", default=None,
+    )
     low_outlet_level: float | None = entry(
-        "elevation of a second, throttled outlet of the cistern, below the first: it empties the "
-        "detention volume above it between storms; if omitted, there is no such outlet", 0.001,
+        "elevation of the low outlet above the cistern's base; this throttled second outlet "
+        "below the overflow empties the detention volume between storms; if omitted, the cistern "
+        "has no low outlet", 0.001,
         100.0,
         unit="m", default=None,
     )
@@ -167,34 +182,37 @@ class Site:
         "radius of the low outlet", 0.001, 1.0, unit="m", default=None,
     )
     low_outlet_valve: bool = entry(
-        "whether a valve opens and closes the low outlet, as /outlet/command requests; without a "
-        "valve, the outlet is always open", default=False,
+        "true if the low outlet has a valve, which follows /outlet/command; without a valve, the "
+        "low outlet is always open", default=False,
     )
     valve_closed_in_frost: bool = entry(
-        "whether the valve is closed in frost, because it could freeze open; a valve below the "
-        "frost line also works in frost", default=False,
+        "true if the valve stays closed during frost, because it could freeze while it is open; "
+        "false for a valve below the frost line, which also works during frost", default=False,
     )
     drainage_to_cistern: float = entry(
-        "share of the roof's drainage that flows into the cistern; the rest reaches the sewer",
+        "share of the roof's drainage that flows into the cistern; the rest flows to the sewer",
         0.0, 1.0, unit="1", default=0.0,
     )
     wet_after: float = entry(
-        "time after rain during which the sewer still carries storm water, so water that reaches "
-        "it counts as discharge in wet weather [assumed]", 0.0, 48.0, unit="h", default=2.0,
+        "time after rain during which the sewer still carries storm water, so that water "
+        "discharged to the sewer counts as discharge in wet weather "
+        "[assumed]", 0.0, 48.0, unit="h", default=2.0,
     )
     event_separation: float = entry(
         "minimum time without rain between two rain events", 0.1, 48.0, unit="h", default=6.0,
     )
     initial_cistern: float | None = entry(
-        "volume in the cistern at the start of a run; if omitted, that of low-low in Table II",
+        "water volume in the cistern at the start of a run; if omitted, the volume of the state "
+        "low-low in Table II",
         *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_roof: float | None = entry(
-        "volume on the roof at the start of a run; if omitted, that of low-low in Table II",
+        "water volume on the roof at the start of a run; if omitted, the volume of the state "
+        "low-low in Table II",
         *_NOT_NEGATIVE, unit="m3", default=None,
     )
     initial_layer: float = entry(
-        "volume in the drainage layer at the start of a run, whatever the initial state",
+        "water volume in the drainage layer at the start of a run, the same for all initial states",
         *_NOT_NEGATIVE, unit="m3", default=0.0,
     )
     pump_efficiency: float = entry(
@@ -202,8 +220,8 @@ class Site:
         default=0.5,
     )
     starts_per_hour: float = entry(
-        "how many times an hour the pumps may start; a warning is given if they start more often, "
-        "and lookahead does not let them", 1.0, 3600.0, unit="1/h", default=20.0,
+        "maximum number of pump starts per hour; more starts cause a warning, and the controller "
+        "lookahead prevents them", 1.0, 3600.0, unit="1/h", default=20.0,
     )
     latitude: float | None = entry(
         "latitude, positive to the north", -90.0, 90.0, unit="degrees", default=None,
@@ -219,16 +237,18 @@ class Site:
         unit="h", default=None,
     )
     albedo: float = entry(
-        "albedo of the vegetation; 0.23 is FAO-56's reference grass", 0.0, 1.0, unit="1",
+        "albedo of the vegetation; the reference grass of FAO-56 has an albedo of "
+        "0.23", 0.0, 1.0, unit="1",
         default=0.23,
     )
     k_Rs: float = entry(
-        "adjustment coefficient of FAO-56 Eq. 50, for radiation that was not measured: 0.16 "
-        "inland, 0.19 near a large body of water", 0.1, 0.25, unit="degC^-0.5", default=0.16,
+        "adjustment coefficient in FAO-56 Eq. 50, which estimates solar radiation that was not "
+        "measured: 0.16 inland, 0.19 near a large body of "
+        "water", 0.1, 0.25, unit="degC^-0.5", default=0.16,
     )
     wind_height: float = entry(
         "height above the ground at which the wind was measured, for records in this project's "
-        "format; others are at 10 m", 0.5, 100.0, unit="m",
+        "format; other formats contain the wind at 10 m", 0.5, 100.0, unit="m",
         default=10.0,
     )
     crop_coefficient: float = entry(
@@ -236,49 +256,50 @@ class Site:
         unit="1", default=1.0,
     )
     monthly_evapotranspiration: tuple[float, ...] | None = entry(
-        "means of the reference evapotranspiration, January to December, in brackets; used by a "
-        "live site without a forecast, and for weather without temperature", 0.0, 20.0,
+        "mean reference evapotranspiration of each month, January to December, in brackets; used "
+        "at a live site without a forecast, and for weather without temperature", 0.0, 20.0,
         unit="mm/day", default=None,
     )
     quiet_hours: tuple[str, ...] | None = entry(
-        "times of day in which the pump stays off, on the clock of time_zone, such as "
-        '["22:00-06:00", "12:00-13:30"]; if omitted, it may run at any time', default=None,
+        "times of day at which the pump stays off, on the clock of time_zone, such as "
+        '["22:00-06:00", "12:00-13:30"]; if omitted, the pump may run at any time', default=None,
     )
     time_zone: str | None = entry(
-        "IANA name of the time zone of quiet_hours and of the page, such as America/Toronto; it "
-        "includes daylight saving; its standard time is utc_offset", default=None,
+        "IANA name of the time zone of quiet_hours and of the web page, such as America/Toronto; "
+        "the zone includes daylight saving time, and its standard time must be "
+        "utc_offset", default=None,
     )
     max_dose: float | None = entry(
-        "maximum volume of a dose that a person requests; if omitted, no doses can be requested",
+        "maximum volume of a dose that a person may request; if omitted, doses cannot be requested",
         0.001,
         1e6, unit="m3", default=None,
     )
 
     @cached_property
     def zone(self) -> tzinfo:
-        """Its clock: ``time_zone``, which may have daylight saving, or ``utc_offset``, or UTC."""
+        """Time zone of the site's clock: ``time_zone``, or else ``utc_offset``, or else UTC."""
         if self.time_zone is not None:
             return ZoneInfo(self.time_zone)
         return timezone(timedelta(hours=self.utc_offset or 0.0))
 
     @cached_property
     def quiet(self) -> QuietHours | None:
-        """Its quiet hours; None if the pump may run at any time."""
+        """Quiet hours of the site; None if the pump may run at any time."""
         return QuietHours(self.quiet_hours, self.zone) if self.quiet_hours else None
 
     @cached_property
     def effective_catchment(self) -> float:
-        """Area whose rain would all reach the cistern (m2): a_in times its runoff coefficient."""
+        """Effective catchment area (m2): a_in times the runoff coefficient."""
         return self.a_in * self.runoff_coefficient
 
     @cached_property
     def c_out(self) -> float:
-        """Coefficient of the cistern's overflow (m^2.5/s), Eq. (2)."""
+        """Coefficient of the cistern's overflow in Eq. (2) (m^2.5/s)."""
         return self._outlet_coefficient(self.r_o)
 
     @cached_property
     def c_low(self) -> float:
-        """Coefficient of the low outlet (m^2.5/s); 0 if there is none."""
+        """Coefficient of the low outlet (m^2.5/s); 0 without a low outlet."""
         return self._outlet_coefficient(self.low_outlet_radius or 0.0)
 
     def _outlet_coefficient(self, radius: float) -> float:
@@ -286,22 +307,22 @@ class Site:
 
     @cached_property
     def min_outlet_level(self) -> float:
-        """Cistern level above which water leaves for the sewer (m)."""
+        """Cistern level above which water flows to the sewer (m)."""
         return self.z_o if self.low_outlet_level is None else self.low_outlet_level
 
     @cached_property
     def always_drains(self) -> bool:
-        """Whether water always leaves through a low outlet: there is one, and it has no valve."""
+        """Whether the cistern has a low outlet without a valve, which is always open."""
         return self.low_outlet_level is not None and not self.low_outlet_valve
 
     @cached_property
     def b(self) -> float:
-        """Coefficient of the maximum flow (m^2.5/s), Eq. (3e)."""
+        """Coefficient of the maximum flow in Eq. (3e) (m^2.5/s)."""
         return 1 / math.sqrt(self.pipe_resistance - self.a_hat)
 
     @cached_property
     def pipe_resistance(self) -> float:
-        """Friction and minor head loss per squared flow (s2/m5), Eq. (3c)."""
+        """Friction and minor head losses per squared flow in Eq. (3c) (s2/m5)."""
         return (self.F * self.l / self.D + self.k_L) / (2 * self.g * self.a_pump**2)
 
     @cached_property
@@ -311,72 +332,74 @@ class Site:
 
     @cached_property
     def wilting_volume(self) -> float:
-        """Water in field-capacity soil that plants cannot take (m3)."""
+        """Volume of water in a field-capacity soil that plants cannot take up (m3)."""
         return self.a2 * self.z_soil * (self.wilting_point or 0.0)
 
     @cached_property
     def available_volume(self) -> float:
-        """TAW: what plants can take from the soil at field capacity (m3), FAO-56 Eq. 82."""
+        """Total available water, between field capacity and wilting point, FAO-56 Eq. 82 (m3)."""
         return self.z_cap - self.wilting_volume
 
     @cached_property
     def stress_onset(self) -> float:
-        """Filled share below which plants evaporate less (1), 1 - p of FAO-56 Eq. 84."""
+        """Share of available water below which plants evaporate less: 1 - p, FAO-56 Eq. 84 (1)."""
         return 1 - (self.depletion_fraction or 0.0)
 
     @cached_property
     def layer_storage(self) -> float:
-        """Volume of the full drainage layer (m3); 0 if there is none."""
+        """Volume of water in the full drainage layer (m3); 0 without a drainage layer."""
         return self.a2 * (self.drainage_storage or 0.0)
 
     @property
     def max_cistern_level(self) -> float:
-        """Three times the outlet's level (m): a higher reading is not a level in metres."""
+        """Maximum plausible level of the cistern, three times the level of its overflow (m)."""
         return 3 * self.z_o
 
     @property
     def max_roof_level(self) -> float:
-        """Twice the soil's depth (m): a higher reading is not a level in metres."""
+        """Maximum plausible level of the roof, twice the depth of its soil (m)."""
         return 2 * self.z_soil
 
     @property
     def clock_offset(self) -> float:
-        """Offset from UTC (h): the file's, or else the whole hour that is closest to solar time."""
+        """UTC offset in the site file, or else the whole hour that is closest to solar time (h)."""
         solar = float(round((self.longitude or 0.0) / 15))
         return solar if self.utc_offset is None else self.utc_offset
 
     def of_weather(self) -> Site:
-        """Return a site with only what weather depends on; its other parameters are 0.
+        """Return a site with only the parameters that affect weather; all others are 0.
 
-        Weather is read for this site, so it is the same for all sites that share these parameters.
+        Weather that is read for the returned site is the same for all sites that share these
+        parameters.
         """
         others: dict[str, Any] = dict.fromkeys(asdict(self).keys() - _OF_WEATHER, 0)
         return replace(self, **others)
 
     def climatic_evapotranspiration(self, month: int) -> float | None:
-        """Mean evapotranspiration from the bed in a month, 1 to 12 (m3/s); None if unknown."""
+        """Return the mean evapotranspiration in a month, 1 to 12 (m3/s); None if unknown."""
         if self.monthly_evapotranspiration is None:
             return None
         reference = self.monthly_evapotranspiration[month - 1]
         return self.crop_coefficient * reference / 1000 / 86400 * self.a2
 
     def cistern_level(self, x1: float) -> float:
-        """Depth of a water volume x1 (m3) in the cistern (m)."""
+        """Return the depth (m) of a water volume x1 (m3) in the cistern."""
         return x1 / self.a1
 
     def roof_level(self, x2: float) -> float:
-        """Depth of a water volume x2 (m3) on the roof (m).
+        """Return the depth (m) of a water volume x2 (m3) on the roof.
 
-        On field-capacity soil this is the water in the substrate, without the drainage layer.
+        On a field-capacity soil, x2 is the water in the substrate, without that in the drainage
+        layer.
         """
         return x2 / self.a2
 
     def cistern_volume(self, level: float) -> float:
-        """Water volume (m3) at a depth in the cistern (m)."""
+        """Return the water volume (m3) for a depth (m) in the cistern."""
         return level * self.a1
 
     def roof_volume(self, level: float) -> float:
-        """Water volume (m3) at a depth on the roof (m)."""
+        """Return the water volume (m3) for a depth (m) on the roof."""
         return level * self.a2
 
 
@@ -387,9 +410,9 @@ def _product(name: str, site: Site) -> float:
 
 
 def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, str]]:
-    """Yield ``cistern`` and ``roof`` if the site cannot hold its volume, and what would be right.
+    """Yield each store, ``cistern`` or ``roof``, that cannot hold its volume, with the maximum.
 
-    No rain can lead to such a state, so a unit is wrong.
+    No rain can lead to such a volume, so it indicates a wrong unit.
 
     Args:
         site: the site.
@@ -397,10 +420,10 @@ def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, 
         x2: volume on the roof (m3).
     """
     full = site.roof_level(site.z_cap)
-    cistern = f"its outlet is at {site.z_o:g} m, and the roof {site.d:g} m above its base"
+    cistern = f"its overflow is at {site.z_o:g} m, and the roof is {site.d:g} m above its base"
     roof = (
-        f"the soil holds {site.z_cap:g} m3 ({full:g} m), and up to {_MAX_PONDED:g} m can stand on "
-        "it"
+        f"the soil holds {site.z_cap:g} m3 ({full:g} m), and up to {_MAX_PONDED:g} m can stand "
+        "on the soil"
     )
     for name, volume, area, level, why in (
         ("cistern", x1, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o), cistern),
@@ -408,30 +431,30 @@ def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, 
     ):
         if volume > level * area:
             yield name, volume, (
-                f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is a "
-                f"unit wrong? It is a volume in m3; a level of {volume:g} mm is "
+                f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is the "
+                f"unit wrong? The value is a volume in m3; a level of {volume:g} mm is "
                 f"{volume / 1000 * area:g} m3"
             )
 
 
 def site_parameters() -> list[Parameter]:
-    """Return all parameters of a site, in the order of Table I, with the place last.
+    """Return all parameters of a site: those of Table I in its order, then the optional ones.
 
-    The default is None if there is none.
+    A parameter that has no default value is listed with the default None.
     """
     return parameters_of(Site)
 
 
 SITE_KEYS = (*(parameter.name for parameter in site_parameters()), *PLAIN)
-"""what a site file may contain, besides the file that it extends"""
+"""keys that a site file may contain, except ``extends``"""
 
 
 def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
-    """Return the text of a complete site file, which :func:`read_site` reads as a site.
+    """Return the text of a complete site file, from which :func:`read_site` reads this site.
 
     Args:
         site: the site.
-        notes: words after the value of some parameters, by name; by default, the meaning.
+        notes: comments on some parameters, by name; the default is the meaning of the parameter.
     """
     lines = []
     for parameter, value in zip(site_parameters(), asdict(site).values(), strict=True):
@@ -443,7 +466,7 @@ def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
 
 
 def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Entry]:
-    """Return the entries of a site file by key, including the file that it extends.
+    """Return the entries of a site file by key, including those of the file that it extends.
 
     The site file's own entries take precedence.
     """
@@ -454,8 +477,8 @@ def _entries(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Entry]
     base, _, line, _ = entries.pop(_EXTENDS)
     chain = (*extended_by, path.resolve())
     expected = (
-        "must be the name of another site file, such as site.yaml, next to this one or of this "
-        "package"
+        "must be the name of another site file, such as site.yaml, in the same directory or in "
+        "this package"
     )
     if isinstance(base, str) and is_there(following := _base(path, base)):
         if following.resolve() not in chain:
@@ -474,28 +497,29 @@ def _base(path: Path, name: str) -> Path:
 def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
     """Read and check a site file such as ``config/site.yaml``.
 
-    It can extend another file (``extends: site.yaml``) in its own directory or from this package.
-    It then contains only the differences.
+    A site file can extend another file (``extends: site.yaml``) in its own directory or from this
+    package, and then contains only the differences.
 
     Args:
         path: path of the file.
-        changes: parameters, or plain keys, whose values differ from the file's. Volumes that depend
-            on them change with them: the products x2_star and z_cap, and the initial volumes (the
-            share of the cistern and the level on the roof stay the same).
+        changes: values of parameters or plain keys that replace those in the file. Volumes that
+            depend on the changed parameters are adapted: the products x2_star and z_cap, and the
+            initial volumes (the filled share of the cistern and the level on the roof stay the
+            same).
 
     Raises:
-        ConfigurationError: if a parameter is missing, unknown, not a number, out of its range, or
-            inconsistent with another; the message names file, line, key and value.
+        ConfigurationError: if a parameter is missing, unknown, not a number, outside its range, or
+            inconsistent with another parameter; the message names file, line, key and value.
     """
     file = SiteFile(path)
     return file.change(changes) if changes else file.site
 
 
 class SiteFile:
-    """A site file that has been read, for many sites that differ from it in some values.
+    """A site file that is read once, and can provide many sites with some values changed.
 
     Attributes:
-        site: as it is in the file.
+        site: site with the values in the file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -504,7 +528,7 @@ class SiteFile:
         self.site = _site_of(self._entries, path)
 
     def change(self, changes: Mapping[str, Any]) -> Site:
-        """Return the site with other values than in the file; see :func:`read_site`."""
+        """Return the site with some values changed; see :func:`read_site`."""
         site, entries = self.site, self._entries
         new = override(entries, {name: Entry(value) for name, value in changes.items()})
         changed, named = _record_of(new, self._path)
@@ -521,10 +545,10 @@ class SiteFile:
 
 
 def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
-    """Return the text of a site file and of those that it extends, as one file.
+    """Return the merged text of a site file and of the files that it extends.
 
-    Plain keys stay, so that what they stand for still follows from further changes; for example, a
-    pump's flow follows from an irrigation rate and the roof's area.
+    Plain keys are kept, so that the parameters that they determine still depend on other changes.
+    For example, a pump's flow still follows from the irrigation rate and the roof's area.
 
     Args:
         path: path of the file.
@@ -539,22 +563,23 @@ def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
 
 
 def check_site(site: Site) -> Site:
-    """Return a site that a program passes, with its numbers as Python numbers.
+    """Check a site that a program created, and return it with its numbers as Python numbers.
 
     Raises:
-        ConfigurationError: as for :func:`read_site`; the message names key and value.
+        ConfigurationError: if a value is wrong, as in :func:`read_site`; the message names the key
+            and the value.
     """
     values = {field.name: getattr(site, field.name) for field in fields(site)}
     return _site_of({name: Entry(value) for name, value in values.items() if value is not None})
 
 
 def _site_of(entries: Mapping[str, Entry], path: Path | None = None) -> Site:
-    """Return the site with checked entries, from a file unless a program passes them."""
+    """Return the site with these entries after checking them; the path is None without a file."""
     return _check(*_record_of(entries, path), path)
 
 
 def _check(site: Site, named: Mapping[str, Entry], path: Path | None) -> Site:
-    """Return a site after checking that its parameters, each in its range, do not conflict."""
+    """Return a site after checking that its parameters do not contradict each other."""
     with _add_place_to_errors(named, path):
         for name, expected in _contradictions(site, named):
             value = named[name].value
@@ -567,7 +592,7 @@ def _check(site: Site, named: Mapping[str, Entry], path: Path | None) -> Site:
 def _record_of(
     entries: Mapping[str, Entry], path: Path | None
 ) -> tuple[Site, dict[str, Entry]]:
-    """Return the site of entries, each checked alone, and its entries by the paper's names."""
+    """Check each entry on its own; return the site, and its entries under the paper's names."""
     with _add_place_to_errors(entries, path):
         for name, (value, *_) in entries.items():
             if name not in SITE_KEYS:
@@ -587,7 +612,7 @@ def _record_of(
 
 @contextmanager
 def _add_place_to_errors(entries: Mapping[str, Entry], path: Path | None) -> Iterator[None]:
-    """Add file and line to an error about an entry, or how to add a missing one."""
+    """Add the file and line to an error about an entry, or advice on adding a missing entry."""
     try:
         yield
     except ConfigurationError as error:
@@ -605,9 +630,10 @@ def _add_place_to_errors(entries: Mapping[str, Entry], path: Path | None) -> Ite
 
 
 def _standard_offsets(zone: str) -> list[float]:
-    """Return a time zone's offsets from UTC (h) without daylight saving, since 2010.
+    """Return the UTC offsets (h) that a time zone's standard time has had since 2010.
 
-    Where winter time is the exception by law, as in Ireland, its offset counts as one, too.
+    In Ireland, summer time is the standard time by law; the offset of its winter time is included
+    as well.
     """
     days = (
         datetime(year, month, day, tzinfo=ZoneInfo(zone))
@@ -618,20 +644,23 @@ def _standard_offsets(zone: str) -> list[float]:
 
 
 def _other_zone(zone: str, utc_offset: float, offsets: list[float]) -> str:
-    """Return why a time zone is rejected whose standard offset is a different one."""
+    """Return the reason for rejecting a time zone with a different standard offset."""
     found = " or ".join(f"{offset:+g} h" for offset in offsets)
-    expected = f"must be the zone of utc_offset, {utc_offset:+g} h; its standard time is {found}"
+    expected = (
+        f"must be a zone whose standard time is utc_offset, {utc_offset:+g} h, but the standard "
+        f"time of {zone} is {found}"
+    )
     if zone.startswith("Etc/GMT"):
         expected += "; in names that begin with Etc/ the sign is reversed: Etc/GMT+5 is UTC-05:00"
     return expected
 
 
 def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str, str]]:
-    """Yield every parameter that contradicts others, and what would be right.
+    """Yield each parameter that contradicts other parameters, and a description of valid values.
 
     Args:
         site: site with all parameters in their ranges.
-        entries: names of the parameters in its file.
+        entries: names of the parameters in the site file.
     """
     for name in entries:
         if getattr(site, name) is None:
@@ -665,19 +694,20 @@ def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str,
     if site.low_outlet_level is not None:
         name = "low_outlet_level"
         if outlet >= site.z_o:
-            yield name, f"must be below z_o = {site.z_o:g} m, the outlet above it"
+            yield name, f"must be below z_o = {site.z_o:g} m, the level of the overflow"
         if outlet <= suction:
             yield name, (
-                f"must be above z_pump + z_H = {suction:g} m, otherwise it drains all usable water"
+                f"must be above z_pump + z_H = {suction:g} m; otherwise the low outlet drains "
+                "all usable water"
             )
     if site.mains_level is not None and not suction < site.mains_level < outlet:
         yield "mains_level", (
             f"must be above z_pump + z_H = {suction:g} m, below which the pumps do not work, and "
-            f"below {name} = {outlet:g} m, otherwise its water flows to the sewer"
+            f"below {name} = {outlet:g} m; otherwise mains water flows to the sewer"
         )
     if site.initial_layer > site.layer_storage:
         yield "initial_layer", (
-            "must be at most what the drainage layer holds, a2 drainage_storage = "
+            "must be at most the volume of the drainage layer, a2 drainage_storage = "
             f"{site.layer_storage:g} m3"
         )
     if site.initial_cistern is not None and site.initial_roof is not None:
@@ -689,28 +719,30 @@ def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str,
             yield "wilting_point", f"must be below field_capacity = {site.field_capacity:g}"
         if site.wilting_volume >= site.x2_star:
             yield "wilting_point", (
-                f"must be below x2_star / (a2 z_soil) = {site.x2_star / soil_volume:g}, or else "
-                "plants take no water at the target"
+                f"must be below x2_star / (a2 z_soil) = {site.x2_star / soil_volume:g}; "
+                "otherwise plants take up no water at the target"
             )
     for name, factors in _FOLLOW_FROM.items():
         product = _product(name, site)
         if not math.isclose(getattr(site, name), product, rel_tol=_ROUNDING):
             formula = " ".join(name for name in factors if getattr(site, name) is not None)
             yield name, (
-                f"must be {formula} = {product:g} m3; leave this line out and it is computed"
+                f"must be {formula} = {product:g} m3; leave this line out to have it computed"
             )
     if site.z_veg >= site.z_soil:
         yield "z_veg", (
-            f"must be below z_soil = {site.z_soil:g} m: soil cannot hold more than its depth"
+            f"must be below z_soil = {site.z_soil:g} m: the water in the soil cannot be deeper "
+            "than the soil"
         )
     if site.x2_star >= site.z_cap:
         yield "z_veg", (
-            f"must be below z_cap / a2 = {site.z_cap / site.a2:g} m: water above that drains off"
+            f"must be below z_cap / a2 = {site.z_cap / site.a2:g} m: water above this level "
+            "drains off"
         )
     if site.c_hat - site.d + site.suction_level <= 0:
         yield "c_hat", (
-            f"must exceed d - z_pump - z_H = {site.d - site.suction_level:g} m, or the pumps never "
-            "lift water to the roof (Eq. 3e)"
+            f"must exceed d - z_pump - z_H = {site.d - site.suction_level:g} m; otherwise the "
+            "pumps cannot lift water to the roof (Eq. 3e)"
         )
     if site.tau * 1e9 != round(site.tau * 1e9):
         yield "tau", "must be a whole number of nanoseconds"

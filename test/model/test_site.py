@@ -122,11 +122,11 @@ CLIMATE = "monthly_evapotranspiration"
     [
         # Out of range: with a unit, without one, and a whole number.
         (PAPERS, {"a2": "-68.8"}, "a2", "a number greater than 0 and at most 1e+09 m2 (area"),
-        (PAPERS, {"a_hat": "0"}, "a_hat", "a number of at least -1e+21 and less than 0 s2/m5 (co"),
-        (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 ticks (look-ahead"),
+        (PAPERS, {"a_hat": "0"}, "a_hat", "a number of at least -1e+21 and less than 0 s2/m5 (qu"),
+        (PAPERS, {"M": "1001"}, "M", "a whole number from 1 to 1000 ticks (length of"),
         # A value that contradicts another.
         (PAPERS, {"x2_star": 3.145}, "x2_star", "a2 z_veg = 3.14416 m3"),
-        (PAPERS, {"z_cap": 34.5}, "z_cap", "a2 z_soil = 34.4 m3; leave this line out and it is"),
+        (PAPERS, {"z_cap": 34.5}, "z_cap", "a2 z_soil = 34.4 m3; leave this line out to have it"),
         (PAPERS, {"z_o": 300}, "z_o", "at most 76.92 m, since levels above 100 m are rejected"),
         (PAPERS, {"c_hat": 15.25}, "c_hat", "d - z_pump - z_H = 15.25 m"),
         (PAPERS, {"tau": 1.0000000001}, "tau", "a whole number of nanoseconds"),
@@ -137,14 +137,14 @@ CLIMATE = "monthly_evapotranspiration"
         (ROOF, {"z_veg": 0.3, "x2_star": 20.64}, "z_veg", "below z_cap / a2 = 0.3 m"),
         (ROOF, {"wilting_point": 0.1}, "wilting_point", "below x2_star / (a2 z_soil) = 0.0914"),
         (MAINS, {"mains_level": 0.75}, "mains_level", "above z_pump + z_H = 0.75 m"),
-        (LOW, {"low_outlet_level": 3.0}, "low_outlet_level", "below z_o = 3 m, the outlet above"),
+        (LOW, {"low_outlet_level": 3.0}, "low_outlet_level", "below z_o = 3 m, the level of the"),
         (OWN, {"initial_roof": None}, "initial_cistern", "needs initial_roof as well"),
         (OWN, {"initial_cistern": 401.0}, "initial_cistern", "at most 400 m3, a level of 16 m"),
         ({**ROOF, **OWN}, {"initial_roof": 150.0}, "initial_roof", "at most 146.2 m3, a level of"),
-        (ROOF, {"initial_layer": 5.5}, "initial_layer", "at most what the drainage layer holds"),
+        (ROOF, {"initial_layer": 5.5}, "initial_layer", "at most the volume of the drainage layer"),
         (PAPERS, {CLIMATE: MONTHS[:11]}, CLIMATE, "twelve numbers, January to December"),
         (PAPERS, {CLIMATE: [*MONTHS[:11], 20.1]}, f"{CLIMATE}.12", "a number from 0 to 20 mm/day"),
-        (PAPERS, {CLIMATE: 3.0}, CLIMATE, "a list (means of the reference evapotranspiration"),
+        (PAPERS, {CLIMATE: 3.0}, CLIMATE, "a list (mean reference evapotranspiration"),
         (PAPERS, {"elevation": ""}, "elevation", "must have a value"),
         (PAPERS, {"quiet_hours": '["22:00-06:00"]'}, "quiet_hours", "needs time_zone as well"),
     ],
@@ -236,8 +236,8 @@ def test_what_cannot_be_extended(tmp_path: Path) -> None:
         ("3", "child.yaml, line 1: extends = 3: must be the name of another site file, such as"),
         ("absent.yaml", "child.yaml, line 1: extends = 'absent.yaml': must be the name of "),
         ("circle.yaml", "circle.yaml, line 1: extends = 'child.yaml': must be the name of another "
-         "site file, such as site.yaml, next to this one or of this package; these files form a "
-         f"loop: {child} extends {tmp_path / 'circle.yaml'} extends {child}"),
+         "site file, such as site.yaml, in the same directory or in this package; these files "
+         f"form a loop: {child} extends {tmp_path / 'circle.yaml'} extends {child}"),
         ("base.yaml", f"base.yaml, line {len(TABLE_I) + 1}: a3 = 5.0: is not a valid key"),
     ):
         child.write_text(f"extends: {base}\na1: 3.0\n")

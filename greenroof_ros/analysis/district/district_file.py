@@ -55,28 +55,28 @@ class Draw:
     """The distribution of a key over the buildings."""
 
     mean: float | None = entry(
-        "mean of a log-normal distribution, which is positive and skewed, like the sizes of "
-        "buildings", 1e-12, 1e9, default=None,
+        "mean of a log-normal distribution, which is positive and skewed like the distribution "
+        "of building sizes", 1e-12, 1e9, default=None,
     )
     sd: float | None = entry(
         "standard deviation of the log-normal distribution", 0.0, 1e9, default=None
     )
     low: float | None = entry(
-        "minimum of a uniform distribution, or lower limit of the log-normal distribution",
-        -1e9, 1e9,
+        "minimum of a uniform distribution, or lower limit of the log-normal "
+        "distribution", -1e9, 1e9,
         default=None,
     )
     high: float | None = entry(
-        "maximum of a uniform distribution, or upper limit of the log-normal distribution",
-        -1e9, 1e9,
+        "maximum of a uniform distribution, or upper limit of the log-normal "
+        "distribution", -1e9, 1e9,
         default=None,
     )
     values: tuple[float, ...] | None = entry(
-        "numbers to draw from, all equally likely, instead of a distribution", -1e9, 1e9,
+        "list of equally likely numbers to draw from, instead of a distribution", -1e9, 1e9,
         default=None,
     )
     names: tuple[str, ...] | None = entry(
-        "names to draw from, all equally likely, instead of a distribution", default=None
+        "list of equally likely names to draw from, instead of a distribution", default=None
     )
     times: str | None = entry(
         "key whose value in the same building multiplies the drawn number", default=None
@@ -116,73 +116,79 @@ class DistrictWeather:
     """The weather of all cells, and the period that is simulated."""
 
     start: str = entry(
-        "time of the first tick (ISO 8601), the same instant in all cells; a time without an "
-        "offset from UTC is in the site's time_zone or, if there is none, in the zone or offset "
-        "of the first cell's weather"
+        "time of the first tick (ISO 8601), which is the same instant in all cells; a time "
+        "without a UTC offset is interpreted in the site's time_zone or, without one, in the "
+        "zone or at the offset of the first cell's weather"
     )
     hours: float = entry("length of the run", 1e-9, 1e6, unit="h")
     file: str | None = entry(
-        "weather file, or a pattern such as '2021_*.csv', for all buildings", default=None
+        "weather file, or glob pattern such as '2021_*.csv', for all buildings", default=None
     )
     cells: dict[str, str] | None = entry(
-        "weather file or pattern of each cell, by the name of the cell; replaces file",
+        "weather file or glob pattern for each cell, by the name of the cell; replaces file",
         default=None,
     )
-    evapotranspiration: str | None = entry("method of evapotranspiration", default=None)
+    evapotranspiration: str | None = entry("method for evapotranspiration", default=None)
     gaps: str = entry("treatment of missing hours", choices=GAPS, default=REFUSE)
 
 
 @dataclass(frozen=True)
 class Orifice:
-    """An orifice that is always open, in place of a valve; the valve's values are the defaults."""
+    """An orifice that replaces the valve and is always open; its defaults are the valve's."""
 
     low_outlet_level: float | None = entry(
-        "level of the orifice above the cistern's base", 0.001, 100.0, unit="m", default=None
+        "level of the orifice above the cistern's base; by default, that of the building's low "
+        "outlet", 0.001, 100.0, unit="m", default=None
     )
     low_outlet_radius: float | None = entry(
-        "radius of the orifice", 0.001, 1.0, unit="m", default=None
+        "radius of the orifice; by default, that of the building's low "
+        "outlet", 0.001, 1.0, unit="m", default=None
     )
 
 
 @dataclass(frozen=True)
 class District:
-    """A district, as described by the keys of its file."""
+    """The keys of a district file."""
 
     site: str = entry("site file with the values that all buildings have in common")
-    weather: DistrictWeather = entry("weather files and the period that is simulated")
+    weather: DistrictWeather = entry("weather files and simulated period")
     buildings: int | None = entry(
-        "number of buildings, drawn from the distributions", 1, _MAX_BUILDINGS, default=None
+        "number of buildings, whose properties are drawn from "
+        "distributions", 1, _MAX_BUILDINGS, default=None
     )
     file: str | None = entry(
-        "CSV file with one row per building; replaces buildings", default=None
+        "CSV file with one row per building; replaces the key buildings", default=None
     )
     seed: int = entry(
-        "random seed of the distributions and of the order of adoption", 0, 2**32, default=1
+        "random seed for the draws from the distributions and for the order of "
+        "adoption", 0, 2**32, default=1
     )
     draw: dict[str, Draw] = entry(
-        "distributions of site keys and of outlet_reserve, outlet_price, outlet_reach and level, "
-        "by key", factory=dict,
+        "distributions of site keys, outlet_reserve, outlet_price, outlet_reach and level, each "
+        "listed under the name of the key", factory=dict,
     )
     tau: float = entry("duration of a tick", 1.0, 300.0, unit="s", default=60.0)
     outlets: tuple[str, ...] = entry(
-        "ways to empty the cisterns; 'none' is always simulated", choices=OUTLETS,
+        "types of outlet to simulate; 'none' is always included", choices=OUTLETS,
         default=OUTLETS,
     )
-    orifice: Orifice = entry("orifice in place of a valve", factory=lambda: Orifice())
+    orifice: Orifice = entry("orifice that replaces the valve", factory=lambda: Orifice())
     adoption: tuple[float, ...] = entry(
-        "shares of the buildings that have a green roof and a cistern", 0.0, 1.0, unit="1",
+        "shares of the buildings that have a green roof and a cistern, each of which is "
+        "simulated", 0.0, 1.0, unit="1",
         default=(0.0, 0.1, 0.25, 0.5, 1.0),
     )
     valve_share: float = entry(
-        "share of the cisterns that have a low outlet, which is a valve or the orifice in place "
-        "of it; the other cisterns only overflow", 0.0, 1.0, unit="1", default=1.0,
+        "share of the cisterns that have a low outlet with a valve or the orifice; the other "
+        "cisterns can only overflow", 0.0, 1.0, unit="1", default=1.0,
     )
     forecast: str = entry(
-        "forecast that plan uses: all the coming rain (perfect), or no rain (none)",
+        "forecast of rain that the outlet policy plan receives: the exact future rain (perfect), "
+        "or no forecast (none)",
         choices=(PERFECT, NO_FORECAST), default=PERFECT,
     )
     sewer_capacity: float | None = entry(
-        "maximum flow of the sewer, per connected area of all buildings; any flow above this "
+        "capacity of the sewer per connected area of all buildings; at a higher flow, the sewer "
         "overflows", 1e-6, 1000.0, unit="mm/h", default=None,
     )
     path: Path = Path()
