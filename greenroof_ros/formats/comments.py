@@ -1,4 +1,4 @@
-"""What comments at the head of a file state about it: ``key: value``; prose is ignored."""
+"""Statements ``key: value`` in the comments at the head of a file; prose is ignored."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ from greenroof_ros.common.errors import ConfigurationError
 from greenroof_ros.common.ranges import Range, read_number
 
 LATITUDE, LONGITUDE = "latitude", "longitude"
-"""place of the file (degrees), positive to north and east, or written as 79.40 W or 79° 24' W"""
+"""Position of the measurements (degrees), positive to the north and east, or written as 79.40 W or
+79° 24' W.
+"""
 WIND_HEIGHT = "wind_height"
 """height at which the wind was measured (m)"""
 RAIN_LATE = "rain_late"
-"""delay of the rain's time, 0 or 1 h, which is stated but not corrected"""
+"""delay of the rain's time stamps, 0 or 1 h, which is reported but not corrected"""
 STAMPED = "stamped"
-"""what the time of a row means, one of :data:`STAMPS`"""
+"""position of a row's time stamp in its interval, one of :data:`STAMPS`"""
 START, END = STAMPS = ("start", "end")
-"""The time of a row is the start or the end of the row."""
+"""The time stamp of a row is the start or the end of its interval."""
 RAIN_KIND = "rain_kind"
-"""where the rain is from, if no gauge measured it: one of :data:`RAIN_KINDS`"""
+"""source of rain that was not measured by a gauge, one of :data:`RAIN_KINDS`"""
 REANALYSIS, FORECAST = RAIN_KINDS = ("reanalysis", "forecast")
-"""Results of a weather model, which follows measurements, or runs ahead of them."""
+"""Results of a weather model for a past period, and for a future period."""
 
 _NUMBERS = {
     LATITUDE: Range(-90.0, 90.0, "degrees"), LONGITUDE: Range(-180.0, 180.0, "degrees"),
@@ -50,27 +52,28 @@ _ANGLE = re.compile(
 
 
 class Stated(NamedTuple):
-    """What the comments state."""
+    """The statements in the comments."""
 
     numbers: dict[str, float]
-    """numbers by key, as in the file"""
+    """numbers by key, with the keys of the file"""
     stamped: str
     """one of :data:`STAMPS`"""
     rain_kind: str
     """one of :data:`RAIN_KINDS`, or empty"""
     notes: list[str]
-    """notes about what is not read"""
+    """notes about statements that cannot be read"""
 
 
 def read_comments(file: Path) -> Stated:
-    """Return what the comments at the head of a file state.
+    """Return the statements in the comments at the head of a file.
 
-    Text that does not have the form of its key's value counts as prose, and is noted. A key may
-    have only one value; a file that was appended to another one may state a second.
+    If the text after a key does not have the form of a value, it counts as prose, and a note
+    reports it. Each key may have only one value, although comments further down, as in appended
+    files, may repeat the key.
 
     Raises:
-        ConfigurationError: if a value is out of range, or has both a sign and a cardinal point; or
-            if a different one is stated later.
+        ConfigurationError: if a value is out of range, or has both a sign and a cardinal direction,
+            or if a later comment states a different value.
     """
     stated: dict[str, float | str] = {}
     notes = list[str]()
@@ -88,10 +91,14 @@ def read_comments(file: Path) -> Stated:
                 else:
                     value = _read_value(key, text, file, number)
                 if value is None:
-                    notes.append(f"{file.name}: line {number} is not read: {match[0]}")
+                    notes.append(
+                        f"{file.name}: the comment in line {number} is ignored because its value "
+                        f"is not valid: {match[0]}"
+                    )
                 elif value != stated.setdefault(key, value if is_head else START):
                     raise ConfigurationError(
-                        "differs from the head of the file: make a separate file of each part",
+                        "differs from the value at the head of the file: split the file into "
+                        "separate files",
                         file=file, line=number, key=key, value=text,
                     )
     numbers = {key: value for key, value in stated.items() if not isinstance(value, str)}
@@ -101,7 +108,7 @@ def read_comments(file: Path) -> Stated:
 
 
 def _read_value(key: str, text: str, file: Path, line: int) -> float | None:
-    """Return a number; None if the text is not in the expected form."""
+    """Return the number in a text; None if the text does not have the expected form."""
     match = (_ANGLE if key in _SIDES_OF else _LENGTH).fullmatch(text)
     if match is None:
         return None
@@ -113,7 +120,8 @@ def _read_value(key: str, text: str, file: Path, line: int) -> float | None:
         return None
     if side and match[2].startswith("-"):
         raise ConfigurationError(
-            "has both a sign and a cardinal point: leave one out", file=file, line=line, key=key,
+            "has both a sign and a cardinal direction: leave one of them "
+            "out", file=file, line=line, key=key,
             value=text,
         )
     if (match[3] and (degrees % 1 or not 0 <= minutes < 60)) or not 0 <= seconds < 60:

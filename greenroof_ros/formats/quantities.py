@@ -1,4 +1,4 @@
-"""The quantities of records: names, units and plausible values, the same for every file format."""
+"""The quantities of records in all file formats: their names, units and plausible values."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ DEW_POINT = "dew point"
 PRESSURE = "station pressure"
 
 FOR_EVAPOTRANSPIRATION = (TEMPERATURE, DEW_POINT, "wind speed", PRESSURE)
-"""the quantities from which evapotranspiration is computed, if it is not given"""
+"""the quantities from which evapotranspiration is computed if a file lacks it"""
 
 
 class Unit(NamedTuple):
-    """A unit in a file, expressed in ours: theirs = ours * per_ours + zero."""
+    """The unit of a file, relative to this project's: value in file = ours * per_ours + zero."""
 
     name: str
     """name of the unit in the file"""
     per_ours: float = 1.0
-    """how many of it make one of ours; 10 for hPa if ours is kPa"""
+    """number of file units per unit of this project; 10 for hPa if ours is kPa"""
     zero: float = 0.0
-    """its value where ours is 0; 32 for degF"""
+    """value in the file for 0 in this project's unit; 32 for degF"""
 
 
 class Quantity(NamedTuple):
-    """Our unit of a quantity, the range of its plausible values, and the units of a column."""
+    """This project's unit of a quantity, its plausible range, and the units allowed in a column."""
 
     unit: str
     low: float
     high: float
     nearly: float = 0.0
-    """How far outside its range a value may be to be moved to the end of the range.
+    """Tolerance around the range, within which a value is set to the nearest limit.
 
-    Models round, and interpolate below 0: rain of -0.1 mm and radiation of -0.3 W/m2 occur. A
-    pyranometer has an offset of up to 15 W/m2 at night (ISO 9060, first class). Dew is negative
-    evapotranspiration, of up to about 0.1 mm/h. A humidity sensor is off by up to 5 %, and a flow
-    meter has a zero error.
+    The rounding and interpolation of models can lead to negative values, such as rain of -0.1 mm
+    and radiation of -0.3 W/m2. A pyranometer has an offset of up to 15 W/m2 at night (ISO 9060,
+    first class). Dew is negative evapotranspiration of up to about 0.1 mm/h. A humidity sensor has
+    an error of up to 5 %, and a flow meter has a zero error.
     """
     units: tuple[str, ...] = ()
-    """units of a column in this project's CSV, besides our own"""
+    """additional units that a column in this project's CSV format may have"""
 
     @property
     def is_water(self) -> bool:
-        """Whether it is a depth of water per time."""
+        """Whether the quantity is a depth of water per time."""
         return self.unit.startswith("mm/")
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """All units that a column in this project's CSV may have."""
+        """All units that a column in this project's CSV format may have."""
         return self.unit, *self.units
 
 
@@ -82,7 +82,7 @@ ROOF = (
     "minimum temperature", "maximum temperature", "runoff", "pumped", "level", "cistern level",
     "pump state",
 )
-"""the quantities of a roof; the others are weather"""
+"""the quantities of a roof; all others are quantities of weather"""
 
 # The maximum amount of water in rows shorter than an hour (mm/h): 31.2 mm fell in a minute at
 # Unionville in 1956 (WMO).
@@ -93,9 +93,10 @@ _HOURS = {"s": 1 / 3600, "h": 1.0, "day": 24.0}
 
 
 def find_plausible(quantity: str, step_h: float, unit: Unit) -> Quantity:
-    """Return a quantity with its plausible values for rows that are a step (h) apart.
+    """Return a quantity with its plausible range for rows of a given duration (h).
 
-    In short rows, more rain can fall per hour, and the error of a row's sum is a larger rate.
+    In short rows, the rate of rain can be higher, and the error of a row's total corresponds to a
+    higher rate.
     """
     found = QUANTITIES[quantity]
     if step_h < 1 and is_amount(quantity, unit):
@@ -106,18 +107,18 @@ def find_plausible(quantity: str, step_h: float, unit: Unit) -> Quantity:
 
 
 def is_amount(quantity: str, unit: Unit) -> bool:
-    """Return whether a unit of water is the sum over a row rather than a rate."""
+    """Return whether a unit of water denotes the total over a row instead of a rate."""
     return QUANTITIES[quantity].is_water and "/" not in unit.name
 
 
 def find_unit(quantity: str, name: str, step_h: float, area: float) -> Unit:
-    """Return a unit of a column in this project's CSV.
+    """Return the unit of a column in this project's CSV format.
 
     Args:
         quantity: quantity of the column.
         name: name of the unit, one of the quantity's :attr:`Quantity.columns`.
-        step_h: time between rows (h), over which an amount without ``/`` is summed.
-        area: area of the roof (m2), for litres and m3.
+        step_h: interval between rows (h), to which a total in a unit without ``/`` refers.
+        area: area of the roof (m2), to which litres and m3 refer.
     """
     ours = QUANTITIES[quantity].unit
     if name == ours:

@@ -1,4 +1,4 @@
-"""Measurements step by step: of a roof, or of weather alone, and the storms in them."""
+"""Measurements of a roof or of weather at regular time steps, and the storms in them."""
 
 from __future__ import annotations
 
@@ -20,29 +20,33 @@ _STORM_GAP_S, AFTER_STORM_S = 6 * HOUR_S, DAY_S
 
 @dataclass(frozen=True)
 class StepRecord:
-    """Steps of equal length, each beginning at its time, with NaN for missing measurements.
+    """Measurements in time steps of equal length; NaN for missing measurements.
 
-    Depths (mm) are averages over the roof's area, and totals for the whole step.
+    The time of a step is its start. Depths (mm) are averages over the roof's area, and totals for
+    the whole step.
 
     Attributes:
-        source: the file or bag.
-        start: time of the first step, with its offset from UTC.
+        source: the file or bag that contains the measurements.
+        start: start of the first step, with a UTC offset.
         step_s: duration of a step (s).
         rain: rain (mm), shape (steps,).
-        reference: evapotranspiration of FAO-56's reference grass (mm); never NaN.
+        reference: evapotranspiration of the FAO-56 reference grass (mm); never NaN.
         pumped: water pumped onto the roof (mm).
-        runoff: water that ran off the roof (mm); None if not measured.
-        level: water level in the substrate at the beginning of the step (m); None if not measured.
-        temperature: air temperature (degC); None if not measured.
-        last_decimal: unit of the last decimal place of the runoff (mm); 0 if it was not rounded.
-        cistern: level of the cistern at the beginning of the step (m); None if not measured.
-        command: mean share of the pumps' maximum flow (1); None if unknown.
-        reference_column: column of the evapotranspiration in the file; empty if it was computed.
-        notes: what could not be used unchanged, in sentences.
-        all_rain: rain including the steps that :meth:`select` left out; None before that.
-        dew_point: dew point of the air (degC); None if not measured.
-        radiation: solar radiation (W/m2); None if not measured.
-        wind: wind speed (km/h); None if not measured.
+        runoff: runoff from the roof (mm); None if it was not measured.
+        level: water level in the substrate at the start of the step (m); None if it was not
+            measured.
+        temperature: air temperature (degC); None if it was not measured.
+        last_decimal: resolution of the runoff's last decimal place (mm); 0 if the runoff was not
+            rounded.
+        cistern: level of the cistern at the start of the step (m); None if it was not measured.
+        command: mean share of the pumps' maximum flow (1); None if the share is unknown.
+        reference_column: column of the file that contains the evapotranspiration; empty if it was
+            computed.
+        notes: sentences about data that could not be used unchanged.
+        all_rain: rain including the steps that :meth:`select` excluded; None without a selection.
+        dew_point: dew point of the air (degC); None if it was not measured.
+        radiation: solar radiation (W/m2); None if it was not measured.
+        wind: wind speed (km/h); None if it was not measured.
     """
 
     source: Path
@@ -78,7 +82,7 @@ class StepRecord:
 
     @property
     def seconds(self) -> NDArray[np.int64]:
-        """Start of every step on the record's own clock, in seconds since 1970-01-01 there."""
+        """Start of every step on the record's own clock, in seconds since the clock's 1970-01-01."""
         first = round(self.start.timestamp() + self.offset_s)
         return first + np.round(self.step_s * np.arange(self.steps)).astype(np.int64)
 
@@ -93,12 +97,12 @@ class StepRecord:
 
     @property
     def water(self) -> Values:
-        """Rain and pumped water on the roof (mm); unknown amounts count as 0."""
+        """Sum of the rain and the pumped water on the roof (mm); unknown amounts count as 0."""
         return np.asarray(np.nan_to_num(self.rain) + np.nan_to_num(self.pumped))
 
     @property
     def measured(self) -> dict[str, Values]:
-        """The series to compare a simulation with, by name: ``runoff`` (mm) and ``level`` (m)."""
+        """Measured series for comparison with a simulation: ``runoff`` (mm) and ``level`` (m)."""
         columns = {"runoff": self.runoff, "level": self.level}
         return {name: series for name, series in columns.items() if series is not None}
 
@@ -110,9 +114,10 @@ class StepRecord:
 
     @property
     def complete(self) -> Steps:
-        """Steps with rain, pumped water and :attr:`measured`, and with all of them one step around.
+        """Steps in which no measurement is missing, either in the step or in its two neighbors.
 
-        A sensor that failed in a step often recorded only part of the step next to it.
+        The measurements are rain, pumped water and :attr:`measured`. A sensor that fails in one
+        step has often recorded only a part of the neighboring step.
         """
         series = [self.rain, self.pumped, *self.measured.values()]
         missing = np.isnan(series).any(axis=0)
@@ -121,7 +126,7 @@ class StepRecord:
 
 
 def name_time(seconds: float) -> str:
-    """Name a time of whole seconds: ``5 min``, ``1 h``, ``1 day``, ``2 days``."""
+    """Return the name of a duration in whole seconds: ``5 min``, ``1 h``, ``1 day``, ``2 days``."""
     whole = round(seconds)
     units = {"day": DAY_S, "h": HOUR_S, "min": 60, "s": 1}
     unit = next(unit for unit, size in units.items() if whole % size == 0)
@@ -130,15 +135,15 @@ def name_time(seconds: float) -> str:
 
 
 def prolong_steps(steps: Steps, count: int) -> Steps:
-    """Return which steps are marked, or follow a marked step by less than ``count``."""
+    """Return a mask of the marked steps and of the ``count`` - 1 steps after each of them."""
     return np.asarray(np.convolve(steps, np.ones(count), "full")[: len(steps)] > 0)
 
 
 def find_storms(record: StepRecord) -> list[slice]:
-    """Return the steps of every storm, from its first rain to a day after its last.
+    """Return the steps of every storm, from its first rain to one day after its last rain.
 
-    Storms are separated by six hours without rain, and by at least one step. A storm ends where the
-    next one begins.
+    Storms are separated by at least six hours, and at least one step, without rain. A storm ends at
+    the latest when the next storm begins.
     """
     wet = np.flatnonzero(record.rain > 0)
     gap_steps = max(1.0, _STORM_GAP_S / record.step_s)

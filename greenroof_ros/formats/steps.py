@@ -1,4 +1,4 @@
-"""Rows at a regular step, as loggers write them, and the places where the step changes."""
+"""The regular time step of a logger's rows, and the rows at which this step changes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from greenroof_ros.formats.hourly import find_gaps
 Values = NDArray[np.float64]
 
 CLOCK_ERROR = 0.1
-"""A row that is further than this from a whole number of steps (share of a step) is off."""
+"""maximum deviation of a row's time from a whole number of steps (share of a step)"""
 # At most this share of rows may be off: a clock that is set every week makes two in a thousand.
 _MAX_OFF = 0.01
 # Single rows may be further off their times than that, if they are no more than this share.
@@ -34,42 +34,42 @@ _HOUR_S = 3600.0
 
 
 class RowSteps(NamedTuple):
-    """When the rows of a file begin, and how long they last."""
+    """The start and duration of the rows of a file."""
 
     steps: NDArray[np.int64]
-    """step of every row, counted from the first, shape (rows,); two rows can be in one step"""
+    """index of every row's step, from 0, shape (rows,); two rows can have the same step"""
     step_s: float
-    """duration of a step (s), the largest of which all spacings of rows are multiples"""
+    """duration of a step (s), the largest common divisor of all intervals between rows"""
     durations: Values
     """duration of every row (s), shape (rows,)"""
     late: float = 0.0
-    """how much later than step 0 the first row is, because of an irregular clock (s)"""
+    """delay of the first row relative to step 0, because of an irregular clock (s)"""
     ended: bool = False
-    """whether rows ended at their times"""
+    """whether the original time stamps were the ends of the rows"""
     clock_error: float = CLOCK_ERROR
-    """how far from its step a row's time may be (share of a step)"""
+    """maximum deviation of a row's time from its step (share of a step)"""
 
     @property
     def changes(self) -> list[int]:
-        """The first row of every later duration."""
+        """Indices of the rows at which the duration changes."""
         return [int(row) + 1 for row in np.flatnonzero(np.diff(self.durations))]
 
 
 def find_steps(read: Callable[[], Table], column: str, since: Values) -> RowSteps:
-    """Return the steps of rows; a single row lasts an hour.
+    """Return the time steps of rows; a single row has a duration of one hour.
 
-    The step is the median spacing of the rows; if they are not a whole number of such steps apart,
-    it is the minimum spacing. A row belongs to the step that begins nearest to its time, no more
-    than half a step away, so errors of a clock do not add up. Where at least six spacings in
-    succession are alike but differ from the median, the step has changed.
+    The step is the median interval between rows. If the intervals are not multiples of the median,
+    the step is the minimum interval. A row belongs to the step that begins closest to its time, at
+    most half a step away, so that clock errors do not accumulate. If at least six consecutive
+    intervals are equal but differ from the median, the step has changed.
 
     Args:
-        read: reads the file, for messages.
-        column: column of times in the file.
-        since: times of the rows since the first (s), each later than the previous one.
+        read: function that reads the file again, for error messages.
+        column: name of the column that contains the times.
+        since: times of the rows, relative to the first row, in ascending order (s).
 
     Raises:
-        ConfigurationError: if more than one spacing in a hundred is not a whole number of steps.
+        ConfigurationError: if more than 1 % of the intervals are not a whole number of steps.
     """
     spacing = np.diff(since)
     if not spacing.size:
@@ -99,14 +99,14 @@ def find_steps(read: Callable[[], Table], column: str, since: Values) -> RowStep
     table = read()  # again, for the row's line and text
     row = next(itertools.islice(table.rows, int(off[0]) + 1, None))
     raise table.refuse(
-        f"must be {step_s:g} s after the previous row, or a whole number of such steps, not "
-        f"{spacing[off[0]]:g} s; {len(off)} of {len(since)} rows are like this, which is too many "
-        "for a clock that was merely set: write rows at a regular step", column, row,
+        f"must be {step_s:g} s after the previous row, or a multiple of this step, not "
+        f"{spacing[off[0]]:g} s; {len(off)} of {len(since)} rows are irregular, which are too many "
+        "to be adjustments of a clock: write rows at a regular time step", column, row,
     )
 
 
 def _find_usual(spacing: Values) -> Values:
-    """Return the step (s) that is usual around every spacing."""
+    """Return the usual step (s) in the neighborhood of every interval."""
     usual = np.full(len(spacing), _round_step(spacing, float(np.median(spacing))))
     median = float(usual[0])
     alike = np.abs(np.diff(np.log(spacing))) < CLOCK_ERROR
@@ -118,7 +118,7 @@ def _find_usual(spacing: Values) -> Values:
 
 
 def _round_step(spacing: Values, step_s: float) -> float:
-    """Return a usual step if the mean spacing is as near to one as clocks are accurate."""
+    """Return a common step if the mean interval agrees with it within the accuracy of clocks."""
     near = spacing[np.abs(spacing / step_s - 1) < 0.5]
     if not near.size:
         return step_s
@@ -127,6 +127,6 @@ def _round_step(spacing: Values, step_s: float) -> float:
 
 
 def _find_off(spacing: Values, step_s: float) -> NDArray[np.intp]:
-    """Return which spacings are not a whole number of steps."""
+    """Return the indices of the intervals that are not a whole number of steps."""
     counts = np.maximum(1.0, np.round(spacing / step_s))
     return np.flatnonzero(np.abs(spacing / step_s - counts) > CLOCK_ERROR)

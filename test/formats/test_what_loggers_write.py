@@ -140,7 +140,7 @@ def test_files_that_were_appended(tmp_path: Path) -> None:
         assert "line 26 repeats the header" in records.notes[0]
     for comment in ("stamped: end", "wind_height: 3", "latitude: 43"):
         text = f"{write_rows(24)}# {comment}\n{later}"
-        assert "make a separate file of each part" in refusal(read, tmp_path, text)
+        assert "split the file into separate files" in refusal(read, tmp_path, text)
         read(tmp_path, f"# {comment}\n{text}")
     other = later.replace("rain [mm]", "temperature [degC]")
     assert "line 26: is a second header" in refusal(read, tmp_path, write_rows(24) + other)
@@ -473,7 +473,9 @@ def test_prose_in_comments(tmp_path: Path, comment: str) -> None:
     """It is ignored, with a note."""
     records = read(tmp_path, f"# {comment}\n{write_rows(3)}")
     assert (records.places, records.wind_height) == ({}, None)
-    assert records.notes == (f"gauge.csv: line 1 is not read: {comment}",)
+    assert records.notes == (
+        "gauge.csv: the comment in line 1 is ignored because its value is not valid: " + comment,
+    )
 
 
 @pytest.mark.parametrize("comment", [

@@ -400,7 +400,7 @@ def test_rain_that_no_gauge_measured_is_noted_also_beside_a_gauges(tmp_path):
         read_measured([tmp_path / name], SITE) for name in ("gauge.csv", "model.csv", "radar.csv")
     )
     assert (gauge.rain_note, radar.rain_note) == ("", "")
-    assert any("is not read: rain_kind: radar" in note for note in radar.left_out)
+    assert any("its value is not valid: rain_kind: radar" in note for note in radar.left_out)
     both = read_measured([tmp_path / "gauge.csv", tmp_path / "model.csv"], SITE)
     assert LOW_PEAKS in both.rain_note == model.rain_note
     # Written again by greenroof weather, it still says so; and the description does.
@@ -411,7 +411,7 @@ def test_rain_that_no_gauge_measured_is_noted_also_beside_a_gauges(tmp_path):
     assert LOW_PEAKS in done.stdout
     assert read_measured([tmp_path / "again.csv"], SITE).rain_kind == "reanalysis"
     (tmp_path / "both.csv").write_text(head + rows.format("01") + "# rain_kind: reanalysis\n")
-    assert "a separate file of each part" in refusal(read_measured, [tmp_path / "both.csv"], SITE)
+    assert "into separate files" in refusal(read_measured, [tmp_path / "both.csv"], SITE)
 
 
 def test_parts_of_another_request_are_not_mixed_in(service, tmp_path):
