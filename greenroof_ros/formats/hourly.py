@@ -1,4 +1,4 @@
-"""Hourly records of weather: filling missing hours, and joining several files."""
+"""Hourly records of weather, and functions that fill gaps and join the records of files."""
 
 from __future__ import annotations
 
@@ -16,33 +16,36 @@ from greenroof_ros.formats.cells import HOUR
 from greenroof_ros.formats.quantities import DEW_POINT, HUMIDITY, PRECIPITATION, TEMPERATURE
 
 ENOUGH = 0.75
-"""Minimum share of an hour in which the rain must be known; another quantity needs one value."""
+"""Minimum share of an hour for which rain must be known; other quantities need only one value."""
 _MINUTE = timedelta(minutes=1)
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
 class Records:
-    """Consecutive hours; each record is for the hour that starts at its time.
+    """Consecutive hourly values; each value is for the hour that starts at its time stamp.
 
     Attributes:
-        files: files that they are from, in order of time.
-        first: start of the first hour, with its offset from UTC.
-        values: values by name, shape (hours,); NaN if missing. The names are those quantities of
-            :data:`.quantities.QUANTITIES` that the files have, in the units used there, or the
-            columns of forecasts.
-        method: method of the evapotranspiration among them; empty if there is none.
-        shifted: quantities that the files give at the end of their hour, and that were moved to its
-            start.
-        rain_late: delay of the rain's time (h): 1 if the files give rain at the end of its hour and
-            it was not moved to the start, otherwise 0.
-        filled: for each quantity, whether an hour was missing and filled, shape (hours,).
-        left_out: sentences about what could not be used as it was.
-        places: latitude and longitude (degrees), by file, for the files that state them.
-        wind_height: height at which the wind was measured (m); None to use the site file's.
-        minutes: rain in every minute (mm/h), shape (hours, 60), NaN where no row shorter than an
-            hour gives it; None if there is none. The precipitation of such an hour is their mean.
-        rain_kind: one of :data:`.comments.RAIN_KINDS` if any of the rain is of that kind; otherwise
+        files: files that contain the values, in chronological order.
+        first: start of the first hour, with a UTC offset.
+        values: values by name, shape (hours,); NaN if missing. The names are the quantities of
+            :data:`.quantities.QUANTITIES` that the files contain, with the units of that table, or
+            the columns of forecasts.
+        method: method of the evapotranspiration; empty if the values contain no evapotranspiration.
+        shifted: quantities with time stamps at the end of the hour in the files, which were moved
+            to its start.
+        rain_late: delay of the rain's time stamps (h): 1 if they are at the end of the hour in the
+            files and the rain was not moved to the start, otherwise 0.
+        filled: mask of the hours that were missing and have been filled, by quantity, shape
+            (hours,).
+        left_out: sentences about data that could not be used unchanged.
+        places: latitude and longitude (degrees), by file, for files that state a position.
+        wind_height: height at which the wind was measured (m); None for the height in the site
+            file.
+        minutes: rain in every minute (mm/h), shape (hours, 60); NaN in minutes not covered by rows
+            shorter than an hour, and None without such rows. The precipitation of an hour with
+            known minutes is their mean.
+        rain_kind: one of :data:`.comments.RAIN_KINDS` if any of the rain is of this kind; otherwise
             empty.
     """
 
@@ -66,7 +69,7 @@ class Records:
 
     @property
     def parts_of_hours(self) -> NDArray[np.bool_]:
-        """Whether only some of an hour's minutes are known, shape (hours,)."""
+        """Mask of the hours of which only some minutes are known, shape (hours,)."""
         if self.minutes is None:
             return np.zeros(self.hours, dtype=bool)
         known = np.count_nonzero(~np.isnan(self.minutes), axis=1)
@@ -74,31 +77,32 @@ class Records:
 
     @property
     def source(self) -> str:
-        """One name for all files, for messages and tables."""
+        """Common name of all files, for messages and tables."""
         return name_files(self.files)
 
     @property
     def rain_note(self) -> str:
-        """What every result computed from the rain must state; usually empty."""
+        """Warning that every result computed from the rain must include; usually empty."""
         return self.rain_kind and (
-            f"rain is from a {self.rain_kind}, which gives the mean over a grid cell: its peaks "
+            f"rain is from a {self.rain_kind}, whose values are means over a grid cell; its "
+            "peaks "
             "are lower than those of a rain gauge, so overflow, discharge and peaks of runoff are "
             "underestimated"
         )
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done to the files' values, apart from filling gaps."""
+        """Notes about changes to the values of the files, except the filling of gaps."""
         if not self.shifted:
             return self.left_out
         return (
-            f"{' and '.join(self.shifted)} in the files are for the hour before their time, and "
-            "were moved back an hour", *self.left_out,
+            f"{' and '.join(self.shifted)} in the files are for the hour before the time stamp, "
+            "and were moved back by one hour", *self.left_out,
         )
 
 
 def average_minutes(minutes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean rain of every hour's minutes; NaN with less than 0.75 of them."""
+    """Return the mean rain in every hour; NaN if fewer than 0.75 of its minutes are known."""
     count = np.count_nonzero(~np.isnan(minutes), axis=1)
     # Tenths of a millimetre do not add up exactly in binary numbers.
     means = np.round(np.nansum(minutes, axis=1) / np.maximum(count, 1), 9)
@@ -106,7 +110,7 @@ def average_minutes(minutes: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def add_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """Return values with the dew point instead of relative humidity (FAO-56 Eqs. 11 and 14)."""
+    """Replace relative humidity with the dew point (FAO-56 Eqs. 11 and 14)."""
     rest = {name: series for name, series in values.items() if name != HUMIDITY}
     if HUMIDITY in values and TEMPERATURE in values:
         share, warmth = np.maximum(values[HUMIDITY], 1.0) / 100, values[TEMPERATURE]
@@ -118,7 +122,7 @@ def add_dew_point(values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArra
 
 
 def bridge_gaps(series: NDArray[np.float64], max_hours: int) -> NDArray[np.float64]:
-    """Return hourly values with gaps of up to ``max_hours`` bridged by linear interpolation."""
+    """Fill gaps of up to ``max_hours`` in hourly values by linear interpolation."""
     filled = series.copy()
     for low, high in find_gaps(np.isnan(series)):
         if high - low <= max_hours and low > 0 and high < len(series):
@@ -129,7 +133,7 @@ def bridge_gaps(series: NDArray[np.float64], max_hours: int) -> NDArray[np.float
 
 
 def name_files(files: Sequence[Path]) -> str:
-    """Return one name for files: the path of a single one, or their number, first and last.
+    """Return a common name for files: the path of a single file, or the number, first and last.
 
     The name is empty if there are no files.
     """
@@ -141,22 +145,22 @@ def name_files(files: Sequence[Path]) -> str:
 
 
 def find_gaps(missing: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the gaps in which values are missing, each as (first, one past the last)."""
+    """Return the gaps in values, each as (index of the first, index after the last)."""
     padded = np.concatenate(([False], missing, [False])).astype(np.int8)
     edges = np.flatnonzero(np.diff(padded))
     return [(int(low), int(high)) for low, high in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
-    """Name hours by the spans that they form.
+    """Return the names of the periods that consecutive hours form.
 
     Args:
         first: start of hour 0.
         hours: indices of the hours.
 
     Returns:
-        One text for every span: ``2021-07-20T13:00-05:00`` for a single hour, otherwise the first
-        and last hour and the number of hours.
+        One text for every period: ``2021-07-20T13:00-05:00`` for a single hour, otherwise the first
+        and the last hour and the number of hours.
     """
     indices = np.sort(np.array(list(hours), dtype=np.intp))
     spans = []
@@ -170,24 +174,26 @@ def name_hours(first: datetime, hours: Iterable[int]) -> list[str]:
 
 
 def number_days(days: NDArray[np.datetime64]) -> NDArray[np.int64]:
-    """Return the number of every day within its year, from 1."""
+    """Return the day of the year of every date, from 1."""
     since = (days - days.astype("datetime64[Y]")).astype("timedelta64[D]")
     return np.asarray(since.astype(np.int64) + 1)
 
 
 def join_records(parts: Sequence[Records]) -> Records:
-    """Join the records of several files.
+    """Join the records of more than one file.
 
-    They are sorted by time. A value that no file has is missing (NaN). If several files have it,
-    they must agree, except in an hour that one file has only in part: other files then take
-    precedence, and the rain is taken from all minutes. If a file's hours do not begin when those of
-    the first file do, each of its values becomes the mean of the two hours that it overlaps; values
-    from other files then take precedence. Files with quantities other than the first file's, as
-    from services with a file for each, are joined by quantity.
+    The records are sorted by time. A value that is in no file is missing (NaN). If more than one
+    file contains a value, the values must be equal, except in an hour that one of the files covers
+    only in part. In such an hour, the values of other files take precedence, and the rain is
+    computed from the minutes of all files. If the hours of a file begin at another minute than
+    those of the first file, each value becomes the mean of the two hours that it overlaps, and
+    values from other files take precedence. Some services have one file per quantity; files without
+    any quantity of the first file are joined by quantity.
 
     Raises:
-        ConfigurationError: if two files have different values for an hour, different quantities,
-            methods of evapotranspiration or conventions of time. The message names both.
+        ConfigurationError: if two files have different values for the same hour, different
+            quantities, different methods of evapotranspiration or different conventions for time
+            stamps. The message names both files.
     """
     first = min(parts, key=lambda part: part.first)
     others = [part for part in parts if part.values.keys().isdisjoint(first.values)]
@@ -248,10 +254,10 @@ def join_records(parts: Sequence[Records]) -> Records:
 def _join_minutes(
     hours: int, parts: Iterable[tuple[int, Records]]
 ) -> NDArray[np.float64] | None:
-    """Return the rain in every minute of parts given with their first hours; None if none has it.
+    """Join the rain in the minutes of parts with their first hours; None without such rain.
 
     Raises:
-        ConfigurationError: if two parts differ in a minute.
+        ConfigurationError: if two parts have different rain in the same minute.
     """
     joined = None
     for begin, part in parts:
@@ -263,7 +269,7 @@ def _join_minutes(
             if unequal.size:
                 hour, minute = (int(index) for index in unequal[0])
                 raise ConfigurationError(
-                    f"must be {place[hour, minute]:g} mm/h, as in another of the files, or they "
+                    f"must be {place[hour, minute]:g} mm/h, as in another file, or the files "
                     "must not overlap", file=part.source, value=float(part.minutes[hour, minute]),
                     key=f"{PRECIPITATION} at "
                     + to_minutes(part.first + hour * HOUR + minute * _MINUTE),
@@ -273,14 +279,14 @@ def _join_minutes(
 
 
 def _add_quantities(first: Records, other: Records) -> Records:
-    """Return records with the quantities of both, from the first hour of either to the last.
+    """Return records with the quantities of both parts, over the period that they cover together.
 
     Raises:
-        ConfigurationError: if their hours do not begin at the same time.
+        ConfigurationError: if the hours of the two parts do not begin at the same minute.
     """
     if (other.first - first.first) % HOUR:
         raise ConfigurationError(
-            f"its hours must begin at the same minute as those of {first.source}, which contains "
+            f"hours must begin at the same minute as those of {first.source}, which contains "
             "other quantities",
             file=other.source,
         )
@@ -310,7 +316,7 @@ def _check_same_kind(first: Records, part: Records) -> None:
     for aspect, expected, present in (
         ("quantities", sorted(first.values), sorted(part.values)),
         ("method of evapotranspiration", [first.method], [part.method]),
-        ("quantities for the hour before their time", first.shifted, part.shifted),
+        ("quantities for the hour before the time stamp", first.shifted, part.shifted),
         ("delay of the rain in hours", [str(first.rain_late)], [str(part.rain_late)]),
     ):
         if expected != present:
@@ -322,7 +328,7 @@ def _check_same_kind(first: Records, part: Records) -> None:
 
 
 def _shift_to_hours_of(first: Records, part: Records) -> Records:
-    """Return records on hours that begin when another's do; local hours at UTC-3:30 do not."""
+    """Shift records to hours that begin at the same minute as those of the first records."""
     late = (part.first - first.first) % HOUR
     share, values = late / HOUR, part.values
     minutes, begin = part.minutes, part.first - late + HOUR
@@ -346,7 +352,7 @@ def _shift_to_hours_of(first: Records, part: Records) -> Records:
     return replace(
         part, first=begin, minutes=minutes, values=values,
         left_out=(*part.left_out, (
-            f"{part.source}: its hours begin {late // _MINUTE} min after those of {first.source}; "
+            f"{part.source}: hours begin {late // _MINUTE} min after those of {first.source}; "
             "each value is the mean of the two hours that it overlaps"
         )),
     )

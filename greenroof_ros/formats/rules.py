@@ -1,13 +1,12 @@
-"""What is implausible in measurements: one list of rules, for weather and for roofs.
+"""Rules that detect implausible measurements of weather and of roofs.
 
-The weather command, runs, studies and calibration share it. A rule yields a sentence for each thing
-that it finds; it finds nothing in a record that lacks its columns. To add a rule, add a function, a
-row of :data:`RULES` and a test. What a single cell may hold is defined in :mod:`.cells` and
-:mod:`.quantities`.
-
-The bounds separate the records of two roofs (Neubrandenburg 2014 and 2015, Berlin 2019, April to
-October, in windows of 30 to 100 days) from the same records with a wrong unit, a shifted clock or a
-broken sensor. The bounds for levels do the same with simulated levels of these roofs.
+The weather command, runs, studies and calibration apply the same rules. Each rule yields one
+sentence per finding, and no sentence for a record that lacks the columns of the rule. To add a
+rule, add a function, a row of :data:`RULES` and a test. The modules :mod:`.cells` and
+:mod:`.quantities` define the permitted content of a single cell. The bounds separate the records of
+two roofs (Neubrandenburg 2014 and 2015, Berlin 2019, April to October, in windows of 30 to 100
+days) from the same records with a wrong unit, a shifted clock or a broken sensor. The bounds for
+levels separate simulated levels of these roofs in the same way.
 """
 
 from __future__ import annotations
@@ -45,23 +44,23 @@ from greenroof_ros.model.site import Site
 
 
 class Rule(NamedTuple):
-    """A rule."""
+    """A rule that detects one kind of implausible data."""
 
     find: Callable[[StepRecord, Site], Iterator[str]]
-    """yields a sentence for each implausible thing"""
+    """function that yields a sentence for each finding"""
     refuses: bool = False
-    """whether a record in which it finds something is rejected; otherwise its sentences warn"""
+    """whether a finding of the rule rejects the record; otherwise its sentences are warnings"""
 
 
 def check_steps(record: StepRecord, site: Site) -> list[str]:
-    """Return what is implausible in a record, each in a sentence.
+    """Return one sentence about each implausible finding in a record.
 
     Args:
-        record: the measurements, without those that do not count.
-        site: site with the roof and its place.
+        record: the measurements; NaN for measurements that are not checked.
+        site: site with the roof and its location.
 
     Raises:
-        ConfigurationError: if a rule rejects it.
+        ConfigurationError: if a rule rejects the record.
     """
     warnings = []
     for rule in RULES:
@@ -73,9 +72,9 @@ def check_steps(record: StepRecord, site: Site) -> list[str]:
 
 
 def check_hours(records: Records, site: Site, hours: range) -> list[str]:
-    """Return what is implausible in some hours of weather; see :func:`check_steps`.
+    """Return one sentence about each implausible finding in some hours; see :func:`check_steps`.
 
-    A place given by the records takes precedence over the site's.
+    If the records state their location, it takes precedence over the site's location.
     """
     for latitude, longitude in [*records.places.values()][:1]:
         site = replace(site, latitude=latitude, longitude=longitude)
@@ -109,18 +108,18 @@ _MAX_ABOVE = 1.0
 
 
 def find_much_rain(record: StepRecord, _site: Site) -> Iterator[str]:
-    """Find more rain and pumped water than a place can have in weeks."""
+    """Find amounts of rain and pumped water that are too large for the length of the record."""
     days = float(np.count_nonzero(~np.isnan(record.rain))) * record.step_s / DAY_S
     water, limit = float(record.water.sum()), _MAX_A_DAY * max(days, _MIN_DAYS)
     if water > limit:
         yield (
-            f"rain is {water:.4g} mm in {days:.3g} days, including pumped water; more than "
+            f"rain and pumped water are {water:.4g} mm in {days:.3g} days; more than "
             f"{limit:.4g} mm is rare: is the unit of the column right?"
         )
 
 
 def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
-    """Find evapotranspiration, levels and dew points that occur nowhere."""
+    """Find evapotranspiration, levels and dew points that do not occur anywhere on Earth."""
     amounts = []
     if record.reference_column:
         _, day = np.unique(record.seconds // DAY_S, return_inverse=True)
@@ -140,7 +139,7 @@ def find_wrong_amounts(record: StepRecord, site: Site) -> Iterator[str]:
             bound = f"no more than {high:.4g}" if value > high else f"at least {low:.4g}"
             yield (
                 f"{column}: is {value:.3g} {what}; it must be {bound}: is the unit of this "
-                "column right, and are those of the others?"
+                "column right, and are the units of the other columns?"
             )
 
 
@@ -164,7 +163,7 @@ _WARMEST, _WARMEST_PER_MJ = 18.0, 0.6
 
 
 def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
-    """Find rain in another unit, or over periods other than its rows."""
+    """Find rain in a wrong unit, or with totals over periods other than its rows."""
     if record.step_s > HOUR_S:
         return
     rain = np.nan_to_num(record.rain if record.all_rain is None else record.all_rain)
@@ -173,13 +172,13 @@ def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
     mean = float(wet.mean()) if wet.size else 0.0
     if wet.size >= _FEW_WET and mean > _MAX_MEAN_WET:
         yield (
-            f"rain has a mean of {mean:.3g} mm in its {wet.size} wet hours; more than "
+            f"rain has a mean of {mean:.3g} mm in {wet.size} wet hours; more than "
             f"{_MAX_MEAN_WET:g} is rare: is it in tenths of a millimetre?"
         )
     if wet.size >= _MANY_WET and float(wet.max()) < _MIN_WETTEST:
         yield (
-            f"rain is at most {wet.max():.3g} mm in each of its {wet.size} wet hours: is the unit "
-            "right? The amount of a row is in [mm], not [mm/h]"
+            f"rain is at most {wet.max():.3g} mm in each of {wet.size} wet hours: is the unit "
+            "right? The unit of an amount per row is [mm], not [mm/h]"
         )
     if wet.size >= _FEW_WET and (wet % 1 == 0).all() and wet.max() > 1:
         yield (
@@ -196,7 +195,7 @@ def find_wrong_rain(record: StepRecord, _site: Site) -> Iterator[str]:
 
 
 def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
-    """Find evapotranspiration, radiation and temperature that do not fit the sun's energy."""
+    """Find evapotranspiration, radiation and temperature that contradict the sun's energy."""
     if site.latitude is None:
         return
     days, day = np.unique(record.seconds // DAY_S, return_inverse=True)
@@ -214,11 +213,11 @@ def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
         radiation = np.bincount(day, record.radiation)[sunny] * record.step_s / 1e6
         amounts.append((
             RADIATION, np.fmax.reduce(radiation / energy),
-            "of the sun's outside the atmosphere on the clearest day", *_CLEAREST,
+            "of the extraterrestrial radiation on the clearest day", *_CLEAREST,
         ))
     if record.temperature is not None and count >= _MIN_ENERGY_DAYS:
         amounts.append((
-            TEMPERATURE, _find_median(record.temperature), "degC as a median under this sun",
+            TEMPERATURE, _find_median(record.temperature), "degC at the median under this sun",
             -math.inf, _WARMEST + _WARMEST_PER_MJ * energy.mean(),
         ))
     for column, value, what, low, high in amounts:
@@ -238,7 +237,7 @@ _WINDIEST, _WIND_HOURS = 43.0, 240
 
 
 def find_unlike_air(record: StepRecord, _site: Site) -> Iterator[str]:
-    """Find vapour pressure in place of the dew point, and wind in another unit."""
+    """Find vapour pressure in the column of the dew point, and wind speed in a wrong unit."""
     if record.dew_point is not None:
         dew_point = record.dew_point[~np.isnan(record.dew_point)]
         if record.temperature is not None:
@@ -246,7 +245,8 @@ def find_unlike_air(record: StepRecord, _site: Site) -> Iterator[str]:
             if saturated > _MAX_SATURATED * dew_point.size:
                 yield (
                     f"{DEW_POINT} is more than {_MAX_ABOVE:g} K above the temperature in "
-                    f"{saturated} rows: is it vapour pressure, or was it measured at another place?"
+                    f"{saturated} rows: is it vapour pressure, or was it measured at a different "
+                    "place?"
                 )
         if len(dew_point) * record.step_s >= _DEW_HOURS * HOUR_S and (
             dew_point.min() >= 0 and dew_point.max() <= _VAPOUR_KPA
@@ -281,7 +281,7 @@ _MIN_SHARE = 0.001
 
 
 def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
-    """Compare runoff with water: in total, and in every storm including the day after it."""
+    """Compare runoff with rain and pumped water, in total and for every storm."""
     if record.runoff is None:
         return
     total = float(np.nansum(record.runoff))
@@ -289,8 +289,8 @@ def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
     # A watered roof may retain all of it.
     if 0 < total < _MIN_SHARE * inflow and not np.any(record.pumped > 0):
         yield (
-            f"runoff is {total:.2g} mm of {inflow:.4g} mm of water: is the unit of the column "
-            "right?"
+            f"runoff is only {total:.2g} mm of {inflow:.4g} mm of rain: is the unit of the "
+            "column right?"
         )
     water = record.rain + record.pumped
     sums = np.array([
@@ -300,14 +300,14 @@ def find_imbalance(record: StepRecord, site: Site) -> Iterator[str]:
     excess = float(np.sum(np.maximum(gone - came, 0.0)))
     if excess > max(_DROPS, _MAX_EXCESS * float(np.sum(gone))):
         yield (
-            f"runoff is {excess:.3g} mm more than the water that its storms brought: are the units "
-            "and a2 right?"
+            f"runoff is {excess:.3g} mm more than the rain and pumped water of its storms: are "
+            "the units and a2 right?"
         )
     kept = float(np.max(came - gone, initial=0.0))
     if kept > 1000 * site.z_soil + _EXTRA_STORAGE:
         yield (
-            f"rain is {kept:.3g} mm more than the runoff of a storm, which the soil cannot hold: "
-            "are the units and z_soil right?"
+            f"rain is {kept:.3g} mm more than runoff in one storm, and the soil cannot hold as "
+            "much: are the units and z_soil right?"
         )
 
 
@@ -325,10 +325,11 @@ _CLEAR, _EARLY_BETTER, _LATE_BETTER = 0.1, 1.1, 1.5
 
 
 def find_shifted_clock(record: StepRecord, _site: Site) -> Iterator[str]:
-    """Find a roof that responds before the rain, or hours after it.
+    """Find a roof that responds before the rain, or many hours after it.
 
-    Only rises of runoff or level count: how long runoff continues after rain says nothing about
-    clocks. A level's rise is between two half-hour means, to reduce a sensor's noise.
+    Only the rises of runoff or level are used, since the duration of runoff after rain contains no
+    information about clocks. The rise of a level is the difference between two half-hour means,
+    which reduces the sensor's noise.
     """
     if not record.measured:
         return
@@ -360,9 +361,9 @@ def find_shifted_clock(record: StepRecord, _site: Site) -> Iterator[str]:
     better = _EARLY_BETTER if early else _LATE_BETTER
     if (early or lag > usual_s[1]) and best > _CLEAR and best > better * usual:
         yield (
-            f"{column} follows the rain best {name_time(abs(lag))} "
+            f"{column} responds to the rain {name_time(abs(lag))} "
             f"{'before' if early else 'after'} it falls (correlation {best:.2f}, but {usual:.2f} "
-            "without a shift): is a clock shifted, or in another time zone?"
+            "without a shift): is a clock shifted, or is it in a different time zone?"
         )
 
 
@@ -385,11 +386,11 @@ _UNEXPLAINED, _DRY_S = 5.0, 3 * DAY_S
 
 
 def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
-    """Find sensors that show one value, apart from gaps, although it has to change.
+    """Find sensors that show the same value, apart from gaps, although the value must change.
 
-    A flow meter must change from 0 if, in any part of the time, more water comes than the soil can
-    hold. From a roof with a pump, evapotranspiration is subtracted at its full rate, because a good
-    controller pumps no more than that, and nothing while it rains often enough.
+    The runoff must change from 0 if more water arrives in any period than the soil can hold. For a
+    roof with a pump, evapotranspiration is subtracted at its full rate, because a good controller
+    does not pump more than this, and pumps nothing while it rains often enough.
     """
     rate = max(_FULL_RATE, site.crop_coefficient) * bool(np.nansum(record.pumped) > 0)
     gained = record.water - rate * record.reference
@@ -411,14 +412,14 @@ def find_stuck_sensor(record: StepRecord, site: Site) -> Iterator[str]:
                 yield (
                     f"{column} is {value:g} {'m' if column == 'level' else 'mm'} for "
                     f"{same_s / HOUR_S:.0f} h from {record.time(int(same[0]))}, although "
-                    f"{np.sum(record.water[same]):.3g} mm of water arrived: is the sensor stuck or "
-                    "dead? Leave these cells empty"
+                    f"{np.sum(record.water[same]):.3g} mm of water arrived: is the sensor stuck "
+                    "or dead? Leave these cells empty"
                 )
                 break
 
 
 def find_blocked_gauge(record: StepRecord, _site: Site) -> Iterator[str]:
-    """Find runoff without rain."""
+    """Find runoff without rain or pumped water."""
     if record.runoff is None:
         return
     wet: Steps = (record.water > 0) | np.isnan(record.rain) | np.isnan(record.pumped)
@@ -428,8 +429,8 @@ def find_blocked_gauge(record: StepRecord, _site: Site) -> Iterator[str]:
         if low > 0 and outflow > _UNEXPLAINED:
             yield (
                 f"rain is 0 for {(high - low + since - 1) * record.step_s / DAY_S:.0f} days before "
-                f"{record.time(high)}, although {outflow:.3g} mm ran off: is the gauge blocked or "
-                "stuck, or is the runoff melted snow? Leave these cells empty"
+                f"{record.time(high)}, although runoff is {outflow:.3g} mm: is the gauge blocked "
+                "or stuck, or is the runoff melted snow? Leave these cells empty"
             )
             return
 
@@ -445,11 +446,11 @@ _YEAR = 366
 def find_outlying_rain(record: StepRecord, _site: Site) -> Iterator[str]:
     """Find hours with more rain than is plausible according to the station's own records.
 
-    The limit is 9 times the 95th percentile of the wet hours within 14 days of the hour's day of
-    the year, in all years of the records; 5 times below 0 degC. With fewer than 20 wet hours there
-    is no check. It is the climatological outlier check for daily precipitation of GHCN-Daily
-    (Durre, Menne, Gleason, Houston and Vose 2010, J. Appl. Meteor. Climatol. 49:1615,
-    doi:10.1175/2010JAMC2375.1), applied to hours.
+    The limit is 9 times the 95th percentile (below 0 degC, 5 times) of the wet hours in all years
+    of the records within 14 days of the same day of the year. Hours with fewer than 20 wet hours in
+    this period are not checked. The method is the climatological outlier check for daily
+    precipitation of GHCN-Daily (Durre, Menne, Gleason, Houston and Vose 2010, J. Appl. Meteor.
+    Climatol. 49:1615, doi:10.1175/2010JAMC2375.1), applied to hours.
     """
     if record.step_s > HOUR_S:
         return
@@ -482,7 +483,7 @@ def find_outlying_rain(record: StepRecord, _site: Site) -> Iterator[str]:
     for at, usual in sorted(outliers):
         yield (
             f"rain is {rain[at]:g} mm at {to_minutes(start + at * timedelta(hours=1))}, "
-            f"{rain[at] / usual:.1f} times the 95th percentile of wet hours at that time of the "
+            f"{rain[at] / usual:.1f} times the 95th percentile of wet hours at this time of the "
             f"year, {usual:.3g} mm"
         )
 
@@ -499,4 +500,4 @@ RULES = (
     Rule(find_blocked_gauge),
     Rule(find_outlying_rain),
 )
-"""All rules, in the order in which they are applied."""
+"""all rules, in the order of their application"""

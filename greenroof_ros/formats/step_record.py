@@ -82,7 +82,7 @@ class StepRecord:
 
     @property
     def seconds(self) -> NDArray[np.int64]:
-        """Start of every step on the record's own clock, in seconds since the clock's 1970-01-01."""
+        """Start of every step on the record's own clock, in seconds since its 1970-01-01."""
         first = round(self.start.timestamp() + self.offset_s)
         return first + np.round(self.step_s * np.arange(self.steps)).astype(np.int64)
 

@@ -76,8 +76,8 @@ def test_rain_and_radiation_are_of_the_hour_before(tmp_path: Path) -> None:
     assert weather.method == "fao56"
     assert not np.isnan(weather.evapotranspiration).any()
     assert weather.notes == (
-        "precipitation and solar radiation in the files are for the hour before their time, and "
-        "were moved back an hour",
+        "precipitation and solar radiation in the files are for the hour before the time stamp, "
+        "and were moved back by one hour",
     )
 
 

@@ -411,7 +411,7 @@ SUSPICIOUS: dict[str, tuple[str, Callable[[int], object], str]] = {
     "degC of dew": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 + 5 * shine(row)},"
                     f"{9 + row // 72 % 3}", ""),
     "hPa of vapour": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 - 9 * shine(row)},13.1",
-                      "is it vapour pressure, or was it measured at another place?"),
+                      "is it vapour pressure, or was it measured at a different place?"),
     "kPa of vapour": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{20 + 5 * shine(row)},"
                       f"{1.2 + row // 72 % 3 / 10}", "is it vapour pressure?"),
     "kPa in frost": (f"{HOT},{DEW}", lambda row: f"{RAIN[row]},{-6 + 5 * shine(row)},0.3{row % 9}",

@@ -193,7 +193,7 @@ def test_files_that_end_within_an_hour(tmp_path: Path, site: Site) -> None:
     for files in ([first, second], [second, first], [first, second, both]):
         check_ticks(read_measured(files, site), rows, site, taus=(60.0, 300.0))
     other = write(tmp_path / "d.csv", [row._replace(rain=row.rain + 0.1) for row in rows[20:]])
-    assert "or they must not overlap" in refusal(read_measured, [first, other], site)
+    assert "or the files must not overlap" in refusal(read_measured, [first, other], site)
 
 
 def test_files_of_two_clocks(tmp_path: Path) -> None:

@@ -293,7 +293,7 @@ def test_files_whose_hours_begin_at_different_minutes(
     assert read.values["precipitation"].tolist() == [0.5] * 4 + expected
     assert read.values["evapotranspiration"].tolist() == [1.0] * 4 + [2.0] * 3
     assert read.notes[0] == (
-        f"{late}: its hours begin {minutes} min after those of {early}; each value is the mean "
+        f"{late}: hours begin {minutes} min after those of {early}; each value is the mean "
         "of the two hours that it overlaps"
     )
 

@@ -163,7 +163,7 @@ def test_what_is_assumed_about_the_weather_is_a_warning(tmp_path: Path) -> None:
         "time,precipitation,shortwave_radiation\n"
         + "".join(f"2024-06-01T{hour:02}:00,1,\n" for hour in range(5))
     )
-    with pytest.warns(UserWarning, match="moved back an hour") as shown:
+    with pytest.warns(UserWarning, match="moved back by one hour") as shown:
         gr.simulate("onoff", weather=tmp_path / "gauge.csv", start="2024-06-01T01:00Z", hours=1)
     assert any("no frost is assumed" in str(each.message) for each in shown)
     assert {each.filename for each in shown} == {__file__}
@@ -331,7 +331,7 @@ def test_a_data_frame_of_open_meteos_package() -> None:
         "dew_point_2m": [10.0] * 48, "wind_speed_10m": [9.0] * 48, "surface_pressure": [1e3] * 48,
         "shortwave_radiation": [200.0] * 48,
     })
-    with pytest.warns(UserWarning, match="moved back an hour"):
+    with pytest.warns(UserWarning, match="moved back by one hour"):
         result = gr.simulate("onoff", weather=frame, start="2024-06-01T05:00", hours=0.1)
     assert 3.6e6 * result.ticks.precipitation[0] == pytest.approx(6)
 
