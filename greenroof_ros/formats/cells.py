@@ -1,7 +1,8 @@
-"""Tables of text cells: every value is read strictly, and its file, line and column are known.
+"""Tables of text cells, which are read strictly, with the file, line and column of every value.
 
-The csv module of the standard library reads the text line by line. Polars is not used: it is in an
-extra that simulation does not need, and after comments it does not know the line of a row.
+The csv module of the standard library reads the text line by line. Polars is not used, because it
+belongs to an optional extra that simulations do not need, and because it does not provide the line
+number of a row after comments.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ HOUR = timedelta(hours=1)
 _CLOCK_ERROR = timedelta(minutes=1)
 
 MISSING = {"", "nan", "na", "n/a", "#n/a", "n/d", "m", "null", "none", "-", "--", "---", "missing"}
-"""What stands for a missing value, in lower case."""
+"""texts that denote a missing value, in lower case"""
 # Digits of numbers that stand for one, besides nines.
 _CODES = {
     "32767", "32768", "65535", "2147483647", "2147483648", "4294967295", "27315", "6999", "7999",
@@ -81,41 +82,41 @@ class Row(NamedTuple):
     """A row of a table."""
 
     number: int
-    """number of the row, from 0"""
+    """index of the row, from 0"""
     line: int | None
-    """line in the file; None in JSON"""
+    """line number in the file; None for JSON"""
     cells: Sequence[str]
 
 
 class Table:
-    """A header, and rows of cells without surrounding spaces.
+    """A table: a header, and rows of cells without surrounding spaces.
 
     Attributes:
-        file: file that it is from.
+        file: file that contains the table.
         header: names of the columns.
-        line: line number of the header; None if there are no lines, as in JSON.
+        line: line number of the header; None for JSON, which has no lines.
         first: the first row.
-        times: name of the column of times, for notes.
-        rows: all rows. They are read one by one, so that an error in one of them is found before
-            the rest of the file is read.
-        notes: what could not be used unchanged, in sentences.
+        times: name of the column that contains the times, for notes.
+        rows: all rows. They are read one by one, so that an error in a row is found before the rest
+            of the file is read.
+        notes: sentences about data that could not be used unchanged.
     """
 
     def __init__(
         self, file: Path, header: Sequence[str],
         rows: Iterable[tuple[int | None, Sequence[str]]], line: int | None = None, key: str = "",
     ) -> None:
-        """Prepare the table; only the first row is read.
+        """Prepare the table, and read only its first row.
 
         Args:
-            file: file that it is from.
+            file: file that contains the table.
             header: names of the columns.
-            rows: line and cells of each row.
+            rows: line number and cells of each row.
             line: line number of the header.
-            key: prefix of the columns in JSON, such as ``hourly.``.
+            key: prefix of the column names in JSON, such as ``hourly.``.
 
         Raises:
-            ConfigurationError: if there is no row.
+            ConfigurationError: if the table has no rows.
         """
         self.file, self.header, self.line = file, header, line
         self.notes = list[str]()
@@ -139,7 +140,7 @@ class Table:
     def refuse(
         self, expected: str, column: str | None = None, row: Row | None = None
     ) -> ConfigurationError:
-        """Return an error that names the place and text of a cell, or of the header's cell."""
+        """Return an error with the position and the text of a cell of a row or of the header."""
         if column is None or row is None:
             return ConfigurationError(expected, file=self.file, line=self.line, value=column)
         key = f"{self._key}{column.partition(' ')[0]}[{row.number}]" if self._key else column
@@ -148,15 +149,15 @@ class Table:
         )
 
     def require_columns(self, columns: Iterable[str], source: str) -> None:
-        """Reject a header unless it has each of these columns exactly once."""
+        """Reject a header that does not contain each of these columns exactly once."""
         for column in columns:
             if column not in self.header:
-                raise self.refuse(f"must have a column '{column}', as {source} have")
+                raise self.refuse(f"must have a column '{column}', like {source}")
             if self.header.count(column) > 1:
                 raise self.refuse("is the name of more than one column", column)
 
     def require_header(self, columns: Sequence[str], why: str) -> None:
-        """Reject a header that has other columns, or another order."""
+        """Reject a header with different columns or a different order of columns."""
         for cell, name in itertools.zip_longest(self.header, columns):
             if cell != name:
                 wrong = "is one column too many" if name is None else f"the column must be '{name}'"
@@ -165,10 +166,10 @@ class Table:
     def read_number(
         self, row: Row, column: str, limits: Range, missing: Container[str] = ()
     ) -> float:
-        """Return a number, or NaN for a text that stands for a missing value.
+        """Return the number in a cell, or NaN for a text that denotes a missing value.
 
         Raises:
-            ConfigurationError: if the cell is not a number within these limits.
+            ConfigurationError: if the cell does not contain a number within the limits.
         """
         text = self.cell(row, column)
         if text in missing:
@@ -188,24 +189,25 @@ class Table:
         Args:
             row: row of the cell.
             column: column of the cell.
-            parse: returns a time, or raises ValueError; by default it reads ISO 8601 with an offset
-                from UTC.
+            parse: function that returns the time in a text, or raises ValueError; by default, it
+                reads ISO 8601 with a UTC offset.
             example: example of a time, for messages.
             hint: end of the message about a missing offset.
-            zone: zone of times without an offset, with its daylight saving time.
-            before: time of the previous row. Within the hour that a clock shows twice, a time that
-                is not later than this one is the second.
+            zone: time zone of times without an offset, including its daylight saving time.
+            before: time of the previous row. In the hour that occurs twice when daylight saving
+                time ends, a time that is not later than the previous one belongs to the second
+                occurrence.
 
         Raises:
-            ConfigurationError: if the cell is not a time, lacks its offset from UTC, or is in an
-                hour that the zone's clocks skip.
+            ConfigurationError: if the cell does not contain a time, lacks a UTC offset, or is in an
+                hour that is skipped when daylight saving time begins.
         """
         text = self.cell(row, column)
         try:
             time = parse(text)
         except ValueError:
             what = "" if re.search(r"\d", text) else (
-                "; if the line contains units or a sum instead of a record, leave it out"
+                "; if the line contains units or a total instead of a record, leave it out"
             )
             raise self.refuse(
                 f"must be a time such as {example}, {FIRST_YEAR} to {LAST_YEAR}"
@@ -215,13 +217,13 @@ class Table:
             return time
         if zone is None:
             raise self.refuse(
-                f"must include its offset from UTC, as in {DEFAULT_START}{hint}", column, row
+                f"must include a UTC offset, as in {DEFAULT_START}{hint}", column, row
             )
         local = time.replace(tzinfo=zone)
         if is_skipped(local):
             raise self.refuse(
-                f"is a time that the clocks in {zone} skip; does the record stay on standard time? "
-                "If so, add the offset from UTC to every time", column, row,
+                f"is in an hour that clocks in {zone} skip; does the record stay on standard "
+                "time? If so, add the UTC offset to every time", column, row,
             )
         if before is not None and local.astimezone(timezone.utc) <= before:
             local = local.replace(fold=1)
@@ -233,26 +235,26 @@ class Table:
         self, column: str, columns: Mapping[str, Column], parse: Callable[[str], datetime],
         example: str, *, in_order: bool = True, station: str | None = None,
     ) -> tuple[datetime, dict[str, NDArray[np.float64]]]:
-        """Read all rows, each of which stands for an hour.
+        """Read all rows, each of which contains the values of an hour.
 
-        An hour without a row is missing. A time may differ from its whole hour by a minute.
+        An hour without a row is missing. A time may differ from the whole hour by one minute.
 
         Args:
-            column: the column of times.
-            columns: the columns of values.
-            parse: as for :meth:`read_time`.
-            example: as for :meth:`read_time`.
-            in_order: whether rows must be in order of time; otherwise every hour may occur only
-                once.
-            station: the column that names the station, if there is one.
+            column: name of the column of times.
+            columns: the columns of values, by name.
+            parse: function that reads a time, as for :meth:`read_time`.
+            example: example of a time, as for :meth:`read_time`.
+            in_order: whether rows must be in chronological order; otherwise, every hour may occur
+                only once.
+            station: name of the column that identifies the station; None without such a column.
 
         Returns:
-            The first time, and the values of every column from then on, shape (hours,); NaN if
+            The first time, and the values of every column from this time on, shape (hours,); NaN if
             missing.
 
         Raises:
-            ConfigurationError: if a time is not a whole number of hours after the previous row, or
-                a row is from another station; or as for :meth:`read_time`.
+            ConfigurationError: if a time is not a whole number of hours after the previous row, if
+                a row is from a different station, or for the reasons of :meth:`read_time`.
         """
         self.times = column
         first = self.read_time(self.first, column, parse, example).replace(second=0, microsecond=0)
@@ -260,8 +262,9 @@ class Table:
         present = set[int]()
         for row in self.rows:
             if station and self.cell(row, station) != self.cell(self.first, station):
-                raise self.refuse("is another station: make a separate file for each "
-                    "station", station, row)
+                raise self.refuse(
+                    "is a different station: make a separate file for each station", station, row,
+                )
             time = self.read_time(row, column, parse, example)
             hour = round((time - first) / HOUR)
             off = abs(time - first - hour * HOUR)
@@ -270,8 +273,10 @@ class Table:
             ):
                 expected = first.astimezone(time.tzinfo) + (hours[-1] + 1) * HOUR
                 raise self.refuse(
-                    f"must be {to_minutes(expected)}, or whole hours later: each row is one hour; "
-                    "an hour without values needs a row with empty cells, or no row", column, row,
+                    f"must be {to_minutes(expected)}, or a whole number of hours later: each row "
+                    "is one "
+                    "hour; for an hour without values, leave the cells empty or leave out the "
+                    "row", column, row,
                 )
             hours.append(hour)
             present.add(hour)
@@ -284,7 +289,7 @@ class Table:
 
 
 NEAR, CODE, WRONG = "near", "code", "wrong"
-"""Kinds of odd cells: just outside the range, a stand-in for a missing value, and others."""
+"""Kinds of odd cells: just outside the range, a code for a missing value, and all others."""
 
 
 class Cell(NamedTuple):
@@ -292,18 +297,18 @@ class Cell(NamedTuple):
 
     text: str
     number: float
-    """the number; NaN if the text is not a number"""
+    """number in the cell; NaN if the text is not a number"""
     value: float
-    """the number in our unit"""
+    """number converted to this project's unit"""
     quantity: Quantity
 
 
 Verdict = tuple[float, str]
-"""the value to use, and the kind of an odd cell; empty if it is not odd"""
+"""value to use, and the kind of odd cell; the kind is empty for ordinary cells"""
 
 
 def take_plausible(cell: Cell) -> Verdict | None:
-    """Accept a plausible value as it is."""
+    """Accept a plausible value unchanged."""
     _, low, high, *_ = cell.quantity
     return (cell.value, "") if low <= cell.value <= high else None
 
@@ -322,14 +327,14 @@ def take_trace(cell: Cell) -> Verdict | None:
 
 
 def take_near(cell: Cell) -> Verdict | None:
-    """Move a value just outside the range to the end of the range."""
+    """Set a value just outside the range to the nearest limit."""
     _, low, high, nearly, _ = cell.quantity
     near = low - nearly <= cell.value <= high + nearly
     return (min(max(cell.value, low), high), NEAR) if near else None
 
 
 def take_code(cell: Cell) -> Verdict | None:
-    """Treat words, codes such as -999, and negative values where none can occur as missing."""
+    """Treat words, codes such as -999, and impossible negative values as missing."""
     if math.isnan(cell.number):
         is_code = cell.text.startswith("#") or not re.search(r"\d", cell.text)
     elif cell.number <= 0 <= cell.quantity.low and cell.value < cell.quantity.low:
@@ -340,7 +345,7 @@ def take_code(cell: Cell) -> Verdict | None:
 
 
 def take_code_of_rain(cell: Cell) -> Verdict | None:
-    """Treat 99.9 and similar values as missing where they are plausible but more likely codes."""
+    """Treat 99.9 and similar values as missing if they are plausible but more likely codes."""
     is_depth = cell.quantity.is_water and "l" not in cell.quantity.units
     rare = is_depth and cell.number > _RARE_DEPTH and _has_digits_of_code(cell.text)
     return (math.nan, CODE) if rare else None
@@ -354,11 +359,11 @@ def _has_digits_of_code(text: str) -> bool:
 CELL_RULES = (
     take_code_of_rain, take_plausible, take_missing, take_trace, take_near, take_code,
 )
-"""How cells are read: the first rule that accepts a cell decides; if none does, it is wrong."""
+"""Rules for cells, in order. The first rule that accepts a cell decides; else the cell is wrong."""
 
 
 def read_cell(text: str, quantity: Quantity, unit: Unit) -> Cell:
-    """Return a cell with its number."""
+    """Return a cell with its number, converted to this project's unit."""
     try:
         number = read_number(text)
     except ValueError:
@@ -367,7 +372,7 @@ def read_cell(text: str, quantity: Quantity, unit: Unit) -> Cell:
 
 
 def judge_cell(cell: Cell) -> Verdict:
-    """Return the value of a cell in our unit, and which kind of odd cell it is."""
+    """Return the value of a cell in this project's unit, and the kind of odd cell."""
     for rule in CELL_RULES:
         if verdict := rule(cell):
             return verdict
@@ -375,17 +380,17 @@ def judge_cell(cell: Cell) -> Verdict:
 
 
 class Given(NamedTuple):
-    """The numbers of a column in our unit, including implausible ones."""
+    """The numbers of a column in this project's unit, including implausible numbers."""
 
     quantity: Quantity
     unit: str
-    """name of the column"""
+    """name of the unit in the file"""
     values: NDArray[np.float64]
-    """rows with a number"""
+    """numbers of the rows that contain a number"""
     step_h: float = 1.0
-    """time between rows (h)"""
+    """interval between rows (h)"""
     name: str = PRECIPITATION
-    """plausible range of the quantity"""
+    """name of the quantity"""
 
 
 # A running total rises, or stays the same: for this many rows per rise if rises are few, and for
@@ -409,7 +414,7 @@ _MAX_FRACTION = 1.05
 
 
 def find_running_total(given: Given) -> str:
-    """Find water that is accumulated from row to row, even if it starts again every day."""
+    """Find running totals of water, including totals that are reset every day."""
     if not given.quantity.is_water or not given.values.size:
         return ""
     wet, changes = given.values > 0, np.diff(given.values)
@@ -433,7 +438,7 @@ def find_running_total(given: Given) -> str:
 
 
 def find_event_total(given: Given) -> str:
-    """Find rain that only ever rises from one wet row to the next."""
+    """Find rain that never decreases from one wet row to the next."""
     wet = given.values > 0
     changes = np.diff(given.values)[wet[:-1] & wet[1:]]
     rises = np.count_nonzero(changes > 0)
@@ -454,7 +459,7 @@ def find_fraction(given: Given) -> str:
 
 
 def find_sum(given: Given) -> str:
-    """Find the sum of all amounts in the last row."""
+    """Find a last row that contains the sum of all other amounts."""
     if not given.quantity.is_water or np.count_nonzero(given.values) < _MANY_RISES:
         return ""
     if not math.isclose(given.values[-1], given.values[:-1].sum(), rel_tol=_NEARLY_SUM):
@@ -463,12 +468,13 @@ def find_sum(given: Given) -> str:
 
 
 def find_sliding_sum(given: Given) -> str:
-    """Find sums of the last n rows, such as the rain of the last hour every ten minutes.
+    """Find moving sums over n rows, such as the rain of the last hour in rows of ten minutes.
 
-    Normally, rain is not seen again in later rows. But in such sums, every drop appears in n rows,
-    so no wet spell is shorter than that, and the rain recovered from them, S(t) - S(t-1) + r(t-n),
-    is never negative. Rows that repeat a value, or are interpolated, change only in every n-th row.
-    A quantity that is smooth by nature, such as runoff, looks like such sums.
+    Normally, rain appears in only one row. In moving sums, however, rain appears in n rows, so no
+    wet spell is shorter than n rows, and the rain recovered from the sums, S(t) - S(t-1) + r(t-n),
+    is never negative. Rows that repeat or interpolate values change only in every n-th row. The
+    rule does not apply to quantities that are smooth by nature, such as runoff, because they
+    resemble moving sums.
     """
     if given.name != PRECIPITATION or not given.values.size:
         return ""
@@ -493,16 +499,16 @@ def find_sliding_sum(given: Given) -> str:
     if not rows:
         return ""
     return (
-        f"shows all rain in {rows} rows or more: is each value the sum of the last {rows} rows? In "
-        "each row, write only the rain of its own interval"
+        f"has no wet spell of fewer than {rows} rows: is each value the sum of the last {rows} "
+        "rows? In each row, write only the rain of its own interval"
     )
 
 
 def _find_end_of_scale(given: Given) -> float | None:
-    """Return a temperature that is far below or above all others; None if there is none.
+    """Return a temperature far below or above all other temperatures; None without such a value.
 
-    Air passes through all temperatures between two readings within a row or two, so a value that is
-    never approached is not a temperature.
+    Air temperature changes continuously, so a value is not a temperature if other readings never
+    come close to it.
     """
     values = np.unique(given.values)
     if given.quantity.unit != "degC" or len(given.values) < _MIN_TEMPERATURES or len(values) < 3:
@@ -514,13 +520,13 @@ def _find_end_of_scale(given: Given) -> float | None:
 
 
 def _is_sum_of_rows(spells: Iterable[tuple[float, ...]], rows: int, nearly: float) -> bool:
-    """Return whether every value can be the sum of the rain in so many rows.
+    """Return whether every value can be the sum of the rain in a number of rows.
 
     Args:
-        spells: for every wet spell, the differences of rows from the one before it to the one after
-            it.
-        rows: number of rows.
-        nearly: amount that counts as 0.
+        spells: differences between consecutive rows of every wet spell, including the dry row
+            before and the dry row after the spell.
+        rows: number of rows in a sum.
+        nearly: amount below which a value counts as 0.
     """
     wet_at, changed_at = set[int](), set[int]()  # rows since the beginning of their spell
     for spell in spells:
@@ -535,17 +541,17 @@ def _is_sum_of_rows(spells: Iterable[tuple[float, ...]], rows: int, nearly: floa
 
 
 COLUMN_RULES = (find_running_total, find_fraction, find_sum, find_sliding_sum)
-"""What a column cannot be: each rule returns why the column is rejected, or nothing."""
+"""Rules that reject a column: each returns the reason, or an empty text."""
 COLUMN_DOUBTS = (find_event_total,)
-"""What a column is unlikely to be: each rule returns a note, or nothing."""
+"""Rules that question a column: each returns a note, or an empty text."""
 
 
 class Column:
-    """The values of a column of a table, in our unit, as they are read row by row.
+    """The values of a table's column in this project's unit, which are read row by row.
 
-    A value just outside the range is moved to its end. Codes such as -999, words, negative values
-    of a quantity that cannot be negative, and a few other implausible values are treated as
-    missing. The table's notes name them all.
+    A value just outside the range is set to the nearest limit. Codes such as -999, words, negative
+    values of a quantity that cannot be negative, and a few other implausible values are treated as
+    missing. The table's notes report all of these cells.
     """
 
     def __init__(
@@ -557,15 +563,15 @@ class Column:
         """Prepare the column.
 
         Args:
-            table: table of the column.
+            table: table that contains the column.
             name: name of the column.
             quantity: name of the quantity, one of :data:`.quantities.QUANTITIES`.
-            unit: unit of the column; ours by default.
-            step_h: time between rows (h).
-            optional: whether a column of codes only counts as no column; by default, for all
-                quantities but precipitation.
-            cell: returns the text for a row; by default, that of the column.
-            rules: rules for the whole column; none if its rows are not consecutive in time.
+            unit: unit of the column; by default, this project's unit of the quantity.
+            step_h: interval between rows (h).
+            optional: whether a column that contains only codes counts as missing instead of wrong;
+                by default, true for all quantities except precipitation.
+            cell: function that returns the text for a row; by default, the text in the column.
+            rules: rules for the whole column; empty if its rows are not consecutive in time.
         """
         self._rules, self._of = rules, quantity
         self._table, self._name = table, name
@@ -581,14 +587,14 @@ class Column:
         self._odd: dict[str, list[Row]] = {NEAR: [], CODE: [], WRONG: []}
 
     def add(self, row: Row) -> None:
-        """Read the value of a row."""
+        """Read and store the value of a row."""
         cell = read_cell(self._cell(row), self._quantity, self.unit)
         value, what = judge_cell(cell)
         self._values.append(value)
         self._given.append(math.nan if what == CODE else cell.value)
         if math.isnan(cell.number) and _GROUPS.fullmatch(cell.text):
             raise self._table.refuse(
-                f"contains separators between its digits. {_PLAIN}", self._name, row,
+                f"contains a separator between digits. {_PLAIN}", self._name, row,
             )
         if "." not in cell.text:
             self._has_hundreds = self._has_hundreds or abs(cell.number) >= _A_HUNDRED
@@ -601,20 +607,20 @@ class Column:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no row has a cell, not counting cells that stand for a missing value."""
+        """Whether all cells of the column denote missing values."""
         return not any(self._odd.values()) and all(map(math.isnan, self._values))
 
     def judge(self) -> NDArray[np.float64]:
-        """Return the values of all rows, shape (rows,); NaN for those that cannot be used.
+        """Return the values of all rows, shape (rows,); NaN for values that cannot be used.
 
         Raises:
-            ConfigurationError: if too few of the values are plausible, or :data:`COLUMN_RULES`
-                reject them.
+            ConfigurationError: if too few values are plausible, or :data:`COLUMN_RULES` reject the
+                column.
         """
         if self._grouped and self._has_hundreds and not self._has_decimals:
             raise self._table.refuse(
-                "is among numbers of 100 and more without decimals: is its mark a thousands "
-                f"separator? {_PLAIN}", self._name, self._grouped,
+                "is in a column with numbers of 100 and more that have no decimals: is it "
+                f"written with a thousands separator? {_PLAIN}", self._name, self._grouped,
             )
         numbers = np.array(self._given)
         given = Given(
@@ -638,11 +644,11 @@ class Column:
             values[ends] = math.nan
             self._table.notes.append(
                 f"{self._table.file.name}: {self._name} of {end:g} degC in "
-                f"{np.count_nonzero(ends)} rows is {_APART:g} K from all others, like the end of a "
-                "sensor's scale, and is treated as missing"
+                f"{np.count_nonzero(ends)} rows is at least {_APART:g} K from all other values, "
+                "like the end of a sensor's scale, and is treated as missing"
             )
         unit, low, high, *_ = self._quantity
-        self._note(near, f"is moved to the end of its range, {low:g} to {high:g} {unit}")
+        self._note(near, f"is set to the nearest limit of its range, {low:g} to {high:g} {unit}")
         self._note(sorted(codes + wrong), "is not a plausible value, and is treated as missing")
         return values
 
@@ -657,7 +663,7 @@ class Column:
         )
 
     def _note(self, rows: Sequence[Row], what: str) -> None:
-        """Add a note about some cells that shows the first of them and their times."""
+        """Add a note about some cells, with the texts and times of the first of them."""
         if not rows:
             return
         table = self._table
@@ -681,8 +687,8 @@ def arrange_by_hour(
     """Arrange the rows of columns by hour, with NaN in hours without a row.
 
     Args:
-        columns: values by name, shape (rows,).
-        hours: hour of every row, from 0.
+        columns: values of every column by name, shape (rows,).
+        hours: index of the hour of every row, from 0.
     """
     values = {name: np.full(hours.max() + 1, np.nan) for name in columns}
     for name, series in columns.items():
@@ -691,9 +697,9 @@ def arrange_by_hour(
 
 
 def number_lines(text: Iterable[str]) -> Iterator[tuple[int, str]]:
-    """Yield all lines, numbered from 1, except comments (``#``) and lines without text.
+    """Yield all lines, numbered from 1, except comments (``#``) and empty lines.
 
-    A spreadsheet's first line that names the separator is left out, too.
+    The first line that spreadsheets write to name the separator is skipped as well.
     """
     lines = itertools.chain.from_iterable(part.splitlines(keepends=True) for part in text)
     for number, marked in enumerate(lines, start=1):
@@ -708,26 +714,29 @@ def read_table(
 ) -> Table:
     """Read CSV as a table; a quoted cell must end within its line.
 
-    Cells are separated by commas, semicolons or tabs, whichever the header has most of. A number
-    may have a decimal comma, unless this could be a separator between thousands. A header that is
-    repeated, as where files were appended, is left out.
+    The separator is a comma, a semicolon or a tab, whichever is most frequent in the header. A
+    number may have a decimal comma, unless the comma could be a thousands separator. A repeated
+    header, as in files that were appended to each other, is skipped.
 
     Args:
-        file: the file.
-        lines: lines of the table, the header first, as :func:`number_lines` yields them; by default
-            the whole file.
-        observed: whether a column holds values. A row that ends before the first of these columns
-            is a missing hour: its other cells are empty.
+        file: file to read.
+        lines: lines of the table, beginning with the header, as returned by :func:`number_lines`;
+            by default, all lines of the file.
+        observed: function that returns whether a column contains values. If a row ends before the
+            first of these columns, its other cells are empty, and its hour is missing.
 
     Raises:
-        ConfigurationError: if the file cannot be read; there is no header or no row; a row has more
-            or fewer cells than the header; or a quote is left open or followed by text. A row is
-            rejected when it is read; one that is cut off by the end of the file is only noted.
+        ConfigurationError: if the file cannot be read, if the header or all rows are missing, if a
+            row has more or fewer cells than the header, or if a quote is not closed or is followed
+            by text. A row is rejected when it is read; if the last row is cut off by the end of the
+            file, a note reports it.
     """
     numbered = iter(number_lines(read_lines(file)) if lines is None else lines)
     line, text = next(numbered, (0, ""))
     if not line:
-        raise ConfigurationError("holds only comments; a header and records must follow", file=file)
+        raise ConfigurationError(
+            "contains only comments; a header and records must follow", file=file,
+        )
     separator = max(",;\t", key=text.count)
     header = _split(file, line, text, separator)
     while header and not header[-1]:  # separators at the end of each line
@@ -742,12 +751,12 @@ def read_table(
         for line, text in numbered:
             cells = _split(file, line, text, separator)
             if [cell for cell in cells if cell] == [name for name in header if name]:
-                table.notes.append(f"{file.name}: line {line} repeats the header and is left out")
+                table.notes.append(f"{file.name}: line {line} repeats the header and is ignored")
                 continue
             if begun and cells[0] == header[0]:
                 raise ConfigurationError(
-                    "is a second header, with columns other than the first: make a separate file "
-                    "of what follows", file=file, line=line,
+                    "is a second header, with different columns: move this line and all later "
+                    "lines to a separate file", file=file, line=line,
                 )
             for place, cell in enumerate(cells):
                 mark = ""
@@ -760,7 +769,7 @@ def read_table(
                     whole = whole or _HUNDREDS.fullmatch(cell) is not None
                 if mark and _THOUSANDS.fullmatch(cell):
                     grouped.setdefault(mark, ConfigurationError(
-                        f"is '{mark}' a decimal mark, or does it separate thousands? {_PLAIN}",
+                        f"is '{mark}' a decimal mark or a thousands separator? {_PLAIN}",
                         file=file, line=line, value=cell,
                     ))
                 elif mark:
@@ -769,7 +778,7 @@ def read_table(
                 if marks - {mark}:
                     raise error
             if begun and len(cells) < len(header) and text == text.rstrip(_LINE_END):
-                table.notes.append(f"{file.name}: line {line} is cut off and left out")
+                table.notes.append(f"{file.name}: line {line} is cut off and ignored")
                 return
             begun = True
             if len(cells) <= first:
@@ -779,9 +788,9 @@ def read_table(
             if len(cells) != len(header):
                 hint = ""
                 if separator == "," and len(cells) > len(header):
-                    hint = "; a decimal comma needs quotes, or semicolons between the cells"
+                    hint = "; quote numbers with decimal commas, or separate cells by semicolons"
                 raise ConfigurationError(
-                    f"must have {len(header)} cells, like the header, not {len(cells)}{hint}",
+                    f"must have {len(header)} cells, like the header, but has {len(cells)}{hint}",
                     file=file, line=line,
                 )
             yield line, cells

@@ -63,14 +63,14 @@ def test_what_is_no_table() -> None:
     """The error has file and line."""
     for rows, reason in (
         ([ROWS[0], "2021-07-07T04:00-05:00,3.0"],
-         ", line 5: must have 3 cells, like the header, not 2"),
+         ", line 5: must have 3 cells, like the header, but has 2"),
         ([ROWS[0], '2021-07-07T04:00-05:00,3.0,"1.2'],
          ", line 5: is not valid CSV: unexpected end of data"),
         ([], ": has a header but no records"),
     ):
         assert refusal(lambda rows: [*table(*rows).rows], rows) == f"{FILE}{reason}"
     assert refusal(read_table, FILE, []) == (
-        f"{FILE}: holds only comments; a header and records must follow"
+        f"{FILE}: contains only comments; a header and records must follow"
     )
 
 
@@ -137,11 +137,11 @@ def test_missing_values_and_other_units() -> None:
 @pytest.mark.parametrize(
     ("time", "reason"),
     [
-        ("2021-07-07T04:00", "must include its offset from UTC, as in 2021-07-07T02:00-05:00"),
+        ("2021-07-07T04:00", "must include a UTC offset, as in 2021-07-07T02:00-05:00"),
         ("07/07/2021 04:00", "must be a time such as 2021-07-07T02:00-05:00, 1971 to 2037"),
-        ("2021-07-07T04:30-05:00", "must be 2021-07-07T04:00-05:00, or whole hours later: each "),
+        ("2021-07-07T04:30-05:00", "must be 2021-07-07T04:00-05:00, or a whole number of hours"),
         # In the offset of the wrong record.
-        ("2021-07-07T04:00-04:00", "must be 2021-07-07T05:00-04:00, or whole hours later: each "),
+        ("2021-07-07T04:00-04:00", "must be 2021-07-07T05:00-04:00, or a whole number of hours"),
     ],
 )
 def test_times_that_are_wrong(time: str, reason: str) -> None:
@@ -155,7 +155,7 @@ def test_columns_that_must_be_there() -> None:
     """Each exactly once."""
     read = table(ROWS[0], header="time,a,a\n")
     assert refusal(read.require_columns, ["b"], "such files") == (
-        f"{FILE}, line 1: must have a column 'b', as such files have"
+        f"{FILE}, line 1: must have a column 'b', like such files"
     )
     assert refusal(read.require_columns, ["a"], "such files") == (
         f"{FILE}, line 1: 'a': is the name of more than one column"

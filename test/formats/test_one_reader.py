@@ -116,7 +116,7 @@ def test_times_without_an_offset_are_by_the_sites_standard_time(tmp_path: Path) 
     assert read_weather([file], berlin, rain_only=True).first == read_csv_record(file, berlin).start
     nowhere = replace(TWIN, utc_offset=None)
     for read in (lambda: read_weather([file], nowhere), lambda: read_csv_record(file, nowhere)):
-        refusal(read, match="line 2: time = .*: must include its offset from UTC, .*set time_zone")
+        refusal(read, match="line 2: time = .*: must include a UTC offset, .*set time_zone")
 
 
 def test_rain_that_is_an_hour_late(tmp_path: Path) -> None:

@@ -479,7 +479,7 @@ def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path, rest: str) -> N
     file.write_text(text)
     read = read_weather([file], TORONTO, rain_only=True)
     assert read.precipitation.tolist() == [0.5, 1.0]
-    assert "logger.csv: line 4 is cut off and left out" in read.notes
+    assert "logger.csv: line 4 is cut off and ignored" in read.notes
     if rest == "2":
         file.write_text(f"{text}\n")
         assert "line 4: time = '2'" in refusal(read_weather, [file], TORONTO)
@@ -502,7 +502,7 @@ def test_a_decimal_comma_between_commas(tmp_path: Path) -> None:
     """It looks like one cell more."""
     file = local(tmp_path, ["2021-07-07 00:00"])
     file.write_text(file.read_text() + ",5")
-    refusal(read_weather, [file], EASTERN, match="a decimal comma needs quotes, or semicolons")
+    refusal(read_weather, [file], EASTERN, match="quote numbers with decimal commas, or separate")
 
 
 EASTERN = replace(TORONTO, time_zone="America/Toronto")
@@ -528,7 +528,7 @@ def test_a_clock_with_daylight_saving(tmp_path: Path) -> None:
     assert read.precipitation.tolist() == [0, 1, 2, 3]
     # A clock on standard time has the hour that clocks in Toronto skip.
     file = local(tmp_path, ["2021-03-14 01:00", "2021-03-14 02:00"])
-    refusal(read_weather, [file], EASTERN, match="a time that the clocks in America/Toronto skip")
+    refusal(read_weather, [file], EASTERN, match="in an hour that clocks in America/Toronto skip")
     assert "set time_zone in the site file" in read_weather([file], TORONTO).notes[0]
 
 

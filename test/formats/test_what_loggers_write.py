@@ -128,7 +128,7 @@ def test_the_separator_in_a_line_of_its_own(tmp_path: Path, head: str) -> None:
 def test_lines_that_are_no_records(tmp_path: Path, line: str) -> None:
     """Units below the header, and totals at the end."""
     for text in (write_rows(3).replace("\n", f"\n{line}\n", 1), f"{write_rows(3)}{line}\n"):
-        assert "units or a sum instead of a record, leave it out" in refusal(read, tmp_path, text)
+        assert "units or a total instead of a record, leave it out" in refusal(read, tmp_path, text)
 
 
 def test_files_that_were_appended(tmp_path: Path) -> None:
@@ -344,7 +344,7 @@ def test_commas_between_thousands(tmp_path: Path, cells: tuple[str, str], is_ref
         header="time,rain [mm],solar radiation [W/m2]\n",
     )
     if is_refused:
-        assert "decimal mark, or does it separate thousands" in refusal(read, tmp_path, text)
+        assert "decimal mark or a thousands separator" in refusal(read, tmp_path, text)
     else:
         read(tmp_path, text)
 
