@@ -1,4 +1,4 @@
-"""Files in this project's own format: weather and roof records, and forecasts issue by issue."""
+"""Files in this project's own format: records of weather and roofs, and forecasts."""
 
 from __future__ import annotations
 
@@ -81,19 +81,19 @@ _OPTIONAL = {"available", "member", _FORECAST[EVAPOTRANSPIRATION], _FORECAST[TEM
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows of a file of measurements, at a regular interval.
+    """The rows of a file of measurements at regular intervals.
 
     Attributes:
-        table: the file, for messages; its rows have been read.
-        columns: name and unit of every quantity's column.
-        method: method of the evapotranspiration among them; empty if there is none.
-        first: start of the first row, with its offset from UTC.
-        steps: steps of the rows, counted from the first; no step occurs twice.
-        since: start of every row since the first (s), in the same order.
-        values: values of every quantity, in its unit in :data:`.quantities.QUANTITIES` and in the
-            same order; NaN if missing.
-        about: what the comments at the head of the file state; see :mod:`.comments`.
-        rain_kind: what they state about the rain.
+        table: table of the file, for messages; its rows have been read.
+        columns: name and unit of the column of every quantity.
+        method: method of the evapotranspiration; empty without a column of evapotranspiration.
+        first: start of the first row, with a UTC offset.
+        steps: time steps of the rows, relative to the first row; no step occurs twice.
+        since: starts of the rows relative to the first row (s), in the same order.
+        values: values of every quantity, in the unit of :data:`.quantities.QUANTITIES` and in the
+            order of the rows; NaN if missing.
+        about: numbers stated in the comments at the head of the file; see :mod:`.comments`.
+        rain_kind: kind of rain that the comments state; empty without a statement.
     """
 
     table: Table
@@ -112,21 +112,22 @@ def read_rows(
 ) -> Rows:
     """Read a file of measurements in this project's format.
 
-    Lines that start with ``#`` are comments. The first other line names the columns with their
-    units, as in ``rain [mm]``: ``time``, and others of :data:`.quantities.QUANTITIES`; ``...
-    evapotranspiration [mm/day]`` begins with the name of its method. An amount without ``/`` is the
-    sum over its row. Litres and m3 are for the whole roof of area ``a2``. Comments at the head may
-    state what :mod:`.comments` reads. Every further line begins at its ``time``, or ends there with
-    ``stamped: end``, except for levels, which hold at that time. The time is ISO 8601 with the
-    offset from UTC; without an offset it is a time of the site's clock, according to its
-    ``time_zone``, or else its ``utc_offset``. Rows are at a regular interval, which may change. An
-    empty cell or a missing row is a missing value.
+    Lines that start with ``#`` are comments; comments at the head may contain the statements that
+    :mod:`.comments` reads. The first other line is the header. Its columns are ``time`` and
+    quantities of :data:`.quantities.QUANTITIES` with their units, as in ``rain [mm]``; the column
+    ``... evapotranspiration [mm/day]`` begins with the name of its method. An amount in a unit
+    without ``/`` is the total over the row. Litres and m3 refer to the whole roof of area ``a2``.
+    Every other line is a row, which begins at its ``time``, or ends at this time with ``stamped:
+    end``; levels are the values at this time. The time is in ISO 8601 format with a UTC offset.
+    Without an offset, it is interpreted in the site's ``time_zone``, or else at its ``utc_offset``.
+    Rows are at regular intervals, which may change. Empty cells and missing rows are missing
+    values.
 
     Args:
-        file: the file.
+        file: file to read.
         site: site with the clock and the area of the roof.
-        wanted: the quantities to read; other columns are left out.
-        stamped: one of :data:`.comments.STAMPS`; by default, what a comment states.
+        wanted: quantities to read; columns of other quantities are skipped.
+        stamped: one of :data:`.comments.STAMPS`; by default, the statement in the comments.
 
     Raises:
         ConfigurationError: if the file breaks any of these rules; the message names line and value.
@@ -140,8 +141,10 @@ def read_rows(
     if (stamped or about.stamped) == END:
         rows, since = _end_at_stamps(rows, since)
         first -= timedelta(seconds=float(rows.durations[0]))
-        notes.append(f"{file.name}: the time of each row is the end of its interval; it was "
-            "moved to the start")
+        notes.append(
+            f"{file.name}: the time of each row is the end of its interval, and was moved to the "
+            "start",
+        )
     table = _open(file)  # again: amounts per row can be judged now that the step is known
     read: dict[float, dict[str, Column]] = {}
     for duration_s in np.unique(rows.durations).tolist():
@@ -167,7 +170,7 @@ def read_rows(
     if (np.diff(steps) == 0).any():
         notes.append(
             f"{file.name}: {np.count_nonzero(np.diff(steps) == 0)} rows are in the same step as "
-            "the previous row, as happens when a clock is set; their amounts are added up, and "
+            "the previous row, probably because a clock was set; their amounts are added, and "
             "other values are averaged"
         )
         steps, begins, counts = np.unique(steps, return_index=True, return_counts=True)
@@ -187,7 +190,7 @@ def read_rows(
 
 
 def _end_at_stamps(rows: RowSteps, since: Values) -> tuple[RowSteps, Values]:
-    """Return rows that end at their times, and their starts since the first start (s)."""
+    """Return the steps of rows that end at their time stamps, and their relative starts (s)."""
     durations = np.roll(rows.durations, 1)
     durations[0] = rows.durations[0]
     since = since - durations + durations[0]
@@ -196,7 +199,7 @@ def _end_at_stamps(rows: RowSteps, since: Values) -> tuple[RowSteps, Values]:
 
 
 def _move_to_next(values: Values, steps: NDArray[np.int64]) -> Values:
-    """Return the value at the start of every step from values at ends; NaN if no row is before."""
+    """Return values at the starts of steps from values at the ends; NaN without a previous row."""
     moved = np.full(len(values), math.nan)
     follows = np.flatnonzero(np.diff(steps) == 1)
     moved[follows + 1] = values[follows]
@@ -212,7 +215,7 @@ def _open(file: Path) -> Table:
 
 
 def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[str]]:
-    """Return the first time, the seconds since 1970 of all rows, and a note about the clock."""
+    """Return the first time, the times of all rows (s since 1970), and a note about the clock."""
     has_clock = site.time_zone is not None or site.utc_offset is not None
     zone = site.zone if has_clock else None
     seconds = array("d")
@@ -221,7 +224,7 @@ def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[
     for row in table.rows:
         time = table.read_time(
             row, TIME, zone=zone, before=before,
-            hint="; if it is read from a local clock, set time_zone in the site file, such as "
+            hint="; if the times are from a local clock, set time_zone in the site file, such as "
             "America/Toronto, or Etc/GMT+5 for UTC-5 without daylight saving time",
         )
         if before is not None and time <= before:
@@ -236,8 +239,8 @@ def _read_times(table: Table, site: Site) -> tuple[datetime, array[float], list[
     notes = []
     if site.time_zone is None and parse_time(table.cell(table.first, TIME)).tzinfo is None:
         notes.append(
-            f"{table.file.name}: its times are interpreted as UTC{first:%z}, the utc_offset of the "
-            "site file; if its clock observes daylight saving time, set time_zone in the site file"
+            f"{table.file.name}: times are interpreted as UTC{first:%z}, the utc_offset of the "
+            "site file; if the clock observes daylight saving time, set time_zone in the site file"
         )
     return first, seconds, notes
 
@@ -252,7 +255,7 @@ def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
     for column in table.header[1:]:
         match = _COLUMN.fullmatch(column)
         if match is None:
-            raise table.refuse("a column must be named like 'rain [mm]'", column)
+            raise table.refuse("the name of a column must have a form such as 'rain [mm]'", column)
         name, unit = match.groups()
         quantity = EVAPOTRANSPIRATION if name.endswith(EVAPOTRANSPIRATION) else name
         quantity = _SYNONYMS.get(quantity, quantity)
@@ -263,7 +266,7 @@ def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
         if unit not in units:
             raise table.refuse(f"the unit of {name} must be [{'] or ['.join(units)}]", column)
         if quantity in columns:
-            raise table.refuse(f"an earlier column already has {quantity}", column)
+            raise table.refuse(f"an earlier column already contains {quantity}", column)
         columns[quantity] = column, unit
         if quantity == EVAPOTRANSPIRATION:
             method = name.removesuffix(EVAPOTRANSPIRATION).strip() or "unnamed"
@@ -273,13 +276,14 @@ def _find_columns(table: Table) -> tuple[dict[str, tuple[str, str]], str]:
 def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Records:
     """Read a weather file; see :func:`read_rows`.
 
-    Each row is the hour that starts at its time. From rows less than an hour apart, rain is kept
-    minute by minute, and the rain of an hour is the mean of its minutes; it is missing if less than
-    0.75 of them are known. Other quantities are averaged over the clock hours in which rows begin,
-    allowing for the clock's error.
+    The values of each hour are for the hour that starts at its time stamp. If rows are less than
+    one hour apart, rain is stored in minutes, and the rain of an hour is the mean of its minutes;
+    it is missing if fewer than 0.75 of the minutes are known. Other quantities are averaged over
+    the clock hours in which the rows begin, with a tolerance for clock errors.
 
     Raises:
-        ConfigurationError: if its step is longer than an hour; or as for :func:`read_rows`.
+        ConfigurationError: if the rows are more than one hour apart, or for the reasons of
+            :func:`read_rows`.
     """
     rows = read_rows(file, site, _WEATHER, stamped)
     steps, first, values, minutes = rows.steps, rows.first, rows.values, None
@@ -288,7 +292,7 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
     if steps.step_s >= 3600:
         if steps.step_s != 3600 or (durations_h % 1).any():
             raise rows.table.refuse(
-                f"the rows are {duration(steps.step_s)} apart; more than an hour is not allowed"
+                f"rows must be at most one hour apart, not {duration(steps.step_s)}"
             )
         hours = steps.steps
         first = _round_first(first, steps)
@@ -312,13 +316,14 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
             )
             values[PRECIPITATION] = average_minutes(minutes)
         notes.append(
-            f"{file.name}: rows are {' and '.join(duration(3600 * each) for each in durations_h)} "
-            "apart: their rain is simulated as recorded, to the minute; other quantities are "
+            f"{file.name}: rows are "
+            f"{' and '.join(duration(3600 * each) for each in durations_h)} "
+            "apart; rain is simulated at a resolution of one minute, and other quantities are "
             "averaged over each hour"
         )
     if steps.changes:
         notes.append(
-            f"{file.name}: the time between rows changes {len(steps.changes)} times, first to "
+            f"{file.name}: the interval between rows changes {len(steps.changes)} times, first to "
             f"{duration(float(steps.durations[steps.changes[0]]))} after "
             f"{to_minutes(rows.first + timedelta(seconds=float(rows.since[steps.changes[0]])))}"
         )
@@ -335,29 +340,29 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
 
 
 def _round_first(first: datetime, steps: RowSteps) -> datetime:
-    """Return the start of the first hour to 5 min: clocks err, and rows can end at 00:59."""
+    """Return the start of the first hour, rounded to 5 min, because clocks are not exact."""
     begin = first - timedelta(seconds=steps.late)
     whole = begin.replace(minute=begin.minute // 5 * 5, second=0, microsecond=0)
     return whole + timedelta(minutes=5) * round((begin - whole) / timedelta(minutes=5))
 
 
 def _round_begins(first_s: float, steps: RowSteps) -> Values:
-    """Return the starts of rows since the first hour (s), rounded if rows are whole minutes.
+    """Return the starts of rows relative to the first hour (s), rounded for rows of whole minutes.
 
     Args:
-        first_s: start of the first row since the first hour (s).
-        steps: steps of the rows.
+        first_s: start of the first row relative to the first hour (s).
+        steps: time steps of the rows.
     """
     begins = np.asarray(first_s - steps.late + steps.steps * steps.step_s)
     return begins if steps.step_s % 60 else 60 * np.round(begins / 60)
 
 
 def _spread_over_minutes(rain: Values, begins: Values, durations: Values, hours: int) -> Values:
-    """Return the mean rain in every minute, NaN where there is no row, shape (hours, 60).
+    """Return the mean rain in every minute, shape (hours, 60); NaN in minutes without a row.
 
     Args:
         rain: rain in the rows (mm/h), NaN if missing.
-        begins: starts of the rows since the first hour (s).
+        begins: starts of the rows relative to the first hour (s).
         durations: durations of the rows (s).
         hours: number of hours.
     """
@@ -378,11 +383,11 @@ def _spread_over_minutes(rain: Values, begins: Values, durations: Values, hours:
 def _average_hours(
     series: Values, hours: NDArray[np.intp], weights: Values, count: int
 ) -> Values:
-    """Return the mean of every hour's rows, shape (count,); NaN if it has none.
+    """Return the mean of the rows in every hour, shape (count,); NaN in hours without rows.
 
     Args:
         series: values of the rows, NaN if missing.
-        hours: hours of the rows.
+        hours: indices of the hours in which the rows begin.
         weights: weights of the rows.
         count: number of hours.
     """
@@ -398,7 +403,7 @@ def _average_hours(
 
 
 def _find_longest_step(minutes: Values) -> int:
-    """Return the longest rows (min) that can hold the rain of every minute, shape (hours, 60)."""
+    """Return the longest time step (min) that preserves the rain of all minutes."""
     changes = np.diff(np.nan_to_num(minutes, nan=-1.0), axis=1).any(axis=0)
     return math.gcd(minutes.shape[1], *(1 + np.flatnonzero(changes)).tolist())
 
@@ -406,12 +411,12 @@ def _find_longest_step(minutes: Values) -> int:
 def write_records(records: Records, about: str) -> str:
     """Return records as the text of a file, which :func:`read_records` reads back bit for bit.
 
-    If rain is known by the minute, rows are the longest that can hold it; other values are in the
-    first row of their hour.
+    If the rain is known for every minute, the time step of the rows is the longest that preserves
+    it; other values are in the first row of their hour.
 
     Args:
-        records: hours of one place; gaps become empty cells.
-        about: the first comment, of one or more lines.
+        records: hours of one place; gaps are written as empty cells.
+        about: text of the first comment, of one or more lines.
     """
     head = []
     places = {*records.places.values()}
@@ -455,27 +460,27 @@ def write_records(records: Records, about: str) -> str:
 
 
 def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
-    """Read files in this format; an issue is known from its arrival, or else its time of issue."""
+    """Read forecasts in this format; each is known from its arrival, or else its time of issue."""
     issues = [issue for file in files for issue in read_forecasts(file)]
     return Archive(files[0], "own format", issues, 0.0, issues)
 
 
 def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForecast]:
-    """Read a file of forecasts, one issue after another.
+    """Read a file of forecasts with one or more issues.
 
-    Lines that start with ``#`` are comments. The first other line is the header: ``issued``,
-    ``available`` if the time of arrival is known, ``time``, then ``member`` if there is more than
-    one forecast per issue, ``precipitation [mm/h]``, and ``evapotranspiration [mm/day]`` and
-    ``temperature [degC]`` if the file has them (only member 0's values are used). Every further
-    line is the hour that starts at its ``time``, as forecast at ``issued`` (ISO 8601 with the
-    offset from UTC). The hours of every issue and member are consecutive, and the first starts with
-    the issue. All issues have the members 0, 1, 2 and so on. What is missing is filled in; see
+    Lines that start with ``#`` are comments. The first other line is the header. Its columns are
+    ``issued``, ``available`` (optional, the time of arrival), ``time``, ``member`` (for ensembles),
+    ``precipitation [mm/h]``, and optionally ``evapotranspiration [mm/day]`` and ``temperature
+    [degC]``, of which only the values of member 0 are used. Every other line contains the forecast
+    issued at ``issued`` for the hour that starts at ``time`` (both in ISO 8601 format with a UTC
+    offset). The hours of every issue and member are consecutive, and the first hour starts at the
+    time of issue. All issues have the members 0, 1, 2 and so on. Missing values are filled; see
     :func:`greenroof_ros.formats.forecasts.mend_forecast`.
 
     Args:
         path: path of the file.
-        now: if given, only the newest issue at this time and later ones are read, and no more than
-            the last 16 MB of the file: a live site needs no others.
+        now: if given, only the newest issue at this time and later issues are read, from at most
+            the last 16 MB of the file; a live site needs no older issues.
 
     Raises:
         ConfigurationError: if the file breaks any of these rules; the message names line and value.
@@ -485,8 +490,8 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
     optional = [column for column in columns if column in _OPTIONAL]
     table.require_header(
         [column for column in columns if column not in _OPTIONAL or column in table.header],
-        f"; they are {', '.join(map(repr, columns))}; {', '.join(optional)} may be left "
-        "out",
+        f"; the columns are {', '.join(map(repr, columns))}, of which {', '.join(optional)} are "
+        "optional",
     )
     # Rows by issue (with its arrival) and member.
     rows_of: dict[tuple[datetime, datetime | None], dict[float, list[int]]] = {}
@@ -503,7 +508,7 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
         last, _ = next(reversed(rows_of), (issued, None))
         if available is not None and available < issued:
             raise table.refuse(
-                f"must not be before {to_minutes(issued)}, when it was issued", "available", row
+                f"must not be before {to_minutes(issued)}, the time of issue", "available", row
             )
         if issued < last:
             raise table.refuse(
@@ -515,8 +520,9 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
         expected = issued + len(rows) * HOUR
         if time != expected:
             raise table.refuse(
-                f"must be {to_minutes(expected.astimezone(time.tzinfo))}: every forecast must have "
-                "consecutive hours from its issue on, without gap or repetition", "time", row,
+                f"must be {to_minutes(expected.astimezone(time.tzinfo))}: every forecast must "
+                "have consecutive "
+                "hours from its time of issue on, without gaps or repetitions", "time", row,
             )
         rows.append(row.number)
         for column in read.values():
@@ -542,10 +548,10 @@ def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForeca
 
 
 def _select_newest(path: Path, now: datetime) -> list[tuple[int, str]]:
-    """Return the header, and the numbered lines of the newest issue at a time and of later ones.
+    """Return the header, and the numbered lines of the newest and of later issues at a time.
 
     Raises:
-        ConfigurationError: if the file cannot be read, or its last issue is too long.
+        ConfigurationError: if the file cannot be read, or if its last issue is too long.
     """
     if not path.is_file() or path.stat().st_size <= _MAX_BYTES:
         lines = [*number_lines(read_lines(path))]
@@ -580,7 +586,7 @@ def _read_last_lines(path: Path) -> list[tuple[int, str]]:
     whole = [row for row in rows if row[1].partition(",")[0] != cut]
     if not whole:
         raise ConfigurationError(
-            f"has an issue of more than {_MAX_BYTES / 1e6:g} MB at its end; only the last "
+            f"ends with an issue of more than {_MAX_BYTES / 1e6:g} MB, but only the last "
             f"{_MAX_BYTES / 1e6:g} MB of a live site's file are read: write a new file for each "
             "issue, with fewer members or hours", file=path,
         )
@@ -588,10 +594,11 @@ def _read_last_lines(path: Path) -> list[tuple[int, str]]:
 
 
 def write_forecasts(issues: Sequence[IssuedForecast]) -> str:
-    """Return issues as the text of a file, which :func:`read_forecasts` reads back bit for bit.
+    """Return forecasts as the text of a file, which :func:`read_forecasts` reads back bit for bit.
 
     Args:
-        issues: issues of an archive, in order of time, all with the quantities of the first.
+        issues: issues of an archive in chronological order, all with the quantities of the first
+            issue.
     """
     quantities = [PRECIPITATION] + [
         name for name in (EVAPOTRANSPIRATION, TEMPERATURE) if getattr(issues[0], name) is not None

@@ -56,7 +56,7 @@ READERS: list[tuple[str, str, Callable[[Path], object], str]] = [
     # The start of a file, the line behind it, how it is read, and why that line is refused.
     (OWN, "2021-07-07T03:00-05:00,0.1,20", weather, "line 3: time = .* must be later than"),
     (ISSUES, "2021-07-07T00:00Z,2021-07-07T02:00Z,0,0.1", archive, "line 3: time = .* consecutive"),
-    (SERVICE, "2021-07-07T05:00,0.1,20,12,9,1001", weather, "line 5: time = .*a whole number of hours later"),
+    (SERVICE, "2021-07-07T05:00,0.1,20,12,9,1001", weather, "line 5: time = .*of hours later"),
     (PREVIOUS, "2024-03-01T01:30,0.1", archive, "line 3: time = '2024-03-01T01:30'"),
     (ECCC, ECCC.splitlines()[1], weather, "line 3: .*a whole number of hours later"),
     (MEASURED, "2021-06-01T00:00,0,0,20", measured, "line 4: time = .* must be later"),

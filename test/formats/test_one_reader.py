@@ -107,7 +107,7 @@ def test_times_without_an_offset_are_by_the_sites_standard_time(tmp_path: Path) 
     file = tmp_path / "logger.csv"
     for rain in read_both(file, usual_rows()):
         assert rain == pytest.approx(np.full(DAYS * 24, 0.1))
-    note = "logger.csv: its times are interpreted as UTC+0100, the utc_offset of the site file; if"
+    note = "logger.csv: times are interpreted as UTC+0100, the utc_offset of the site file; if"
     assert read_weather([file], TWIN, rain_only=True).notes[0].startswith(note)
     assert read_csv_record(file, TWIN).notes[0].startswith(note)
     berlin = replace(TWIN, time_zone="Europe/Berlin")

@@ -106,7 +106,7 @@ def test_units(tmp_path: Path, unit: str, theirs: str, quantity: str, expected: 
         (2, "-79.41748", "79.4", "longitude = '79.4': must be within 0.5 degrees of the site's"),
         (2, ",77.0,", ",900.0,", "elevation = '900.0': must be within 300 m of the site's elevat"),
         (2, "43.620384", "north", "latitude = 'north': must be a number from -90 to 90"),
-        (4, "precipitation (mm)", "rain (mm)", "must have a column 'precipitation (mm)', like Open"),
+        (4, "precipitation (mm)", "rain (mm)", "must have a column 'precipitation (mm)', like"),
         # An unknown unit is never guessed.
         (4, "(km/h)", "(Bft)", "'wind_speed_10m (Bft)': must be in km/h or m/s or mp/h or kn, in"),
         (4, "dew_point_2m (°C)", "temperature_2m (°F)", "'temperature_2m (°F)': must be in °C"),
