@@ -1,14 +1,14 @@
-"""Hourly observations of Deutscher Wetterdienst (DWD): ``produkt_*_stunde_*.txt``, unpacked.
+"""Hourly observations of Deutscher Wetterdienst (DWD): unpacked ``produkt_*_stunde_*.txt``.
 
-Every quantity has its own files, which are joined like several files of weather::
+Every quantity has its own files, which are joined like other weather files::
 
     STATIONS_ID;MESS_DATUM;QN_8;  R1;RS_IND;WRTR;eor
            1219;1995090100;    1;   0.0;   0;-999;eor
 
-``MESS_DATUM`` is the hour in UTC. Precipitation is the sum over an hour that begins 70 minutes and
-ends ten minutes before that time, and is moved back by an hour; other quantities were measured ten
-minutes before the time. ("The value for UTC 11 contains the precipitation from UTC 9:51-UTC
-10:50", "hour x corresponds to the reading from 10min earlier": DWD, Climate Data Center,
+``MESS_DATUM`` is the hour in UTC. Precipitation is the total over an hour that ends ten minutes
+before this time, and is moved back by one hour. Other quantities are measured ten minutes before
+this time. ("The value for UTC 11 contains the precipitation from UTC 9:51-UTC 10:50", "hour x
+corresponds to the reading from 10min earlier": DWD, Climate Data Center,
 observations_germany/climate/hourly, descriptions of precipitation and air_temperature.) Missing
 values are -999. Units are mm, degC, %, m/s and hPa.
 """
@@ -50,7 +50,7 @@ _HOUR = re.compile(r"(\d{8})(\d\d)", re.ASCII)
 
 
 def recognises(head: bytes, /) -> bool:
-    """Return whether the first line has the service's columns, including one of our quantities."""
+    """Return whether the first line contains the service's columns and a quantity of ours."""
     match = _HEADER.match(head)
     return match is not None and not _COLUMNS.keys().isdisjoint(
         name.strip() for name in re.split("[;,]", match[1].decode("utf-8", "replace"))
@@ -58,10 +58,11 @@ def recognises(head: bytes, /) -> bool:
 
 
 def read_records(file: Path, _site: Site, /) -> Records:
-    """Read a file with one or two quantities.
+    """Read a file that contains one or two quantities.
 
     Raises:
-        ConfigurationError: if a line is broken or out of order, or too few values are plausible.
+        ConfigurationError: if a line is malformed or out of order, or if too few values are
+            plausible.
     """
     table = read_table(file, observed=_COLUMNS.__contains__)
     present = {name: _COLUMNS[name] for name in table.header if name in _COLUMNS}
@@ -83,7 +84,7 @@ def _parse_hour(text: str) -> datetime:
     """Return an hour such as ``2024060112``, in UTC.
 
     Raises:
-        ValueError: if it is not an hour; ten-minute values have two digits more.
+        ValueError: if the text is not an hour; times of ten-minute values have two more digits.
     """
     match = _HOUR.fullmatch(text)
     if match is None:

@@ -1,8 +1,8 @@
-"""Hourly files of Environment and Climate Change Canada (ECCC), as downloaded.
+"""Downloaded hourly files of Environment and Climate Change Canada (ECCC).
 
-These are bulk files from its web page, in English or French, and CSV from its collection
-``climate-hourly`` (api.weather.gc.ca, GeoMet-OGC-API), which has the same observations in the same
-units under other names.
+These are bulk files from the service's web page, in English or French, and CSV files from its
+collection ``climate-hourly`` (api.weather.gc.ca, GeoMet-OGC-API), which contains the same
+observations in the same units under different names.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _MAX_FROM_SOLAR_TIME = 2.5
 
 
 def recognises(head: bytes, /) -> bool:
-    """Return whether the first line has the service's columns of place and time."""
+    """Return whether the first line contains the service's columns for place and time."""
     cells = re.split("[,;\t]", head.decode("utf-8-sig", "replace").partition("\n")[0])
     names = {_simplify(cell.strip('" \r')) for cell in cells}
     return not names.isdisjoint(_TIME) and (
@@ -61,35 +61,36 @@ def recognises(head: bytes, /) -> bool:
 
 
 def _simplify(name: str) -> str:
-    """Return a column's name without accents, case, spaces and points."""
+    """Return a column's name in lower case, without accents, spaces and points."""
     letters = unicodedata.normalize("NFD", name.replace("°", "deg")).casefold()
     return re.sub(r"[ .\u0300-\u036f]", "", letters).replace("deg", "°")
 
 
 def read_records(file: Path, site: Site, /) -> Records:
-    """Read a bulk file; its times are local standard time at the site's offset from UTC.
+    """Read a bulk file with times in local standard time, at the site's UTC offset.
 
-    A record is for the hour that starts at its time, as in the paper. But rain is for the hour
-    before: the service's current observations call it ``pcpn_amt_pst1hr``, and according to the
-    column ``Weather`` it rains about equally often at a wet row's time and an hour earlier, and
-    less often an hour later. So rain is recorded an hour late; ``rain_late`` of the records states
-    this, and forecasts are compared accordingly. Flags ``M`` (missing) and ``NA`` make a value
-    missing even if a number is given. Other flags, such as ``E`` (estimated by the service), do
-    not. A row that ends before the first observation, which the service writes for hours without
-    observations, is missing altogether.
+    As in the paper, the values are taken to be for the hour that starts at the time stamp. However,
+    rain is for the hour before: in the service's current observations it is named
+    ``pcpn_amt_pst1hr``, and according to the column ``Weather``, rain is about equally frequent at
+    the time of a wet row and an hour earlier, and less frequent an hour later. Therefore rain is
+    recorded an hour late; ``rain_late`` of the records states this delay, and forecasts are
+    compared accordingly. A value with the flag ``M`` (missing) or ``NA`` is missing even if the
+    file contains a number. Values with other flags, such as ``E`` (estimated by the service), are
+    used. A row that ends before the first observation, which the service writes for hours without
+    observations, is missing.
 
     Args:
-        file: file as downloaded, in English or French, with or without a byte order mark.
-        site: site with the offset of local standard time, which the file does not contain.
+        file: downloaded file, in English or French, with or without a byte order mark.
+        site: site with the UTC offset of local standard time, which the file does not contain.
 
     Raises:
-        ConfigurationError: if the file is not hourly or lacks a column, a line is broken or out of
-            order, too few values are plausible, or the site's offset is missing or does not fit the
-            station.
+        ConfigurationError: if the file is not hourly or lacks a column, if a line is malformed or
+            out of order, if too few values are plausible, or if the site's UTC offset is missing or
+            does not fit the station.
     """
     if site.utc_offset is None:
         raise ConfigurationError(
-            "is in local standard time; the site file must state its offset from UTC, as in "
+            "contains local standard time; the site file must state the UTC offset, as in "
             "'utc_offset: -5.0'",
             file=file, line=1,
         )
@@ -123,10 +124,10 @@ def read_records(file: Path, site: Site, /) -> Records:
 
 
 def _make_reader(table: Table, column: str) -> Callable[[Row], str]:
-    """Return a function that reads a row's text; empty if the flag states that it is missing.
+    """Return a function that returns the text of a row, or an empty text if its flag is "missing".
 
-    The flag is in the column named for it, or otherwise in the next column. A value flagged M is
-    not an observation: it often repeats the last one before the gap.
+    The flag is in the column with the suffix ``_FLAG``, or otherwise in the next column. A value
+    with the flag M is not an observation; often it repeats the last observation before the gap.
     """
     place = table.header.index(column)
     flag = f"{column}_FLAG"
@@ -140,10 +141,10 @@ def _make_reader(table: Table, column: str) -> Callable[[Row], str]:
 
 
 def _read_place(table: Table, names: Mapping[str, str]) -> dict[Path, tuple[float, float]]:
-    """Return the station's location, by file; empty if a column is missing.
+    """Return the station's position, by file; empty if a column is missing.
 
     Args:
-        table: the file.
+        table: table of the file.
         names: the file's columns, by their simplified names.
     """
     columns = [
@@ -165,22 +166,22 @@ def _find_quantity(name: str) -> str | None:
 
 
 def _check_kind(table: Table, names: Iterable[str], quantities: Container[str]) -> None:
-    """Reject a file that does not have the rain of every hour, and state what it is."""
+    """Reject a file without hourly rain, and state the kind of file."""
     if any(_LONGER in name for name in names):
-        what = "contains daily or monthly values, not hourly ones"
+        what = "contains daily or monthly values instead of hourly values"
     elif PRECIPITATION not in quantities:
         what = "contains hourly values without precipitation, which files from before 2021 lack"
     else:
         return
-    raise table.refuse(f"is a file of Environment Canada that {what}: {_DOWNLOAD}")
+    raise table.refuse(f"is a file from Environment Canada that {what}: {_DOWNLOAD}")
 
 
 def _check_zone(table: Table, column: str, utc_offset: float) -> None:
-    """Reject a station whose solar time is not near the site's standard time."""
+    """Reject a station whose solar time differs too much from the site's standard time."""
     longitude = table.read_number(table.first, column, Range(-180.0, 180.0, "degrees"))
     if abs(longitude / 15 - utc_offset) > _MAX_FROM_SOLAR_TIME:
         raise table.refuse(
-            f"is not near the standard time of the site, utc_offset = {utc_offset:g} h, which "
-            f"belongs to a longitude of about {15 * utc_offset:g}",
+            f"does not fit the standard time of the site, utc_offset = {utc_offset:g} h, which "
+            f"corresponds to a longitude of about {15 * utc_offset:g}",
             column, table.first,
         )

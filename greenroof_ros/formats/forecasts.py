@@ -1,4 +1,4 @@
-"""Forecasts as they were issued: single ones, and archives of them."""
+"""Issued forecasts, and archives of issued forecasts."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ _MAX_BRIDGE_H = 6
 # Global models run every six or twelve hours; some runs of a day may be missed.
 _MAX_UNCHANGED = timedelta(days=1)
 ISSUE_HOURS = 6
-"""interval at which services start runs of a global model (h): at 00, 06, 12 and 18 UTC"""
+"""interval between the runs of a global model (h), at 00, 06, 12 and 18 UTC"""
 SERVICE_DELAY_H = 6.0
-"""time from a run's nominal time until a service provides it (h). Open-Meteo, Single Runs API:
+"""Delay between a run's nominal time and its availability (h). Open-Meteo, Single Runs API:
 "typically 4-6 hours for global models"."""
 
 
 @dataclass(frozen=True)
 class IssuedForecast:
-    """A forecast from a file.
+    """A forecast that was read from a file.
 
     Attributes:
-        issued: nominal time, at which the first hour starts.
-        file: file that it is from.
-        line: its first line in the file; None if unknown.
+        issued: nominal time of issue, at which the first hour starts.
+        file: file that contains the forecast.
+        line: number of the forecast's first line in the file; None if unknown.
         rain: rain rate (mm/h), shape (members, hours).
-        evapotranspiration: rate (mm/day), shape (hours,); None if the file has none.
-        temperature: air temperature (degC), shape (hours,); None if the file has none.
-        available: when it arrived; None if it is the archive's delay after the nominal time.
-        notes: what could not be used unchanged, in sentences.
+        evapotranspiration: rate (mm/day), shape (hours,); None if the file does not contain it.
+        temperature: air temperature (degC), shape (hours,); None if the file does not contain it.
+        available: time of arrival; None if the forecast is available after the archive's delay.
+        notes: sentences about data that could not be used unchanged.
     """
 
     issued: datetime
@@ -57,13 +57,14 @@ class IssuedForecast:
 
     @property
     def order(self) -> tuple[datetime, datetime]:
-        """The key by which issues are sorted: nominal time, then arrival."""
+        """Key for sorting issues: the nominal time, then the time of arrival."""
         return self.issued, self.available or self.issued
 
     def evapotranspiration_at(self, ahead: NDArray[np.intp]) -> NDArray[np.float64] | None:
-        """Return evapotranspiration some hours ahead (mm/day); None if the file has none.
+        """Return the evapotranspiration some hours ahead (mm/day); None if the file has none.
 
-        After its end, the issue repeats its last day, or its last hour if it is shorter than a day.
+        After the end of the issue, its last day is repeated, or its last hour if it is shorter than
+        a day.
         """
         if self.evapotranspiration is None:
             return None
@@ -73,23 +74,24 @@ class IssuedForecast:
 
 
 def join_members(numbered: Iterable[tuple[float, IssuedForecast]]) -> IssuedForecast:
-    """Return one issue with all members, from (number, issue of this member alone) pairs.
+    """Return one issue with all members, from pairs (number, issue with only this member).
 
-    Members that end early are missing (NaN) from then on.
+    Members that end early are missing (NaN) in the remaining hours.
 
     Raises:
-        ConfigurationError: if the numbers are not 0, 1, 2 and so on, or there are too many.
+        ConfigurationError: if the numbers are not 0, 1, 2 and so on, or if there are too many
+            members.
     """
     ordered = sorted(numbered, key=lambda member: member[0])
     numbers, issues = [number for number, _ in ordered], [issue for _, issue in ordered]
     first, wrong = issues[0], ""
     if numbers != list(range(len(numbers))):
         wrong = (
-            f"has members {', '.join(f'{number:g}' for number in numbers)}; they must be 0, 1, 2 "
-            "and so on, with each number used once"
+            f"has members {', '.join(f'{number:g}' for number in numbers)}, but must have the "
+            "members 0, 1, 2 and so on, each of them once"
         )
     elif len(numbers) > MAX_MEMBERS:
-        wrong = f"has {len(numbers)} members; no more than {MAX_MEMBERS} are allowed"
+        wrong = f"has {len(numbers)} members, but at most {MAX_MEMBERS} are allowed"
     if wrong:
         raise ConfigurationError(
             f"the issue of {to_minutes(first.issued)} {wrong}", file=first.file, line=first.line
@@ -102,15 +104,16 @@ def join_members(numbered: Iterable[tuple[float, IssuedForecast]]) -> IssuedFore
 
 
 def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
-    """Return an issue without missing values, and with notes on what was done.
+    """Return an issue without missing values, and with notes on the changes.
 
-    A missing hour of rain is replaced by the mean of its neighbours; gaps of temperature and
-    evapotranspiration are bridged in the same way if they are no longer than six hours. A member
-    that still has less than half the hours of the longest one is left out, and so is such a
-    temperature. The issue ends where another member, evapotranspiration or temperature ends.
+    A missing hour of rain is replaced by the mean of the adjacent hours. Gaps of up to six hours in
+    temperature and evapotranspiration are filled by interpolation. A member that then covers less
+    than half of the hours of the longest member is left out; so is the temperature if it covers
+    less than half of the hours of the other quantities. The issue ends with the shortest of the
+    remaining series.
 
     Raises:
-        ConfigurationError: if nothing is left.
+        ConfigurationError: if the issue has no usable rain, or no usable evapotranspiration.
     """
     rain = np.array([bridge_gaps(series, 1) for series in issue.rain])
     if issue.hours > 1:  # the first hour has one neighbour
@@ -123,7 +126,8 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
             line=issue.line,
         )
     notes = [
-        f"member {number} is left out: it has {hours} hours, while others have {max(lengths)}"
+        f"member {number} is left out: it has {hours} hours, but the longest member has "
+        f"{max(lengths)}"
         for number, hours in enumerate(lengths) if number not in used
     ]
     hours = min(lengths[number] for number in used)
@@ -141,8 +145,10 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
     if temperature is not None:
         known = _count_complete_hours(temperature)
         if 2 * known < hours:
-            notes.append(f"temperature is left out: it covers {known} hours, while the other "
-                f"quantities cover {hours}")
+            notes.append(
+                f"temperature is left out: it covers {known} hours, but the other quantities cover "
+                f"{hours}",
+            )
             temperature = None
         else:
             hours = min(hours, known)
@@ -163,22 +169,22 @@ def mend_forecast(issue: IssuedForecast) -> IssuedForecast:
 
 
 def _count_complete_hours(series: NDArray[np.float64]) -> int:
-    """Return the number of values before the first missing one."""
+    """Return the number of values before the first missing value."""
     return int(np.append(np.isnan(series), True).argmax())
 
 
 class Repetition:
-    """Detects forecasts that only repeat the previous one, as when a service's model stops."""
+    """Detector of forecasts that only repeat the previous forecast, as when a model has stopped."""
 
     def __init__(self) -> None:
-        """Begin without a forecast."""
+        """Start without a forecast."""
         self._newest: IssuedForecast | None = None
         self._since: datetime | None = None
 
     def follow(self, issue: IssuedForecast) -> str:
-        """Follow a forecast; return a note if forecasts have not changed for a day, otherwise "".
+        """Process a forecast; return a note if forecasts have not changed for a day, otherwise "".
 
-        Only rain and temperature in the hours that both forecasts cover count.
+        Only rain and temperature in the hours that both forecasts cover are compared.
         """
         before, self._newest = self._newest, issue
         if self._since is None or before is None or not _agree(before, issue):
@@ -186,13 +192,13 @@ class Repetition:
         if issue.order[1] - self._since < _MAX_UNCHANGED:
             return ""
         return (
-            f"the forecasts have not changed since {to_minutes(self._since)}: they repeat a single "
-            "model run, and are as old as that run"
+            f"the forecasts have not changed since {to_minutes(self._since)}: they all contain "
+            "the same model run of that time"
         )
 
 
 def _agree(before: IssuedForecast, issue: IssuedForecast) -> bool:
-    """Return whether two forecasts are the same in the hours that both cover."""
+    """Return whether two forecasts are equal in the hours that both cover."""
     late = (issue.issued - before.issued) // timedelta(hours=1)
     hours = min(before.hours - late, issue.hours)
     return late >= 0 and hours > 0 and all(
@@ -207,10 +213,10 @@ def _agree(before: IssuedForecast, issue: IssuedForecast) -> bool:
 
 
 def check_same_form(earlier: IssuedForecast, later: IssuedForecast) -> None:
-    """Reject an issue of an archive that repeats the previous issue, or has a different form.
+    """Reject an issue that has the same time as the previous issue, or different quantities.
 
     Raises:
-        ConfigurationError: if it repeats the issue, or has other quantities.
+        ConfigurationError: if the issue has the same time or different quantities.
     """
     wrong, when = "", to_minutes(later.issued)
     if earlier.order == later.order:
@@ -223,16 +229,16 @@ def check_same_form(earlier: IssuedForecast, later: IssuedForecast) -> None:
 
 @dataclass(frozen=True)
 class Archive:
-    """Forecasts as they were issued.
+    """An archive of issued forecasts.
 
     Attributes:
-        source: the file or directory.
-        kind: kind of archive, in words.
-        issues: at least one issue, in order of time, all with the same number of members.
+        source: file or directory of the archive.
+        kind: description of the kind of archive.
+        issues: at least one issue, in chronological order, all with the same number of members.
         delay: time after the nominal time from which an issue is known (h).
-        verified: the issues to verify, usually the same ones; their rain can be NaN.
-        finest_lead: finest lead-time resolution at which it can be verified (h).
-        notes: what could not be used unchanged, in sentences.
+        verified: issues to verify, usually equal to ``issues``; their rain can be NaN.
+        finest_lead: finest resolution of lead time for verification (h).
+        notes: sentences about data that could not be used unchanged.
     """
 
     source: Path

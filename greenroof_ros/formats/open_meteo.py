@@ -1,7 +1,7 @@
-"""Hourly files of Open-Meteo, CSV or JSON: past weather, and forecasts as they were issued.
+"""Hourly CSV and JSON files from Open-Meteo, with past weather or issued forecasts.
 
-The service's CSV begins with two lines about the place, followed by a header with units and the
-hours; in its JSON the same values are under ``hourly_units`` and ``hourly``::
+The service's CSV files begin with two lines about the place, followed by a header with units, and
+the hours. Its JSON files contain the same values under ``hourly_units`` and ``hourly``::
 
     latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation
     43.620384,-79.41748,77.0,-18000,America/Toronto,GMT-5
@@ -9,29 +9,35 @@ hours; in its JSON the same values are under ``hourly_units`` and ``hourly``::
     time,temperature_2m (°C),precipitation (mm),shortwave_radiation (W/m²)
     2021-07-07T00:00,21.4,0.20,0.0
 
-Files that a program has saved without those lines and without units are read, too, if they use the
-service's names of variables. The first column is then ``time``, ``datetime`` or ``date``, in UTC
-unless it has an offset, and units are the service's defaults.
+Files that a program has saved without these two lines and without units are also read, if they use
+the service's names of variables. In such a file, the first column must be ``time``, ``datetime`` or
+``date``. Its times are in UTC unless they have an offset, and all units are the service's defaults.
 
-Precipitation is the sum, and shortwave radiation the mean, over the hour *before* their time; the
-other quantities are instantaneous. (Open-Meteo, Historical Weather API and Weather Forecast API,
-Hourly Parameter Definition: "Preceding hour sum", "Preceding hour mean", "Instant".) In this
-project, a record is for the hour that starts at its time. So rain and radiation are moved back by
-an hour, and an instantaneous value holds for the hour after it, as in ECCC's files.
+Precipitation is the total, and shortwave radiation the mean, over the hour *before* the time stamp;
+all other quantities are instantaneous. (Open-Meteo, Historical Weather API and Weather Forecast
+API, Hourly Parameter Definition: "Preceding hour sum", "Preceding hour mean", "Instant".) In this
+project, values are for the hour that starts at the time stamp. Therefore rain and radiation are
+moved back by one hour, and an instantaneous value is used for the following hour, as in ECCC's
+files.
 
-Local times have one offset from UTC throughout the file, even across a change to or from daylight
-saving time: ``utc_offset_seconds``. With ``timeformat=unixtime`` they are seconds since 1970 in
-UTC.
+Local times have the same UTC offset, ``utc_offset_seconds``, in the whole file, even across the
+beginning or end of daylight saving time. With ``timeformat=unixtime``, times are seconds since 1970
+in UTC.
 
-**Past weather** has ``precipitation`` and the quantities from which evapotranspiration is computed.
-**Previous runs** have ``precipitation_previous_day1`` to 7: for every hour the newest forecast that
-was at least N x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets"). They do not
-contain single runs, and nothing newer than 24 h. So what was known about an hour at some time is
-the value with the smallest N whose age fits. **A run** has ``precipitation`` and
-``precipitation_member01`` ...; the first is the control run. The answer does not name its run, so
-the file's name must end with it, as in ``gem_2024060112.json``. The first time does not reveal it:
-an answer to ``run=`` begins at the run, but one without it begins at midnight, or days earlier with
-``past_days=``, and would reveal rain that fell before the download.
+Files of **past weather** contain ``precipitation`` and the quantities from which evapotranspiration
+is computed.
+
+Files of **previous runs** contain ``precipitation_previous_day1`` to 7: for every hour, the newest
+forecast that was at least N x 24 h old (Open-Meteo, Previous Runs API: "fixed lead-time offsets").
+These files contain neither single runs nor forecasts newer than 24 h. The forecast of an hour that
+was known at a given time is therefore the value with the smallest N that is old enough.
+
+Files of **a run** contain ``precipitation``, which is the control run, and
+``precipitation_member01`` and so on. The file does not state the time of its run, so the file name
+must end with this time, as in ``gem_2024060112.json``. The first time in the file is not
+sufficient: a response to ``run=`` begins at the time of the run, but a response without ``run=``
+begins at midnight, or days earlier with ``past_days=``, and would reveal rain that fell before the
+download.
 """
 
 from __future__ import annotations
@@ -99,7 +105,8 @@ _ONLY_ITS_OWN = re.compile(
 )
 _SOURCE = "Open-Meteo's hourly files"
 _OTHER_JSON = (
-    "is JSON, but not an Open-Meteo response with hourly data; from other services, download CSV"
+    "is JSON, but not an Open-Meteo response with hourly data; download CSV files from other "
+    "services"
 )
 # Keys under which services state what went wrong.
 _MESSAGES = ("reason", "message", "detail", "description", "error", "title")
@@ -145,7 +152,7 @@ _T = TypeVar("_T")
 
 
 def recognises(head: bytes, /) -> bool:
-    """Return whether a file is JSON, or its first line has names that only the service uses."""
+    """Return whether a file is JSON, or its header contains names that only the service uses."""
     cells = _split_header(head)
     return cells[0].startswith(("{", "[")) or _OFFSET in cells or (
         cells[0] in _SAVED_TIMES and any(map(_ONLY_ITS_OWN.match, cells))
@@ -153,9 +160,10 @@ def recognises(head: bytes, /) -> bool:
 
 
 def recognises_forecasts(head: bytes, /) -> bool:
-    """Return whether a file is the service's, or a forecast saved with its name ``precipitation``.
+    """Return whether a file is from the service, or a saved forecast of ``precipitation``.
 
-    Weather with this name alone can be from any source, whose times may mean something else.
+    A weather file with only this name could be from any source, and its time stamps could have a
+    different meaning.
     """
     cells = _split_header(head)
     return recognises(head) or (cells[0] in _SAVED_TIMES and any(
@@ -174,18 +182,18 @@ def _split_header(head: bytes) -> list[str]:
 def _read(
     file: Path, site: Site, quantity_of: Callable[[str], str | None]
 ) -> tuple[Table, Records]:
-    """Return a file's table, and its hours by variable; values are at their time, not yet moved.
+    """Return a file's table, and its hours by variable, with all values at their time stamps.
 
     Args:
         file: file with hourly values for one place.
-        site: site that must be near the file's place, if both state where they are.
-        quantity_of: returns the quantity of a variable, or None if it is not needed; raises
-            ValueError if it is unknown.
+        site: site that must be near the file's place, if the positions of both are known.
+        quantity_of: function that returns the quantity of a variable, or None if the variable is
+            not needed, and raises ValueError if the variable is unknown.
 
     Raises:
-        ConfigurationError: if the file is broken or for another place, a time is out of order, a
-            unit is unknown, or too few values are plausible; the message names line or key, and
-            value.
+        ConfigurationError: if the file is malformed or is for a different place, if a time is out
+            of order, if a unit is unknown, or if too few values are plausible; the message names
+            the line or the key, and the value.
     """
     place, table = _read_tables(file)
     if place is None:
@@ -212,7 +220,9 @@ def _read(
         known = {unit.name: unit for unit in UNITS[quantity]}
         text = text.strip("()") or next(iter(known))
         if text not in (*known, _NO_UNIT) or name in columns:
-            raise table.refuse(f"must be in {' or '.join(known)}, in one column only", cell)
+            raise table.refuse(
+                f"must have the unit {' or '.join(known)}, and must occur only once", cell,
+            )
         if text == _NO_UNIT:
             without_unit.append(cell)
         columns[name] = Column(
@@ -222,7 +232,7 @@ def _read(
     first, values = table.read_hours(table.header[0], columns, parse, "2024-06-01T12:00")
     for cell in without_unit:
         if not columns[cell.partition(" ")[0]].is_empty:
-            raise table.refuse("must be in a known unit, since it has values", cell)
+            raise table.refuse("must have a known unit, because the column contains values", cell)
     return table, Records(
         (file,), first, values, left_out=tuple(table.notes), places=places,
         wind_height=_WIND_HEIGHT_M,
@@ -230,7 +240,7 @@ def _read(
 
 
 def _read_tables(file: Path) -> tuple[Table | None, Table]:
-    """Return the place of a file (None if it states none), and its hours."""
+    """Return the tables of a file's place (None without a place) and of its hours."""
     if next(filter(str.strip, read_lines(file))).lstrip().startswith(("{", "[")):
         return _read_json_tables(file, read_text(file))
     lines = number_lines(read_lines(file))
@@ -247,7 +257,7 @@ def _read_tables(file: Path) -> tuple[Table | None, Table]:
 
 
 def _parse(parse: Callable[[str, tzinfo], datetime], text: str, zone: tzinfo) -> datetime:
-    """Return a time; with ``timeformat=unixtime`` it is given in seconds since 1970 in UTC."""
+    """Return the time in a text, which can also be in seconds since 1970 (``unixtime``)."""
     if _UNIX_TIME.fullmatch(text):
         return parse_unix_time(text).astimezone(zone)
     return parse(text, zone)
@@ -256,11 +266,11 @@ def _parse(parse: Callable[[str, tzinfo], datetime], text: str, zone: tzinfo) ->
 def _select_hours(
     file: Path, about: Sequence[tuple[int, str]], lines: Iterator[tuple[int, str]]
 ) -> Iterator[tuple[int, str]]:
-    """Return the lines of the hours, from their header on, without other sections.
+    """Return the header and the lines of the hourly section, without the other sections.
 
     The service writes one section each for ``current``, ``minutely_15``, ``hourly`` and ``daily``,
-    as chosen on its page. If none of them is hourly, the first one is returned. A download that was
-    appended begins with the lines ``about`` the place again.
+    as selected on its web page. If none of the sections is hourly, the first section is returned.
+    An appended download begins with a copy of the lines ``about`` the place.
     """
     sections: list[list[tuple[int, str]]] = []
     broken: ConfigurationError | None = None
@@ -270,7 +280,8 @@ def _select_hours(
                 place = next(lines, (0, ""))[1]
                 if [line[1].strip(), place.strip()] != [text.strip() for _, text in about]:
                     raise ConfigurationError(
-                        "begins a download for another place or clock: make it a separate file",
+                        "begins a download for a different place or clock: move it to a separate "
+                        "file",
                         file=file, line=line[0],
                     )
                 continue
@@ -286,7 +297,7 @@ def _select_hours(
 
 
 def _may_be_hours(rows: Sequence[tuple[int, str]]) -> bool:
-    """Return whether most rows of a section can be hours; wrong times are rejected later."""
+    """Return whether most rows of a section can be hourly; wrong times are rejected later."""
     if len(rows) < 2:
         return False
     try:
@@ -301,7 +312,7 @@ def _may_be_hours(rows: Sequence[tuple[int, str]]) -> bool:
 
 
 def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
-    """Return the place and the hours of a JSON answer as tables, with numbers as text as in CSV."""
+    """Return the place and the hours of a JSON response as tables of text, as in CSV."""
     refuse = partial(ConfigurationError, file=file)
     try:
         content = json.loads(text, parse_int=str, parse_float=str, parse_constant=str)
@@ -315,7 +326,7 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
         raise refuse(_OTHER_JSON)
     why = next((content[key] for key in _MESSAGES if isinstance(content.get(key), str)), "")
     if content.get("error") or (why and "hourly" not in content):
-        raise refuse(f"is not a forecast but an error message of the service: {clean_text(why)}")
+        raise refuse(f"is not a forecast but an error message from the service: {clean_text(why)}")
     units, hourly = (content.get(key, {}) for key in ("hourly_units", "hourly"))
     for key, value in (("hourly_units", units), ("hourly", hourly)):
         if not isinstance(value, dict):
@@ -343,15 +354,16 @@ def _read_json_tables(file: Path, text: str) -> tuple[Table, Table]:
 
 
 def _write_cell(value: Any, missing: str = "") -> str:
-    """Return a value of JSON as text, as in CSV."""
+    """Return the text of a JSON value, as it would be in CSV."""
     return missing if value is None else str(value)
 
 
 def _check_place(place: Table, site: Site) -> timezone:
-    """Reject a place that is not near the site's, if both are known; return its offset from UTC.
+    """Reject a place that is not near the site, if both positions are known; return its UTC offset.
 
     Raises:
-        ConfigurationError: if it is not near, or the place or offset is invalid.
+        ConfigurationError: if the place is not near the site, or if its position or UTC offset is
+            invalid.
     """
     row = place.first
     if "location_id" in place.header:
@@ -360,8 +372,8 @@ def _check_place(place: Table, site: Site) -> timezone:
     offset = place.read_number(row, _OFFSET, Range(-43200.0, 50400.0, "s"))  # UTC-12 to UTC+14
     if offset % 3600:
         raise place.refuse(
-            "must be whole hours: the service's data are for whole hours in UTC, and its local "
-            "times are not; download the data again in GMT (timezone=GMT)", _OFFSET, row,
+            "must be a whole number of hours, because the service's data are for whole hours in "
+            "UTC; download the data again in GMT (timezone=GMT)", _OFFSET, row,
         )
     for name, (maximum, end) in _PLACE.items():
         # The service writes an unknown elevation as NaN.
@@ -385,17 +397,18 @@ def _check_place(place: Table, site: Site) -> timezone:
 
 
 def read_records(file: Path, site: Site, /) -> Records:
-    """Read past weather; an empty cell or ``NaN`` is a missing value.
+    """Read past weather; empty cells and ``NaN`` are missing values.
 
-    All of it is from weather models. Precipitation is required; the quantities from which
-    evapotranspiration is computed are used if present, and other variables are ignored.
+    All values are from weather models. Precipitation is required. Quantities from which
+    evapotranspiration is computed are used if the file contains them, and other variables are
+    ignored.
 
     Args:
-        file: a file for a single place.
-        site: site that must be near the file's place, if both state where they are.
+        file: file for a single place.
+        site: site that must be near the file's place, if the positions of both are known.
 
     Raises:
-        ConfigurationError: as for :func:`_read`, or if a column is missing.
+        ConfigurationError: for the reasons of :func:`_read`, or if a column is missing.
     """
     table, records = _read(file, site, _QUANTITIES.get)
     values: dict[str, NDArray[np.float64]] = {}
@@ -406,8 +419,8 @@ def read_records(file: Path, site: Site, /) -> Records:
         table.require_columns([f"{PRECIPITATION} (mm)"], _SOURCE)
     if not records.places:
         records = replace(records, left_out=(*records.left_out, (
-            f"{file.name}: its variables are named as in Open-Meteo's files, so times without an "
-            "offset are interpreted as UTC"
+            f"{file.name}: the variables have the names of Open-Meteo's variables, so times "
+            "without an offset are interpreted as UTC"
         )))
     shifted = tuple(quantity for quantity in (PRECIPITATION, RADIATION) if quantity in values)
     # One more hour: the hour before the first time has only rain and radiation, the last has
@@ -423,15 +436,15 @@ def read_records(file: Path, site: Site, /) -> Records:
 
 
 def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
-    """Read forecasts: all files are previous runs, or each file is one run.
+    """Read forecasts from files of previous runs, or from files that each contain one run.
 
     Args:
-        files: at least one file.
-        site: site that must be near the place of every file that states its place.
+        files: one or more files.
+        site: site that must be near the place of every file, if the file states its place.
 
     Raises:
-        ConfigurationError: as for :func:`_read`, or if the files are of several kinds or models, or
-            lack required values of a run or an hour.
+        ConfigurationError: for the reasons of :func:`_read`, or if the files are of different kinds
+            or models, or if they lack required values of a run or an hour.
     """
     parts, notes = _read_usable(files, lambda file: _read_precipitation(file, site))
     previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]
@@ -460,12 +473,12 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
 
 
 def _read_usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[_T], list[str]]:
-    """Return what is read from each usable source, and a note about every other one.
+    """Return the results of reading all usable sources, and a note about each other source.
 
-    Among thousands of downloads, some are error messages of the service, or end too early.
+    Among thousands of downloads, some contain error messages from the service, or end too early.
 
     Raises:
-        ConfigurationError: the error of the first source, if none can be used.
+        ConfigurationError: if no source can be used; the error is that of the first source.
     """
     read_ones, errors = [], []
     for source in sources:
@@ -479,11 +492,11 @@ def _read_usable(sources: Iterable[_S], read: Callable[[_S], _T]) -> tuple[list[
 
 
 def _read_precipitation(file: Path, site: Site) -> Records:
-    """Return a file's precipitation by variable; a value is for the hour starting at its time."""
+    """Return the precipitation by variable; values are for the hour that starts at their time."""
     table, hours = _read(file, site, _find_quantity)
     if not hours.values:
         raise table.refuse(
-            "must have precipitation, precipitation_member01 or precipitation_previous_day1"
+            "must contain precipitation, precipitation_member01 or precipitation_previous_day1"
         )
     return replace(hours, first=hours.first - HOUR)
 
@@ -500,27 +513,28 @@ def _find_quantity(name: str) -> str | None:
 
 
 def read_run(file: Path, site: Site, issued: datetime) -> IssuedForecast:
-    """Read an answer as a forecast whose time of issue is known.
+    """Read a response as a forecast with a known time of issue.
 
     Args:
-        file: a file for a single place.
-        site: site that must be near it.
-        issued: start of the first hour; earlier hours in the file are left out.
+        file: file for a single place.
+        site: site that must be near this place.
+        issued: start of the first hour; earlier hours in the file are skipped.
 
     Raises:
-        ConfigurationError: as for :func:`_read`, or if there is no precipitation from then on.
+        ConfigurationError: for the reasons of :func:`_read`, or if the file contains no
+            precipitation from this hour on.
     """
     return _select_run(_read_precipitation(file, site), issued)
 
 
 def _select_run(hours: Records, run: datetime) -> IssuedForecast:
-    """Return the run in a file; a series without a number is the control run, member 0."""
+    """Return the run in a file; the series without a number is the control run, member 0."""
     (file,) = hours.files
     refuse = partial(ConfigurationError, file=file)
     start, rest = divmod(run - hours.first, HOUR)
     if rest or not 0 <= start < hours.hours:
         raise refuse(
-            f"must contain the hour after its run, {to_minutes(run)}; its first time is "
+            f"must contain the hour after its run, {to_minutes(run)}, but the first time is "
             f"{to_minutes(hours.first + HOUR)}"
         )
     # Some runs have no control run, and a download may lack a member.
@@ -531,8 +545,8 @@ def _select_run(hours: Records, run: datetime) -> IssuedForecast:
     )
     if issue.hours > _MAX_RUN_H:
         raise refuse(
-            f"has {issue.hours} hours; a run covers no more than {_MAX_RUN_H}. For a longer period "
-            "in the past, use previous runs, precipitation_previous_day1 and so on"
+            f"has {issue.hours} hours, but a run covers at most {_MAX_RUN_H} hours. For a longer "
+            "period in the past, use previous runs, precipitation_previous_day1 and so on"
         )
     known = np.flatnonzero(~np.isnan(issue.rain).all(axis=0))  # NaN beyond the model's horizon
     end = known[-1] + 1 if known.size else 1
@@ -540,26 +554,27 @@ def _select_run(hours: Records, run: datetime) -> IssuedForecast:
 
 
 def _read_run_time(file: Path) -> datetime:
-    """Return the run with which the file's name ends."""
+    """Return the time of the run, with which the file's name ends."""
     with suppress(ValueError):
         if match := _RUN_IN_NAME.search(file.stem):
             year, month, day, hour = map(int, match.groups())
             return datetime(year, month, day, hour, tzinfo=timezone.utc)
     raise ConfigurationError(
-        "its name must end with the time of the run that it contains, such as 2024060112: year, "
-        "month, day and hour in UTC; the file itself does not state it. For more than one run, use "
+        "the file name must end with the time of the run, such as 2024060112 (year, month, day "
+        "and hour in UTC), because the file does not state this time. For more than one run, use "
         "previous runs, precipitation_previous_day1 and so on", file=file,
     )
 
 
 def _make_issues(previous: Records) -> list[IssuedForecast]:
-    """Return what was known at 00, 06, 12 and 18 UTC about the following hours, as issues.
+    """Return the forecasts that were known at 00, 06, 12 and 18 UTC, as issues.
 
-    With the lead l (h) from then to an hour's end, this is the value with the smallest N for which
-    24 N >= l that is not missing. An issue ends before the first hour without a known value.
+    With l as the lead time (h) from the issue to the end of an hour, the forecast for this hour is
+    the value with the smallest N for which 24 N >= l and the value is not missing. An issue ends
+    before the first hour without a known value.
 
     Raises:
-        ConfigurationError: if all values are missing, or no issue has a known first hour.
+        ConfigurationError: if all values are missing, or if no issue has a known first hour.
     """
     issues = []
     for issued, by_days in _list_windows(previous, ISSUE_HOURS):
@@ -575,18 +590,20 @@ def _make_issues(previous: Records) -> list[IssuedForecast]:
         nothing = all(np.isnan(series).all() for series in previous.values.values())
         raise ConfigurationError(
             "has no precipitation: every value is missing" if nothing else
-            "must have a value for an hour that starts at 00, 06, 12 or 18 UTC, when issues begin",
+            "must contain a value for an hour that starts at 00, 06, 12 or 18 UTC, when issues "
+            "begin",
             file=previous.files[0],
         )
     return issues
 
 
 def _make_daily(previous: Records) -> list[IssuedForecast]:
-    """Return one issue a day, at 00 UTC, for verification: every hour comes only from its own N.
+    """Return one issue a day, at 00 UTC, for verification.
 
-    The hours from 24 (N - 1) to 24 N after the issue have the values of N, so every value of the
-    file is in exactly one issue, on the day that it stands for; missing values are NaN. In
-    contrast, :func:`_make_issues` uses a value in up to four issues, or replaces it by another N's.
+    The hours from 24 (N - 1) to 24 N after the issue contain the values of N, so every value of the
+    file is in exactly one issue, on the day to which it belongs. Missing values are NaN. In
+    contrast, :func:`_make_issues` uses a value in up to four issues, or replaces it with a value of
+    another N.
     """
     issues = []
     for issued, by_days in _list_windows(previous, _DAY_H):
@@ -599,9 +616,10 @@ def _make_daily(previous: Records) -> list[IssuedForecast]:
 def _list_windows(
     previous: Records, every: int
 ) -> Iterator[tuple[datetime, NDArray[np.float64]]]:
-    """Yield the times of issue, ``every`` hours from 00 UTC on, and the values after each.
+    """Yield the times of issue, ``every`` hours from 00 UTC on, and the values after each issue.
 
-    The values have one row for each N up to the maximum, and as many days; NaN if missing.
+    The values have one row for each N up to the maximum, and cover the same number of days; NaN if
+    missing.
     """
     days = {int(name[-1]): series for name, series in previous.values.items()}
     maximum = max(days)

@@ -1,4 +1,4 @@
-"""Files of services that are not read: what they are, and which of their columns to rename.
+"""Unsupported files of other services, and advice on how to convert them.
 
 To add a service, add a row to :data:`SERVICES`, and a test.
 """
@@ -16,19 +16,20 @@ from greenroof_ros.common.files import read_lines
 _TIME, _RAIN, _TEMPERATURE = "time", "rain [mm]", "temperature [degC]"
 _DEW_POINT, _WIND, _PRESSURE = "dew point [degC]", "wind speed [km/h]", "station pressure [kPa]"
 _HUMIDITY, _RADIATION = "relative humidity [%]", "solar radiation [W/m2]"
-_ENDED = "add the comment '# stamped: end', since each hour ends at its time"
+_ENDED = "add the comment '# stamped: end', because the time stamp is the end of each hour"
 
 
 class OtherService(NamedTuple):
-    """A kind of file from a service."""
+    """A kind of file from an unsupported service."""
 
     name: str
     pattern: str
-    """regular expression (ignoring case) for text that only its files have in their first lines"""
+    """case-insensitive regular expression for text that only the first lines of these files contain
+    """
     columns: Mapping[str, str]
-    """what to make each column of this project's CSV from"""
+    """source of each column of this project's CSV format in the columns of the file"""
     further: str = ""
-    """what else to do"""
+    """additional advice on the conversion"""
 
 
 # Sources: the heads of the services' own files, for KNMI, NASA POWER and MeteoSwiss's legends;
@@ -61,7 +62,7 @@ SERVICES = (
         _ENDED,
     ),
     OtherService(
-        "MeteoSwiss, values that are not hourly", r"\b(rre150|tre200|rka150|gre000)\w\d\b", {},
+        "MeteoSwiss, values other than hourly", r"\b(rre150|tre200|rka150|gre000)\w\d\b", {},
         "hourly values are needed (names end in h0)",
     ),
     OtherService(
@@ -70,25 +71,25 @@ SERVICES = (
             _TIME: "YEAR, MO, DY and HR (UTC if the file states so; LST is solar time)",
             "rain [mm/h]": "PRECTOTCORR", _TEMPERATURE: "T2M", _DEW_POINT: "T2MDEW",
             _WIND: "WS10M * 3.6", _PRESSURE: "PS", _HUMIDITY: "RH2M",
-            _RADIATION: "ALLSKY_SFC_SW_DWN (as it is if in Wh/m^2; / 0.0036 if in MJ/hr)",
+            _RADIATION: "ALLSKY_SFC_SW_DWN (unchanged if in Wh/m^2; / 0.0036 if in MJ/hr)",
         },
-        "-999 may stay",
+        "you may keep the code -999",
     ),
     OtherService(
-        "NASA POWER, values that are not hourly", r"NASA/POWER|YEAR,(MO,DY|DOY|PARAMETER)\b", {},
+        "NASA POWER, values other than hourly", r"NASA/POWER|YEAR,(MO,DY|DOY|PARAMETER)\b", {},
         "hourly values are needed as CSV (temporal/hourly)",
     ),
     OtherService(
         "NOAA, Local Climatological Data", r"HourlyPrecipitation|HourlyDryBulbTemp|HOURLYPrecip",
         {
             _TIME: "DATE (local standard time)",
-            _RAIN: "HourlyPrecipitation (T may stay)", _TEMPERATURE: "HourlyDryBulbTemperature",
+            _RAIN: "HourlyPrecipitation (you may keep T)", _TEMPERATURE: "HourlyDryBulbTemperature",
             _DEW_POINT: "HourlyDewPointTemperature", _WIND: "HourlyWindSpeed",
             _PRESSURE: "HourlyStationPressure",
         },
         "convert inches (* 25.4), degF ((F - 32) / 1.8), mph (* 1.609) and inHg (* 3.386), or in "
-        "version 2, with stations such as USW00094728, m/s (* 3.6) and hPa (/ 10); leave out the "
-        "letter s; keep one row of REPORT_TYPE FM-15 an hour; "
+        "version 2, with stations such as USW00094728, m/s (* 3.6) and hPa (/ 10); remove the "
+        "letter s after numbers; keep one row per hour with REPORT_TYPE FM-15; "
         f"{_ENDED}",
     ),
     OtherService(
@@ -99,17 +100,17 @@ SERVICES = (
             _WIND: "wind_speed * 3.6", _PRESSURE: "station_level_pressure / 10",
             _HUMIDITY: "relative_humidity",
         },
-        f"write commas between cells; keep one row of report type FM-15 an hour; {_ENDED}",
+        f"write commas between cells; keep one row per hour with report type FM-15; {_ENDED}",
     ),
     OtherService(
         "NOAA, Integrated Surface Database (global hourly)",
         r"STATION\W+DATE\W+SOURCE|REPORT_TYPE.*\bCALL_SIGN",
         {
             _TIME: "DATE (UTC)",
-            _RAIN: "AA1 (its second part / 10, of rows whose first part is 01)",
-            _TEMPERATURE: "TMP / 10", _DEW_POINT: "DEW / 10", _WIND: "WND (its fourth part * 0.36)",
+            _RAIN: "AA1 (second part / 10, in rows with the first part 01)",
+            _TEMPERATURE: "TMP / 10", _DEW_POINT: "DEW / 10", _WIND: "WND (fourth part * 0.36)",
         },
-        f"keep one row of REPORT_TYPE FM-15 an hour; {_ENDED}",
+        f"keep one row per hour with REPORT_TYPE FM-15; {_ENDED}",
     ),
     OtherService(
         "NOAA, Climate Data Online, hourly precipitation", r"\bHPCP\b",
@@ -117,7 +118,7 @@ SERVICES = (
             _TIME: "DATE (local standard time)",
             _RAIN: "HPCP (* 25.4 if in inches; 999.99 or 25399.75 is missing)",
         },
-        f"add the dry hours, which have no row; {_ENDED}",
+        f"add rows for dry hours, which are missing; {_ENDED}",
     ),
     OtherService(
         "NOAA, daily summaries", r"\bSTATION\W.*\bDATE\W.*\b(PRCP|TMAX)\b", {},
@@ -129,19 +130,19 @@ SERVICES = (
             _TIME: "AAAAMMJJHH or DATE (UTC)", _RAIN: "RR1", _TEMPERATURE: "T", _DEW_POINT: "TD",
             _WIND: "FF * 3.6", _PRESSURE: "PSTAT / 10", _HUMIDITY: "U", _RADIATION: "GLO / 0.36",
         },
-        f"keep one NUM_POSTE; {_ENDED}",
+        f"keep only one station (NUM_POSTE); {_ENDED}",
     ),
     OtherService(
-        "Météo-France, values that are not hourly", r"\bNUM_POSTE\b", {},
+        "Météo-France, values other than hourly", r"\bNUM_POSTE\b", {},
         "hourly values are needed (BASE/HOR)",
     ),
     OtherService(
-        "Deutscher Wetterdienst, values other than hourly rain, temperature, wind or pressure",
+        "Deutscher Wetterdienst, without hourly rain, temperature, wind or pressure",
         r"STATIONS_ID\s*[;,]\s*MESS_DATUM", {},
-        "the files that can be read are the hourly produkt_rr_stunde, tu, td, ff and p0",
+        "use the hourly files produkt_rr_stunde, tu, td, ff and p0, which can be read",
     ),
 )
-"""the first entry whose pattern is found names the file"""
+"""Unsupported kinds of files; the first entry with a matching pattern determines the kind."""
 
 # A service's message instead of a file: one line of words, without a separator.
 _MESSAGE = re.compile(r"[^,;\t\r\n]*[A-Za-z]{3,}:? [^,;\t\r\n]*", re.ASCII)
@@ -149,10 +150,10 @@ _LINES, _MAX_SHOWN = 100, 80
 
 
 def explain_file(file: Path) -> None:
-    """Reject a file from a service that is not read, or a message in place of a file.
+    """Reject a file from an unsupported service, or an error message that was saved as a file.
 
     Raises:
-        ConfigurationError: if it is one; the message states its name and what to do.
+        ConfigurationError: if the file is of such a kind; the message contains advice.
     """
     lines = []
     for line in read_lines(file):
@@ -164,7 +165,8 @@ def explain_file(file: Path) -> None:
         if re.search(service.pattern, head, re.IGNORECASE):
             names = ", ".join(f"'{ours}' = {theirs}" for ours, theirs in service.columns.items())
             raise ConfigurationError(
-                f"is a file of {service.name}, which is not read: "
+                f"is a file from {service.name}, which cannot be read directly: "
+                ""
                 + (f"rename its columns: {names}; write times as in 2024-06-01T12:00Z; leave out "
                    "the lines before the header; " if names else "")
                 + service.further, file=file,

@@ -1,4 +1,4 @@
-"""Reading of files in any known format."""
+"""Readers of weather files and forecast archives in any supported format."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from greenroof_ros.formats.hourly import Records
 from greenroof_ros.model.site import Site
 
 SUFFIXES = (".csv", ".json")
-"""suffixes of forecast files; the format is recognised from the content"""
+"""suffixes of forecast files, whose format is recognised from their content"""
 _HEAD_BYTES = 4096
 
 # The first format that recognises a file from its first bytes reads it. The last one, own CSV,
@@ -31,16 +31,16 @@ _FORECASTS = {open_meteo: open_meteo.recognises_forecasts}
 
 
 def read_records(file: Path, site: Site, stamped: str | None = None) -> Records:
-    """Return the records of a weather file, each for the hour that starts at its time.
+    """Return the records of a weather file; each value is for the hour that starts at its time.
 
     Args:
-        file: the file.
-        site: place and clock.
-        stamped: what the time of a row in this project's format means; see
+        file: file to read.
+        site: site with its location and clock.
+        stamped: position of the time stamp in the interval of a row, for this project's format; see
             :func:`.own_csv.read_rows`.
 
     Raises:
-        ConfigurationError: if the file does not follow its format, or is too large.
+        ConfigurationError: if the file does not conform to its format, or is too large.
     """
     form = _find_format(file, _WEATHER)
     if form is own_csv:
@@ -50,7 +50,7 @@ def read_records(file: Path, site: Site, stamped: str | None = None) -> Records:
 
 
 def name_format(file: Path) -> str:
-    """Return the name of a weather file's format, for people.
+    """Return a readable name of a weather file's format.
 
     Raises:
         ConfigurationError: if the file cannot be read.
@@ -61,19 +61,19 @@ def name_format(file: Path) -> str:
 def read_archive(source: Path, site: Site, delay: float | None = None) -> Archive:
     """Read an archive of forecasts.
 
-    An issue is known once it is available, which is hours after its nominal time, because its run
-    must be computed and distributed. The nominal time is the time of the run's observations, at
-    which its first hour begins.
+    An issue is known as soon as it is available, hours after its nominal time, because the model
+    run has to be computed and distributed. The nominal time is the time of the run's observations,
+    at which the first hour begins.
 
     Args:
-        source: a file, or a directory of files in one format.
-        site: site that must be near the archive's place, if the archive states its place.
+        source: file, or directory with files in a single format.
+        site: site that must be near the archive's position, if the archive states a position.
         delay: time after the nominal time from which an issue is known (h); by default, the usual
-            one for its kind.
+            delay for the kind of archive.
 
     Raises:
-        ConfigurationError: if a file does not follow its format, the files have several formats, an
-            issue occurs twice, or only some issues have evapotranspiration.
+        ConfigurationError: if a file does not conform to its format, if the files have different
+            formats, if an issue occurs twice, or if only some issues have evapotranspiration.
     """
     files = [source]
     if source.is_dir():
@@ -85,7 +85,7 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
         for file in files:
             if file.suffix not in SUFFIXES:
                 raise ConfigurationError(
-                    f"must end in {' or '.join(SUFFIXES)}, like all files in a "
+                    f"must have the suffix {' or '.join(SUFFIXES)}, like all files in a "
                     "directory of forecasts", file=file,
                 )
     form = _find_format(files[0], _FORECASTS)
@@ -107,14 +107,15 @@ def read_archive(source: Path, site: Site, delay: float | None = None) -> Archiv
 
 
 def _equalise_members(issues: Sequence[IssuedForecast]) -> tuple[list[IssuedForecast], list[str]]:
-    """Return issues that all have the same number of members, and notes on what was left out.
+    """Return issues with equal numbers of members, and notes on members and issues left out.
 
-    An issue that was downloaded twice is kept once. If one issue has fewer members, all are reduced
-    to that number, unless this would be less than half: then that issue is left out.
+    If an issue was downloaded twice, it is used only once. If an issue has fewer members than
+    others, the other issues are reduced to the same number. If this would be less than half of
+    their members, the issue is left out instead.
 
     Raises:
-        ConfigurationError: if an issue repeats another one with other values, or has a different
-            form.
+        ConfigurationError: if an issue repeats another issue with different values, or has
+            different quantities.
     """
     alike = list(issues[:1])
     notes = []
@@ -129,13 +130,14 @@ def _equalise_members(issues: Sequence[IssuedForecast]) -> tuple[list[IssuedFore
     used = [issue for issue in alike if 2 * len(issue.rain) >= maximum]
     minimum = min(len(issue.rain) for issue in used)
     notes += [
-        f"{issue.file.name}: the issue of {to_minutes(issue.issued)} is left out: it has "
-        f"{len(issue.rain)} members, while others have {maximum}"
+        f"{issue.file.name}: the issue of {to_minutes(issue.issued)} is left out: it has only "
+        f"{len(issue.rain)} members, but the largest issue has {maximum}"
         for issue in alike if 2 * len(issue.rain) < maximum
     ]
     if minimum < maximum:
-        notes.append(f"{minimum} members of every issue are used, as many as the smallest issue "
-            "has")
+        notes.append(
+            f"the number of members used from every issue is {minimum}, as in the smallest issue"
+        )
     notes[:0] = [note for issue in used for note in issue.notes]
     return [replace(issue, rain=issue.rain[:minimum]) for issue in used], notes
 

@@ -1,4 +1,4 @@
-"""The sun's radiation outside the atmosphere according to FAO-56, from the package ``eto``."""
+"""Extraterrestrial radiation according to FAO-56, computed by the package ``eto``."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from greenroof_ros.formats.hourly import number_days
 
 MM_PER_MJ = 0.408
-"""water that radiation could evaporate (mm per MJ/m2), FAO-56 Eq. 20"""
+"""depth of water that solar radiation could evaporate (mm per MJ/m2), FAO-56 Eq. 20"""
 
 
 def extraterrestrial_radiation(
     latitude: float, days: NDArray[np.datetime64]
 ) -> NDArray[np.float64]:
-    """Ra (MJ/m2 and day) at a latitude (degrees, north positive), FAO-56 Eq. 21, shape (days,)."""
+    """Return the daily Ra (MJ/m2) at a latitude (degrees north), FAO-56 Eq. 21, shape (days,)."""
     from eto import ETo  # takes long, and most files do not need it
 
     zero = np.zeros(len(days))

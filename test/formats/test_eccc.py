@@ -114,7 +114,7 @@ def test_refused(tmp_path: Path) -> None:
         path = changed(tmp_path, 24, cell)
         assert refusal(read_weather, [path], TORONTO).startswith(f"{path}, {reason}")
     nowhere = replace(TORONTO, utc_offset=None)
-    refusal(read_weather, [JULY], nowhere, match="the site file must state its offset from UTC")
+    refusal(read_weather, [JULY], nowhere, match="the site file must state the UTC offset")
     wrong = "evapotranspiration = 'published': must be fao56"  # which is of the authors' 72 hours
     refusal(read_weather, [JULY], TORONTO, "published", match=wrong)
 

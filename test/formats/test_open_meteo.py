@@ -258,21 +258,21 @@ WRONG = {
     "deep.json": ("[" * 200_000, ": is JSON that is nested too deeply to be a response"),
     "refusal.json": (
         '{"error": true, "reason": "Daily API request limit exceeded."}',
-        ": is not a forecast but an error message of the service: Daily API request limit",
+        ": is not a forecast but an error message from the service: Daily API request limit",
     ),
     "days.json": ('{"daily": {"time": ["2021-07-07"]}}', ": contains no hourly values, only "),
     "daily.json": ('{"hourly": null}', ": hourly: must be a mapping, as in responses"),
     "temperature.csv": (
         "\n".join([HEAD.replace("precipitation", "temperature_2m"), *ROWS, ""]),
-        ", line 1: must have precipitation, precipitation_member01 or precipitation_previous_day1",
+        ", line 1: must contain precipitation, precipitation_member01 or precipitation_previous",
     ),
-    "unnamed.json": (run_of(), ": its name must end with the time of the run"),
+    "unnamed.json": (run_of(), ": the file name must end with the time of the run"),
     "other_2024060118.json": (run_of(), ": must contain the hour after its run, 2024-06-01T18:00"),
     "history_2024010100.csv": (
         "\n".join(["time,precipitation", *(
             f"{parse_time('2024-01-01T00:00Z') + hour * HOUR},0.0" for hour in range(37 * 24)
         )]),
-        ": has 887 hours; a run covers no more than 864. For a longer period",
+        ": has 887 hours, but a run covers at most 864 hours. For a longer period",
     ),
     "hours.csv": (
         "\n".join([HEAD, *(f"2024-03-01 {hour:02}:00:00,0,0,0,0,0" for hour in range(2, 7))]),
@@ -295,7 +295,7 @@ def test_wrong_directories(tmp_path: Path) -> None:
     refusal(read_archive, tmp_path, TORONTO, match="must contain forecast files")
     (tmp_path / "a_2024060112.json").write_text(run_of(1))
     for name, text, wrong in (
-        ("README.md", "# Forecasts", r"README.md: must end in .csv or .json, like "),
+        ("README.md", "# Forecasts", r"README.md: must have the suffix .csv or .json, like "),
         (
             "b_2024060112.json", run_of(1, precipitation=[1.0] * 6),
             r"contains the issue of 2024-06-01T12:00.00:00, which is already in a_2024060112.json",

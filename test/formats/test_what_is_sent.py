@@ -154,7 +154,7 @@ def test_a_short_control_an_hour_and_an_empty_member(tmp_path: Path) -> None:
     assert issue.rain.tolist() == [[0.0] * 47, [1.0] * 47, [2.0] * 47]
     where = "gem_2021070705.json, issue of 2021-07-07T05:00+00:00: "
     assert archive.notes == (
-        f"{where}member 3 is left out: it has 0 hours, while others have 71",
+        f"{where}member 3 is left out: it has 0 hours, but the longest member has 71",
         f"{where}ends after 47 of 71 hours: later values are missing",
         f"{where}1 missing hours of precipitation were filled with the mean of the adjacent hours",
     )
@@ -193,7 +193,8 @@ def test_runs_of_an_archive_with_fewer_members(tmp_path: Path) -> None:
     assert [issue.issued.day for issue in archive.issues] == [7, 8]
     assert archive.members == 3
     assert archive.verified is archive.issues
-    assert "3 members of every issue are used, as many as the smallest issue has" in archive.notes
+    fewest = "the number of members used from every issue is 3, as in the smallest issue"
+    assert fewest in archive.notes
 
 
 def test_members_that_a_download_lacks(tmp_path: Path) -> None:
@@ -224,7 +225,7 @@ def test_downloads_that_failed(tmp_path: Path) -> None:
     assert "limit exceeded; the file is left out" in refused
     assert "gem_2021070605.json" in short and "is not valid JSON" in short
     assert "gem_2021070705.json: contains no precipitation after its run" in nothing
-    assert fewer == "1 members of every issue are used, as many as the smallest issue has"
+    assert fewer == "the number of members used from every issue is 1, as in the smallest issue"
 
 
 def test_own_forecasts(tmp_path: Path) -> None:
@@ -415,7 +416,7 @@ def test_french_and_older_names(tmp_path: Path, form: str) -> None:
         ('"Longitude (x)","Latitude (y)","Station Name","Climate ID","Date/Time","Year","Month",'
          '"Day","Data Quality","Max Temp (°C)","Total Precip (mm)"',
          '"-79.4","43.6","X","1","2021-07-01","2021","07","01","","25.0","1.0"',
-         "contains daily or monthly values, not hourly ones"),
+         "contains daily or monthly values instead of hourly values"),
     ],
 )
 def test_files_that_do_not_suffice(tmp_path: Path, header: str, row: str, what: str) -> None:
@@ -423,7 +424,7 @@ def test_files_that_do_not_suffice(tmp_path: Path, header: str, row: str, what: 
     file = tmp_path / "climate.csv"
     file.write_text(f"{header}\n{row}\n", encoding="utf-8-sig")
     reason = refusal(read_weather, [file], TORONTO)
-    assert reason.startswith(f"{file}, line 1: is a file of Environment Canada that {what}") or (
+    assert reason.startswith(f"{file}, line 1: is a file from Environment Canada that {what}") or (
         what in reason
     )
     assert "download hourly data of the station with precipitation" in reason

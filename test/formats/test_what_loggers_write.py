@@ -521,9 +521,9 @@ GEOMET = (
     ("# STN,YYYYMMDD,   HH,    T,   RH\n  260,20240601,    1,  150,  -1\n", "KNMI, hourly"),
     ("STN,YYYYMMDD,TG,RH\n260,20240601,150,10\n", "KNMI, daily"),
     ("station_abbr;reference_timestamp;tre200h0;rre150h0\nBER;x;15;0\n", "MeteoSwiss, hourly"),
-    ("station_abbr;reference_timestamp;rre150d0\nBER;x;0\n", "MeteoSwiss, values that are not"),
+    ("station_abbr;reference_timestamp;rre150d0\nBER;x;0\n", "MeteoSwiss, values other than"),
     ("-BEGIN HEADER-\nNASA/POWER\n-END HEADER-\nYEAR,MO,DY,HR,T2M\n24,6,1,0,1\n", "POWER, hourly"),
-    ("YEAR,DOY,T2M\n2024,6,1\n", "NASA POWER, values that are not hourly"),
+    ("YEAR,DOY,T2M\n2024,6,1\n", "NASA POWER, values other than hourly"),
     ('"STATION","DATE","SOURCE","AA1"\n"7","2024-06-01","7","01,0000,9,5"\n', "Integrated Surface"),
     ("STATION,DATE,REPORT_TYPE,HourlyPrecipitation\n1,2,FM-15,T\n", "Local Climatological"),
     ("STATION,STATION_NAME,DATE,HPCP\n1,X,2,0.1\n", "hourly precipitation"),
@@ -532,7 +532,7 @@ GEOMET = (
     ("abbr;time;tre200h0;rre150h0\nBAS;201701010000;-3.2;0.0\n", "MeteoSwiss, hourly"),
     ("Station_ID|Station_name|Year|Month\nUSW1|X|2024|1\n", "Climatology Network hourly"),
     ("NUM_POSTE;NOM_USUEL;AAAAMMJJHH;RR1\n1;X;2024060100;0\n", "'rain [mm]' = RR1"),
-    ("NUM_POSTE;NOM_USUEL;AAAAMMJJ;RR\n1;X;20240601;0\n", "France, values that are not hourly"),
+    ("NUM_POSTE;NOM_USUEL;AAAAMMJJ;RR\n1;X;20240601;0\n", "France, values other than hourly"),
     ('[{"station_code": 260, "hour": 1}]', "not an Open-Meteo response with hourly"),
     ('{"type": "FeatureCollection", "features": []}', "not an Open-Meteo response with hourly"),
     ('[{"hourly": {}}]', "download places separately"),
@@ -630,7 +630,7 @@ def test_open_meteo_downloads_that_were_appended(tmp_path: Path) -> None:
                  f"tion (mm)\n{days[1]}")):
         assert rain_of(tmp_path, text) == [1.0] * 24 + [2.0] * 24
     for text, what in (
-        (first + second.replace("43.63", "48.1"), "line 29: begins a download for another place"),
+        (first + second.replace("43.63", "48.1"), "line 29: begins a download for a different"),
         (first + second.replace(",0,GMT", ",-14400,GMT"), "line 29: begins a download"),
         (first + second.replace("(mm)", "(inch)"), "line 32: is a second header"),
         (second + first, "line 33: time = '2024-06-01T00:00'"),
