@@ -1,1 +1,1 @@
-"""Weather records: formats, evapotranspiration, and values tick by tick."""
+"""Weather records: their files, their evapotranspiration, and their values for every tick."""

@@ -1,4 +1,4 @@
-"""Weather in a polars or pandas data frame, with the columns of a file in our own format."""
+"""Weather in a polars or pandas data frame, with the columns of this project's CSV format."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ def is_frame(value: Any) -> bool:
 
 
 def read_frame(frame: Any, site: Site) -> Records:
-    """Return the records in a data frame, as from a file with the same columns.
+    """Return the records in a data frame, read like a file with the same columns.
 
     Args:
-        frame: data frame with a column ``time``, or in pandas an index of times.
+        frame: data frame with a column ``time`` or, in pandas, an index of times.
         site: site whose clock applies to times without an offset.
 
     Raises:
-        ConfigurationError: if a column or a value is wrong; the message names its row, from 0.
+        ConfigurationError: if a column or a value is wrong; the message states the row, counted
+            from 0.
     """
     file = TextInMemory(_NAME)
     file.text = _write_csv(frame)
@@ -48,7 +49,7 @@ def read_frame(frame: Any, site: Site) -> Records:
 
 
 def find_zone(frame: Any) -> tzinfo | None:
-    """Return the zone of a data frame's times; None if they have no zone, or are text."""
+    """Return the time zone of a data frame's times; None if they have no zone, or are text."""
     times = frame["time"] if "time" in frame.columns else getattr(frame, "index", ())
     zone: Any = getattr(next(iter(times), None), "tzinfo", None)
     return ZoneInfo(zone.zone) if hasattr(zone, "zone") else zone  # from pytz, as in older pandas

@@ -1,8 +1,8 @@
-"""Evapotranspiration (FAO-56): hourly by Penman-Monteith (``fao56``), or daily by Hargreaves.
+"""Evapotranspiration according to FAO-56: hourly (Penman-Monteith) or daily (Hargreaves).
 
-Allen, Pereira, Raes and Smith, *Crop evapotranspiration*, FAO Irrigation and Drainage Paper 56,
-Rome 1998. Equation numbers are from this paper; the package ``eto`` implements the equations.
-Hargreaves' equation needs only a day's minimum and maximum temperature.
+The equation numbers are those of Allen, Pereira, Raes and Smith, *Crop evapotranspiration*, FAO
+Irrigation and Drainage Paper 56, Rome 1998. The package ``eto`` implements the Penman-Monteith
+equation (``fao56``). Hargreaves' equation requires only a day's minimum and maximum temperature.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from greenroof_ros.model.site import Site
 
 FAO56, HARGREAVES, MONTHLY = "fao56", "hargreaves", "monthly"
 COMPUTED = (FAO56, HARGREAVES, MONTHLY)
-"""methods for records without a column of evapotranspiration, the most accurate first"""
+"""methods for records without evapotranspiration, in descending order of accuracy"""
 _PLACE = ("latitude", "longitude")
 _MJ_PER_M2_AND_HOUR = 3600e-6  # per W/m2
 _LATITUDES = Range(-66.0, 66.0, "degrees")  # between the polar circles
@@ -42,27 +42,27 @@ _METRES_PER_SECOND = 1 / 3.6  # per km/h
 
 
 def saturation_vapour_pressure(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
-    """e0 (kPa) at a temperature (degC), Eq. 11; at the dew point, the actual pressure, Eq. 14."""
+    """Return e0 (kPa) at a temperature (degC), Eq. 11; at the dew point, the actual pressure."""
     return 0.6108 * np.exp(17.27 * temperature / (temperature + 237.3))
 
 
 def compute_hourly(
     site: Site, first: datetime, values: dict[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
+    """Return the reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
 
-    Net radiation is computed with Eqs. 37-40 from shortwave radiation. This is measured, or
-    computed with Eq. 50, ``k_Rs sqrt(Tmax - Tmin) Ra``, from the day's extremes and spread over the
-    hours in proportion to the extraterrestrial radiation Ra. At night the ratio Rs/Rso, a measure
-    of cloudiness, is the value two to three hours before sunset. Negative results (dew) are set to
-    0.
-
-    Where FAO-56 leaves a choice, the package's is used: Rs/Rso is at least 0.3 (ASCE-EWRI 2005),
-    hours at sunrise and sunset count with their sunlit part, and the soil heat flux has the day's
-    value, 0.1 Rn, if Rn > 0, otherwise the night's, 0.5 Rn.
+    Net radiation is computed with Eqs. 37-40 from solar radiation. If solar radiation was not
+    measured, it is computed with Eq. 50, ``k_Rs sqrt(Tmax - Tmin) Ra``, from the extremes of the
+    day, and distributed over the hours in proportion to the extraterrestrial radiation Ra. At
+    night, the ratio Rs/Rso, a measure of cloudiness, keeps its value from two to three hours before
+    sunset. Negative results (dew) are set to 0. Where FAO-56 leaves a choice, that of the package
+    is used: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), hours with sunrise or sunset count with their
+    sunlit part, and the soil heat flux is 0.1 Rn (daytime) if Rn > 0, and otherwise 0.5 Rn
+    (nighttime).
 
     Args:
-        site: latitude, longitude, elevation, offset from UTC, albedo, k_Rs and height of the wind.
+        site: site with its location, elevation, UTC offset, albedo, k_Rs and height of the wind
+            sensor.
         first: start of the first hour, in any time zone.
         values: temperature and dew point (degC), wind speed (km/h), station pressure (kPa) and
             either solar radiation (W/m2) or ``Tmin`` and ``Tmax`` of the day (degC).
@@ -106,22 +106,22 @@ def compute_hourly(
 
 
 def compute_fao56(records: Records, site: Site) -> NDArray[np.float64]:
-    """Evapotranspiration of the vegetation (mm/day) in every hour, shape (hours,).
+    """Return the evapotranspiration of the vegetation in every hour (mm/day), shape (hours,).
 
-    It is the site's crop coefficient times the reference evapotranspiration; NaN if records are
-    missing. If solar radiation was not measured in an hour, the records must cover its whole day, 0
-    to 24 h of local standard time. The wind is at the height given by the records, or at the site's
-    if they give none.
+    The result is the site's crop coefficient times the reference evapotranspiration, and NaN if
+    records are missing. If solar radiation was not measured in an hour, the records must cover the
+    whole day, 0 to 24 h of local standard time. The height of the wind sensor is that stated by the
+    records, or else that of the site.
 
     Raises:
-        ConfigurationError: if the file lacks a quantity, or the site file its place on earth, or
+        ConfigurationError: if the file lacks a quantity, if the site file lacks the location, or if
             the site is beyond a polar circle.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     if lacking:
         raise ConfigurationError(
-            f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]', and no "
-            f"{', '.join(lacking)}, from which {FAO56} is computed", file=records.source,
+            f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]', and "
+            f"no {', '.join(lacking)}, which {FAO56} requires", file=records.source,
         )
     check_place(site, FAO56, _PLACE)
     site = _complete_place(site, records)
@@ -143,9 +143,9 @@ def compute_fao56(records: Records, site: Site) -> NDArray[np.float64]:
 def _compute_stretches(
     site: Site, records: Records, values: dict[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return :func:`compute_hourly` for every gap-free stretch; NaN in gaps.
+    """Apply :func:`compute_hourly` to every period without gaps; the result is NaN in gaps.
 
-    Stretches are separate because a night has the cloudiness of the evening before.
+    The periods are separate, because the cloudiness of a night is that of the previous evening.
     """
     unknown = np.isnan(sum(values.values()))  # a sum that includes a NaN is NaN
     result = np.full(records.hours, np.nan)
@@ -156,15 +156,15 @@ def _compute_stretches(
 
 
 def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
-    """Reject a site that lacks a part of its place on earth, or is beyond a polar circle.
+    """Reject a site that lacks a part of its location, or is beyond a polar circle.
 
     Raises:
-        ConfigurationError: if it does or is.
+        ConfigurationError: if the site lacks a parameter, or is beyond a polar circle.
     """
     lacking = [name for name in needed if getattr(site, name) is None]
     if lacking:
         raise ConfigurationError(
-            f"{method} needs {', '.join(lacking)} in the site file (see config/site.yaml)"
+            f"{method} requires {', '.join(lacking)} in the site file (see config/site.yaml)"
         )
     if is_polar(site):
         raise ConfigurationError(
@@ -176,10 +176,10 @@ def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
 
 
 def _complete_place(site: Site, records: Records) -> Site:
-    """Return a site with what follows from its longitude and the weather, if its file omits it.
+    """Return a site with a UTC offset and an elevation, which are derived if its file omits them.
 
-    The offset from UTC, which only determines when its days begin, is the whole hour closest to
-    solar time. The elevation follows from the mean pressure with FAO-56 Eq. 7.
+    The derived UTC offset is the whole hour closest to solar time, and only determines the start of
+    days. The elevation is derived from the mean pressure (FAO-56 Eq. 7).
     """
     site = replace(site, utc_offset=site.clock_offset)
     pressure = records.values.get(PRESSURE)
@@ -190,7 +190,7 @@ def _complete_place(site: Site, records: Records) -> Site:
 
 
 def is_polar(site: Site) -> bool:
-    """Return whether a site is beyond a polar circle, where the sun does not rise and set daily."""
+    """Return whether a site is beyond a polar circle, where some days have no sunrise."""
     return (site.latitude or 0.0) not in _LATITUDES
 
 
@@ -204,18 +204,18 @@ def repeat_monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
 
 
 def _find_local_seconds(records: Records, site: Site) -> NDArray[np.int64]:
-    """Return the start of every hour in local standard time, in seconds since 1970 there."""
+    """Return the start of every hour on a clock of local standard time (s since its 1970)."""
     assert site.utc_offset is not None
     first = round(records.first.timestamp() + 3600 * site.utc_offset)
     return first + 3600 * np.arange(records.hours)
 
 
 def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
-    """Return why there is no computed value in some hours.
+    """Return the reason for missing computed values in some hours.
 
     Args:
         records: the records passed to :func:`compute_fao56` or :func:`compute_hargreaves`.
-        hours: indices of hours of the run in which the result is NaN.
+        hours: indices of the run's hours in which the result is NaN.
     """
     reasons = []
     near = slice(max(0, int(hours.min()) - 24), int(hours.max()) + 25)
@@ -240,11 +240,12 @@ _ENOUGH, _MAX_GAP_DAYS, _FOR_EVER = 0.75, 3, 10**6
 
 
 def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:
-    """Reference evapotranspiration of whole days (mm/day), FAO-56 Eq. 52, shape (days,).
+    """Return the reference evapotranspiration of days (mm/day), FAO-56 Eq. 52, shape (days,).
 
-    ET0 = 0.0023 (Tmean + 17.8) sqrt(Tmax - Tmin) Ra, with Ra in mm/day and Tmean the mean of the
-    extremes; negative results are set to 0. It needs no humidity, wind or radiation, but is less
-    accurate: FAO recommends checking it against Eq. 6 where that can be computed.
+    ET0 = 0.0023 (Tmean + 17.8) sqrt(Tmax - Tmin) Ra, with Ra in mm/day, and Tmean as the mean of
+    the extremes; negative results are set to 0. The equation requires no humidity, wind or
+    radiation, but is less accurate than Eq. 6, against which FAO recommends checking it where
+    possible.
 
     Args:
         latitude: latitude (degrees, north positive).
@@ -258,11 +259,11 @@ def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) ->
 
 
 def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: float) -> Values:
-    """Sine of the sun's elevation, 0 at night, FAO-56 Eqs. 24, 31 and 32-33.
+    """Return the sine of the sun's elevation, 0 at night, FAO-56 Eqs. 24 and 31-33.
 
     Args:
         latitude: latitude (degrees, north positive).
-        seconds: seconds since 1970-01-01 on a clock of local standard time.
+        seconds: times on a clock of local standard time (s since 1970-01-01).
         east_of_meridian: how far east of the clock's meridian the place is (degrees).
     """
     days = seconds.astype("datetime64[s]").astype("datetime64[D]")
@@ -281,15 +282,15 @@ def spread_over_day(
     daily: Values, latitude: float, seconds: NDArray[np.int64], day: NDArray[np.int64],
     step_s: float, east_of_meridian: float,
 ) -> Values:
-    """Spread days' evapotranspiration over steps by solar elevation, keeping the sum of a day.
+    """Distribute daily evapotranspiration over steps in proportion to the sun's elevation.
 
-    A step across midnight belongs to the day in which it begins.
+    The daily totals are preserved. A step across midnight belongs to the day in which it begins.
 
     Args:
         daily: evapotranspiration of every day (mm), shape (days,).
         latitude: latitude (degrees, north positive).
         seconds: start of every step, on a clock of local standard time, shape (steps,).
-        day: index of the day of every step in ``daily``.
+        day: index in ``daily`` of the day of every step.
         step_s: duration of a step (s).
         east_of_meridian: how far east of the clock's meridian the place is (degrees).
 
@@ -313,16 +314,16 @@ def find_extremes(
     day: NDArray[np.intp], minimum: Values, maximum: Values, complete: float,
     min_share: float = _ENOUGH,
 ) -> Values:
-    """Return every day's minimum and maximum temperature (degC), shape (2, days).
+    """Return the minimum and maximum temperature of every day (degC), shape (2, days).
 
-    They are NaN on a day that has less than a given share of a complete day's values.
+    The result is NaN for a day that lacks more than a given share of its values.
 
     Args:
         day: index of the day of every value.
         minimum: temperatures that include every day's minimum; NaN if missing.
         maximum: temperatures that include every day's maximum; NaN if missing.
         complete: number of values of a complete day.
-        min_share: minimum share of these values.
+        min_share: minimum share of the values of a complete day.
     """
     extremes = np.full((2, day.max() + 1), np.nan)
     for of_days, extreme, values in zip(
@@ -334,15 +335,15 @@ def find_extremes(
 
 
 class DailyTemperatures(NamedTuple):
-    """The temperature extremes of days, from which the evapotranspiration of steps follows."""
+    """The temperature extremes of days, from which evapotranspiration is computed."""
 
     dates: Days
-    """dates of the days, in order"""
+    """dates of the days, in chronological order"""
     extremes: Values
-    """minimum and maximum temperature (degC), shape (2, days); NaN if unknown"""
+    """minimum and maximum temperatures (degC), shape (2, days); NaN if unknown"""
 
     def far(self, days: Days) -> NDArray[np.bool_]:
-        """Return whether days are more than three days from any day with both extremes."""
+        """Return a mask of the days that are more than three days from any day with extremes."""
         known = self.dates[~np.isnan(self.extremes).any(axis=0)].astype(np.int64)
         apart = np.abs(days.astype(np.int64)[:, None] - known)
         return np.asarray(np.min(apart, axis=1, initial=_FOR_EVER) > _MAX_GAP_DAYS)
@@ -350,16 +351,16 @@ class DailyTemperatures(NamedTuple):
     def evapotranspiration(
         self, site: Site, seconds: NDArray[np.int64], step_s: float, offset_s: float
     ) -> Values:
-        """Return the reference evapotranspiration of steps by Hargreaves (mm), shape (steps,).
+        """Return the reference evapotranspiration (mm) of steps by Hargreaves, shape (steps,).
 
-        A step is assigned its share of the evapotranspiration of the day in which it begins. The
-        extremes of a day without any are interpolated.
+        Every step receives a share of the evapotranspiration of the day in which it begins. On days
+        without extremes, the extremes are interpolated.
 
         Args:
-            site: site with its place on earth.
+            site: site with its location.
             seconds: start of every step, on a clock of local standard time.
             step_s: duration of a step (s).
-            offset_s: offset of this clock from UTC (s).
+            offset_s: UTC offset of this clock (s).
         """
         assert site.latitude is not None
         assert site.longitude is not None
@@ -375,19 +376,20 @@ class DailyTemperatures(NamedTuple):
 
 
 def compute_hargreaves(records: Records, site: Site) -> Values:
-    """Evapotranspiration of the vegetation (mm/day) in every hour by Hargreaves, shape (hours,).
+    """Return the hourly evapotranspiration of the vegetation by Hargreaves (mm/day).
 
-    It is the site's crop coefficient times the reference evapotranspiration, computed from every
-    day's minimum and maximum temperature in local standard time. It is NaN on a day that is more
-    than three days from a day with at least 18 hours of temperature.
+    The result, shape (hours,), is the site's crop coefficient times the reference
+    evapotranspiration, computed from the minimum and maximum temperature of every day in local
+    standard time. It is NaN on a day that is more than three days from a day with at least 18 hours
+    of temperature.
 
     Raises:
-        ConfigurationError: if the file has no temperature, the site file lacks its place on earth,
-            or the site is beyond a polar circle.
+        ConfigurationError: if the file contains no temperature, if the site file lacks the
+            location, or if the site is beyond a polar circle.
     """
     if TEMPERATURE not in records.values:
         raise ConfigurationError(
-            f"contains no {TEMPERATURE}, from which {HARGREAVES} is computed", file=records.source
+            f"contains no {TEMPERATURE}, which {HARGREAVES} requires", file=records.source
         )
     check_place(site, HARGREAVES, _PLACE)
     site = _complete_place(site, records)

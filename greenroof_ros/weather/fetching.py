@@ -1,18 +1,17 @@
-"""Fetch years of past weather over the internet, block by block: request, check, keep and join.
+"""Fetch years of past weather from a service in blocks, which are checked, stored and joined.
 
-**Open-Meteo**, Historical Weather API, provides reanalyses (ERA5, ECMWF IFS) for any place, from
-1940 to some days ago. It answers one request at a time; 600 a minute, 5,000 an hour and 10,000 a
-day are allowed, and a request for more than two weeks counts as several. When it turns a request
-down, the time to wait is in the sentence of the reply and in no header. The data are under CC BY
-4.0, and the service is free for non-commercial use.
+**Open-Meteo**'s Historical Weather API provides reanalyses (ERA5, ECMWF IFS) for any place, from
+1940 to a few days ago. It answers one request at a time. It allows 600 requests a minute, 5,000 an
+hour and 10,000 a day, and a request for more than two weeks counts as more than one. If the service
+rejects a request, the required wait is stated only in the text of the response, not in a header.
+The data are licensed under CC BY 4.0, and the service is free for non-commercial use.
 
-**ECCC**, the climate archive of Environment and Climate Change Canada, provides bulk files with a
-station's observations, one month per file. Hours without observations also have rows; for a month
-in which the station did not exist, the file is only a header. The data are under the Open
-Government Licence - Canada.
+**ECCC**, the climate archive of Environment and Climate Change Canada, provides bulk files with the
+observations of a station, one file per month. Hours without observations also have rows; for a
+month in which the station did not exist, the file contains only a header. The data are licensed
+under the Open Government Licence - Canada.
 
-A block is kept in the form in which the service sent it as soon as it is complete, and is not
-requested again.
+Complete blocks are stored unchanged, and are not requested again.
 """
 
 from __future__ import annotations
@@ -65,13 +64,13 @@ _REQUEST = "request.txt"
 
 @dataclass(frozen=True)
 class Block:
-    """A part of the period that one request returns.
+    """A block: the part of the period that one request returns.
 
     Attributes:
         first: first day of the block.
         last: last day of the block.
         suffix: suffix of the file in which the block is stored.
-        parameters: parameters of the request, in addition to those of the source.
+        parameters: parameters of the request, in addition to the parameters of the source.
     """
 
     first: date
@@ -92,15 +91,15 @@ class Block:
 
 @dataclass(frozen=True)
 class Source:
-    """A service, and what is requested from it.
+    """A service, and the requests to it.
 
     Attributes:
-        about: description and licence, as lines for the head of a file.
-        url: URL of the interface; its query may contain a key.
+        about: description and licence of the data, as lines for the head of a file.
+        url: URL of the API; its query string may contain a key.
         parameters: parameters of every request.
-        blocks: blocks to request, in order of time.
-        pause_s: time from an answer to the next request (s).
-        check: function that raises ServiceError if an answer is not the whole block.
+        blocks: blocks to request, in chronological order.
+        pause_s: pause between a response and the next request (s).
+        check: function that raises ServiceError if a response does not contain the whole block.
     """
 
     about: str
@@ -112,24 +111,25 @@ class Source:
 
 
 def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> Source:
-    """Return Open-Meteo's archive for a site, with one block per year.
+    """Return Open-Meteo's archive as a source for a site, with one block per year.
 
-    Years are on the site's clock and blocks are in UTC, so there is one more day at either end.
+    Years are on the site's clock, but blocks are in UTC, so the blocks include one more day at each
+    end.
 
     Args:
-        site: the site, which has a place.
+        site: site with a latitude and a longitude.
         years: years to fetch, on the site's clock.
         today: today's date.
-        url: URL of the interface; if empty, the service's own.
+        url: URL of the API; if empty, the service's own URL.
 
     Raises:
-        ConfigurationError: if the place is missing from the site file, the years end in the
-            future, or the URL is not a web address.
+        ConfigurationError: if the place is missing from the site file, if the years extend into the
+            future, or if the URL is not a web address.
     """
     for name in ("latitude", "longitude"):
         if getattr(site, name) is None:
             raise ConfigurationError(
-                "must be in the site file, because weather is fetched for the site's place",
+                "must be in the site file, because weather is fetched for the site's location",
                 key=name,
             )
     newest = today - _DELAY
@@ -161,18 +161,18 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
 def eccc_station(
     station: int, site: Site, years: range, today: date, url: str = ""
 ) -> Source:
-    """Return the bulk files of a station, with one block per month.
+    """Return the bulk files of a station as a source, with one block per month.
 
     Args:
-        station: the station's ``stationID``, which is not its climate identifier.
-        site: a site near the station; its offset from UTC is used for the files.
+        station: ``stationID`` of the station, which differs from its climate identifier.
+        site: site near the station, whose UTC offset is used for the files.
         years: years of the files.
         today: today's date.
-        url: URL of the interface; if empty, the service's own.
+        url: URL of the API; if empty, the service's own URL.
 
     Raises:
-        ConfigurationError: if the offset from UTC is missing from the site file, a year is in the
-            future, or the URL is not a web address.
+        ConfigurationError: if the UTC offset is missing from the site file, if a year is in the
+            future, or if the URL is not a web address.
     """
     if site.utc_offset is None:
         raise ConfigurationError(
@@ -207,7 +207,7 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
     try:
         content = json.loads(body)
     except (ValueError, RecursionError):
-        raise ServiceError(f"sent no JSON, or only part of it: {read_reason(body)}") from None
+        raise ServiceError(f"sent no JSON, or incomplete JSON: {read_reason(body)}") from None
     hourly = content.get("hourly") if isinstance(content, dict) else None
     if not isinstance(hourly, dict):
         raise ServiceError(f"sent no hourly values: {read_reason(body)}")
@@ -219,10 +219,10 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
         hours = len(times) if isinstance(times, list) else 0
         raise ServiceError(f"sent {hours} hours of {block.hours}")
     if str(times[0])[:10] != str(block.first):
-        raise ServiceError(f"sent hours that begin at {times[0]}, not at {block.first}")
+        raise ServiceError(f"sent hours from {times[0]} on instead of {block.first}")
     rain = hourly[VARIABLES[PRECIPITATION]]
     if isinstance(rain, list) and all(value is None for value in rain):
-        raise ServiceError("sent no value of precipitation for any hour", is_passing=False)
+        raise ServiceError("sent no value of precipitation", is_passing=False)
 
 
 def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
@@ -234,14 +234,15 @@ def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
     if is_cut or (is_over and 0 < hours < block.hours):
         raise ServiceError(f"broke off after {hours} hours of {block.hours}")
     if hours and str(block.first).encode() not in lines[1]:
-        raise ServiceError(f"sent another month: {read_reason(lines[1])}")
+        raise ServiceError(f"sent a different month: {read_reason(lines[1])}")
 
 
 def prepare_directory(directory: Path, source: Source) -> None:
-    """Create the directory that keeps the blocks of a source until all have arrived.
+    """Create the directory that stores the blocks of a source until all have arrived.
 
     Raises:
-        ConfigurationError: if it keeps blocks from another request, for instance for another site.
+        ConfigurationError: if the directory contains blocks from a different request, for instance
+            for a different site.
     """
     asked = "".join(f"{key}: {value}\n" for key, value in source.parameters.items())
     if query := urlsplit(source.url).query:  # it may contain a key
@@ -251,7 +252,8 @@ def prepare_directory(directory: Path, source: Source) -> None:
     kept = claim.read_text(encoding="utf-8", errors="replace") if claim.exists() else ""
     if any(directory.glob("*_*")) and kept != asked:
         raise ConfigurationError(
-            f"keeps parts from another request ({_REQUEST}); remove it, or choose another output",
+            f"contains parts from a different request ({_REQUEST}); remove it, or choose another "
+            "output",
             file=directory,
         )
     replace_text(claim, asked)
@@ -261,17 +263,18 @@ def fetch(
     source: Source, site: Site, directory: Path, pause_s: float | None,
     progress: ProgressBar,
 ) -> list[Path]:
-    """Fetch the blocks that a directory does not yet keep, and return the files of all blocks.
+    """Fetch the blocks that a directory does not contain yet, and return the files of all blocks.
 
     Args:
-        source: the service and the blocks.
-        site: the site, with whose place and clock the answers are read.
+        source: service and blocks to fetch.
+        site: site, whose location and clock are used to read the responses.
         directory: directory of the blocks, prepared by :func:`prepare_directory`.
-        pause_s: time between requests (s); None for the source's own.
-        progress: shows the current block, and why a block is requested again.
+        pause_s: pause between requests (s); None for the pause of the source.
+        progress: progress bar that shows the current block, and the reasons for repeated requests.
 
     Raises:
-        ServiceError: if a block could not be fetched in eight attempts, or trying again is useless.
+        ServiceError: if a block could not be fetched in eight attempts, or if another attempt is
+            useless.
         ConfigurationError: if an answer does not match the site.
         OSError: if a block cannot be stored.
     """
@@ -300,7 +303,7 @@ def fetch(
 
 
 def _is_whole(file: Path, source: Source, block: Block) -> bool:
-    """Return whether a block is kept and undamaged; a power cut, for instance, may damage one."""
+    """Return whether a block is stored and undamaged; a power cut, for instance, may damage it."""
     try:
         source.check(file.read_bytes(), block)
     except (FileNotFoundError, ServiceError):
@@ -330,18 +333,18 @@ def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
 
 
 def _find_wait(error: ServiceError) -> float:
-    """Return how long a service asks us to wait (s); 0 if it does not ask."""
+    """Return the wait for which a service asks (s); 0 if it asks for none."""
     asked = [seconds for words, seconds in _ASKED_S.items() if words in str(error)]
     return max([error.wait or 0.0, *asked])
 
 
 def _is_empty(file: Path) -> bool:
-    """Return whether a block has no hours, like a month in which the station did not exist."""
+    """Return whether a block contains no hours, as before a station existed."""
     return file.suffix == ".csv" and len(file.read_bytes().splitlines()) < 2
 
 
 def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
-    """Return the hours of some years from the blocks, on the site's clock.
+    """Join blocks, and return the hours of the years on the site's clock.
 
     Args:
         files: files of the blocks.
@@ -369,8 +372,8 @@ def join_blocks(files: Sequence[Path], site: Site, years: range) -> Records:
 
 
 def write_weather(source: Source, records: Records, now: datetime) -> str:
-    """Return fetched records as a file in this project's format, which states their source."""
+    """Return fetched records as the text of a file in this project's format, with their source."""
     return write_records(
-        records, f"{source.about}\nFetched on {now:%Y-%m-%d}; hours begin at their time, "
+        records, f"{source.about}\nFetched on {now:%Y-%m-%d}; the time of an hour is its start, "
         f"UTC{records.first.isoformat()[-6:]}."
     )

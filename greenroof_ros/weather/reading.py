@@ -1,4 +1,4 @@
-"""Weather files: finding them, and joining them into one record."""
+"""Functions that find weather files and join them into one record."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ MAX_GAP_H = {
 }
 
 _NO_TEMPERATURE = (
-    "there is no temperature, so no frost is assumed; during frost, nothing would be pumped"
+    "the weather contains no temperature, so no frost is assumed; during frost, nothing would be "
+    "pumped"
 )
 
 # Offsets from a missing hour to the hours at the same time of day whose mean replaces it.
@@ -56,29 +57,29 @@ _SAME_TIME_OF_DAY = 24 * np.array([-3, -2, -1, 1, 2, 3])
 
 
 def default_weather() -> Path:
-    """Return the path of the paper's weather, the default."""
+    """Return the path of the paper's weather, which is the default."""
     return shared_directory() / "config" / "weather" / "toronto_2021-07.csv"
 
 
 def read_measured(
     files: Sequence[Path], site: Site, stamped: str | None = None
 ) -> Records:
-    """Read weather files, which may have different formats, and join them; gaps stay.
+    """Read weather files, which may have different formats, and join them without filling gaps.
 
     Args:
         files: one or more files.
         site: site with its place and clock.
-        stamped: what the time of a row in this project's format means, one of
-            :data:`.comments.STAMPS`; by default, what the file states.
+        stamped: position of the time stamp in the interval of a row in this project's format, one
+            of :data:`.comments.STAMPS`; by default, the statement in the file.
 
     Raises:
-        ConfigurationError: if a file is broken, or two contradict each other.
+        ConfigurationError: if a file cannot be parsed, or if two files contradict each other.
     """
     joined = join_records([read_records(file, site, stamped) for file in files])
     if PRECIPITATION not in joined.values:
         raise ConfigurationError(
             f"has no {PRECIPITATION}, as in a column 'precipitation [mm/h]' or 'rain [mm]'; add "
-            "the file that contains it", file=joined.source,
+            "the file that contains the precipitation", file=joined.source,
         )
     return drop_empty(_drop_partial_hours(joined))
 
@@ -89,23 +90,23 @@ def read_weather(
 ) -> Weather:
     """Read weather files as :func:`read_measured` does, and add evapotranspiration.
 
-    Gaps of up to :data:`MAX_GAP_H` hours, within a file or between two, are filled and noted in the
-    records. :class:`greenroof_ros.weather.series.WeatherSeries` rejects a run that needs an hour of
-    a longer gap, unless long gaps are filled, too.
+    Gaps of up to :data:`MAX_GAP_H` hours, within a file or between two files, are filled and noted
+    in the records. :class:`greenroof_ros.weather.series.WeatherSeries` rejects a run that needs an
+    hour of a longer gap, unless long gaps are also filled.
 
     Args:
         files: one or more files.
-        site: place on earth, for computing evapotranspiration or for a format that needs it.
-        method: method of the evapotranspiration: one of :data:`.evapotranspiration.COMPUTED`, or
-            the method of the files' own column. By default it is the files' column if there is one,
-            otherwise the most accurate method that the files allow.
-        gaps: what to do about longer gaps, one of :data:`greenroof_ros.weather.series.GAPS`.
+        site: site with its location, which evapotranspiration and some file formats require.
+        method: method for evapotranspiration: one of :data:`.evapotranspiration.COMPUTED`, or the
+            method of the column in the files. By default, the column in the files is used if it
+            exists, otherwise the most accurate method that the files allow.
+        gaps: treatment of longer gaps, one of :data:`greenroof_ros.weather.series.GAPS`.
         rain_only: whether to leave evapotranspiration unknown (NaN), because a rain gauge does not
-            measure it.
+            measure evapotranspiration.
 
     Raises:
-        ConfigurationError: if a file is broken, two contradict each other, or the method cannot be
-            applied to them.
+        ConfigurationError: if a file cannot be parsed, if two files contradict each other, or if
+            the method cannot be applied to the files.
     """
     return complete_records(read_measured(files, site), site, method, gaps, rain_only=rain_only)
 
@@ -142,19 +143,19 @@ def complete_records(
         values[EVAPOTRANSPIRATION] = series
         left_out = (*left_out, *notes)
     else:
-        own = f", or {records.method} from its own column" if records.method else ""
+        own = f", or {records.method} from the column of the file" if records.method else ""
         raise ConfigurationError(
-            f"must be {', '.join(COMPUTED)}{own}: {records.source} has no other "
+            f"must be {', '.join(COMPUTED)}{own}: {records.source} contains no other "
             "evapotranspiration", key="evapotranspiration", value=method,
         )
     return Weather(**{**vars(records), "method": method, "left_out": left_out}, gaps=gaps)
 
 
 def drop_empty(records: Records) -> Records:
-    """Return records without the quantities that have no values, and a note about each of them.
+    """Remove the quantities that have no values from records, and add a note about each of them.
 
     Raises:
-        ConfigurationError: if precipitation is one of them.
+        ConfigurationError: if precipitation has no values.
     """
     empty = [name for name, series in records.values.items() if np.isnan(series).all()]
     if PRECIPITATION in empty:
@@ -166,7 +167,7 @@ def drop_empty(records: Records) -> Records:
         values={name: series for name, series in records.values.items() if name not in empty},
         method="" if EVAPOTRANSPIRATION in empty else records.method,
         left_out=(*records.left_out, *(
-            f"there is no value of {name} in {records.source}" for name in empty
+            f"{records.source} contains no values of {name}" for name in empty
         )),
     )
 
@@ -174,17 +175,18 @@ def drop_empty(records: Records) -> Records:
 def compute_evapotranspiration(
     records: Records, site: Site, method: str | None = None
 ) -> tuple[Array, str, list[str]]:
-    """Return evapotranspiration in every hour (mm/day), NaN if missing; its method; and notes.
+    """Return the evapotranspiration in every hour (mm/day; NaN if missing), its method, and notes.
 
     Args:
-        records: records without quantities that have no values.
-        site: site with its place and its monthly means.
-        method: one of :data:`.evapotranspiration.COMPUTED`. By default ``fao56``; ``hargreaves``
-            where the records have temperature but not everything that ``fao56`` needs; and
-            ``monthly`` without temperature, without a complete day of it, or beyond a polar circle.
+        records: records from which quantities without values have been removed.
+        site: site with its location and its monthly means.
+        method: one of :data:`.evapotranspiration.COMPUTED`. The default is ``fao56``, or
+            ``hargreaves`` if the records contain temperature but lack other quantities that
+            ``fao56`` requires. It is ``monthly`` if the records contain no temperature or no
+            complete day of temperatures, or if the site is beyond a polar circle.
 
     Raises:
-        ConfigurationError: if the records or the site lack what the method needs.
+        ConfigurationError: if the records or the site lack data that the method requires.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     means = repeat_monthly(records, site)
@@ -210,7 +212,8 @@ def compute_evapotranspiration(
             raise ConfigurationError(
                 f"has no {TEMPERATURE}, from which evapotranspiration is computed, and no column "
                 f"'{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]'; set "
-                "monthly_evapotranspiration in the site file to use its means", file=records.source,
+                "monthly_evapotranspiration in the site file to use monthly means",
+                file=records.source,
             )
         note = f"evapotranspiration is taken from the site's monthly means{for_want}"
         return means, chosen, [note]
@@ -219,15 +222,15 @@ def compute_evapotranspiration(
     if not computed.any():
         return series, chosen, []
     return series, chosen, [
-        f"solar radiation is missing in {np.count_nonzero(computed)} hours, for which it is "
-        "computed from the day's temperatures (FAO-56 Eq. 50)"
+        f"solar radiation is missing in {np.count_nonzero(computed)} hours, and is computed from "
+        "the day's temperatures in these hours (FAO-56 Eq. 50)"
     ]
 
 
 def _drop_partial_hours(records: Records) -> Records:
-    """Leave out the first and last hour if they lack minutes of rain, or quantities after a shift.
+    """Drop the first and last hour if they lack minutes of rain, or quantities after a shift.
 
-    This is done after joining, because the next file completes the last hour of the previous one.
+    This must be done after joining, because a file may complete the last hour of the previous file.
     """
     moved = np.array([name in records.shifted for name in records.values])
     known = ~np.isnan([series[[0, -1]] for series in records.values.values()])
@@ -247,16 +250,16 @@ def _drop_partial_hours(records: Records) -> Records:
 
 
 def find_files(names: Iterable[str], key: str) -> list[Path]:
-    """Find the files that names and patterns (``data/2021_*.csv``) stand for, each once.
+    """Find the files with given names or patterns (``data/2021_*.csv``), without repetitions.
 
-    A name with ``*``, ``?`` or ``[`` is a pattern unless a file has that name.
+    A name that contains ``*``, ``?`` or ``[`` is a pattern, unless a file with this name exists.
 
     Args:
         names: names of files, or patterns.
-        key: option or parameter with the names, for messages.
+        key: option or parameter that contains the names, for messages.
 
     Raises:
-        ConfigurationError: if a pattern matches no file, or there are no names.
+        ConfigurationError: if a pattern matches no file, or if no names are given.
     """
     files: list[Path] = []
     for name in names:
@@ -273,12 +276,12 @@ def find_files(names: Iterable[str], key: str) -> list[Path]:
 
 
 def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
-    """Fill what is still missing: rain with 0, other quantities with the mean of the days around.
+    """Fill missing values: rain with 0, other quantities with the mean of the adjacent days.
 
-    This is the mean at the same time of day over the three days before and the three days after, of
-    the hours that are known or were bridged. If there are none, the hour stays missing. Years with
-    a few estimated hours are more useful than fragments of years, but rain that was not measured is
-    lost, so the user must ask for this.
+    The mean is that of the known or interpolated values at the same time of day on the three days
+    before and the three days after. If none of these values is known, the hour remains missing.
+    Years with a few estimated hours are more useful than fragments of years, but rain that was not
+    measured is lost, so gaps are filled only at the user's request.
     """
     filled = {}
     for quantity, series in values.items():
@@ -291,7 +294,7 @@ def fill_long_gaps(values: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _average_days_around(series: Array, missing: NDArray[np.bool_]) -> Array:
-    """Return for every missing hour the mean of the days around it; NaN if none is known."""
+    """Return the mean of the adjacent days for every missing hour; NaN if no value is known."""
     padded = np.pad(series, -_SAME_TIME_OF_DAY[0], constant_values=np.nan)
     hours = np.flatnonzero(missing) - _SAME_TIME_OF_DAY[0]
     near = padded[hours[:, None] + _SAME_TIME_OF_DAY]

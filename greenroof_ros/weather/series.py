@@ -1,8 +1,8 @@
-"""The weather of a run: hourly records, and their values tick by tick.
+"""The weather of a run: hourly records, and their values for every tick.
 
-A run may last years, so no array has an entry per tick: a tick's value is looked up in its hour,
-and rain that is known by the minute is looked up in its minute. Only if a minute is not a multiple
-of a tick does each tick have the mean over its own time.
+A run may last for years, so the arrays do not have an entry per tick. The value of a tick is looked
+up in its hour, or in its minute for rain with a resolution of minutes. Only if a minute is not a
+multiple of a tick is the rain stored as the mean over each tick.
 """
 
 from __future__ import annotations
@@ -34,32 +34,32 @@ _FREEZING = 0.0
 
 REFUSE, FILL = "refuse", "fill"
 GAPS = (REFUSE, FILL)
-"""what to do about a missing hour in a long gap that a run needs; the first is the default"""
+"""treatments of a missing hour in a long gap that a run needs; the first is the default"""
 
 
 @dataclass(frozen=True)
 class Weather(Records):
-    """Hourly records without a gap in time, with evapotranspiration.
+    """Consecutive hourly records with evapotranspiration.
 
     Attributes:
-        gaps: what was done about long gaps, one of :data:`GAPS`.
+        gaps: treatment of long gaps, one of :data:`GAPS`.
     """
 
     gaps: str = REFUSE
 
     @property
     def precipitation(self) -> NDArray[np.float64]:
-        """Depth of rain in every hour (mm/h), shape (hours,); NaN if missing."""
+        """Rain in every hour (mm/h), shape (hours,); NaN if missing."""
         return self.values[PRECIPITATION]
 
     @property
     def evapotranspiration(self) -> NDArray[np.float64]:
-        """Depth over the vegetation bed (mm/day), shape (hours,); NaN if missing."""
+        """Evapotranspiration of the vegetation (mm/day), shape (hours,); NaN if missing."""
         return self.values[EVAPOTRANSPIRATION]
 
     @property
     def frost(self) -> NDArray[np.bool_] | None:
-        """Whether the air is at or below 0 degC, shape (hours,); None without a temperature."""
+        """Mask of hours with air at or below 0 degC, shape (hours,); None without temperature."""
         temperature = self.values.get(TEMPERATURE)
         return None if temperature is None else temperature <= _FREEZING
 
@@ -75,16 +75,16 @@ class Weather(Records):
 
 
 class _Clock(NamedTuple):
-    """The hour (or other step) of the records for every tick; beyond their end, the last one."""
+    """The hour (or other step) of the records for every tick; the last hour beyond their end."""
 
     offset_ns: int
-    """time of tick 0 since hour 0"""
+    """time of tick 0 relative to hour 0 (ns)"""
     tick_ns: int
-    """duration of a tick"""
+    """duration of a tick (ns)"""
     last: int
-    """the last hour"""
+    """index of the last hour"""
     step_ns: int = _HOUR_NS
-    """duration of an hour, or of another step"""
+    """duration of an hour, or of another step (ns)"""
 
     def step(self, tick: int) -> int:
         return min((self.offset_ns + tick * self.tick_ns) // self.step_ns, self.last)
@@ -94,16 +94,16 @@ class _Clock(NamedTuple):
         return np.minimum(elapsed_ns // self.step_ns, self.last)
 
     def first_tick(self, step: int) -> int:
-        """Return the first tick that begins in a step or after it."""
+        """Return the first tick that begins in a step or later."""
         return -((self.offset_ns - step * self.step_ns) // self.tick_ns)
 
 
 @dataclass(frozen=True, eq=False)
 class PerTick(Sequence[float]):
-    """One value for every tick, from values per hour or other step; a slice is an array."""
+    """A value for every tick, from values per hour or other step; a slice is an array."""
 
     values: NDArray[np.float64]
-    """values of all steps of the clock"""
+    """values for all steps of the clock"""
     clock: _Clock
     ticks: range
     """all ticks"""
@@ -119,7 +119,7 @@ class PerTick(Sequence[float]):
     def __getitem__(self, key: slice) -> array[float]: ...
 
     def __getitem__(self, key: int | slice) -> float | array[float]:
-        """Return the value of a tick, or the values of several."""
+        """Return the value of a tick, or the values of a range of ticks."""
         ticks = self.ticks[key]
         if isinstance(ticks, int):
             return float(self.values[self.clock.step(ticks)])
@@ -136,50 +136,52 @@ class Hour(NamedTuple):
     """The weather of the ticks in an hour."""
 
     precipitation: float
-    """m/s"""
+    """rain (m/s)"""
     evapotranspiration: float
     """evapotranspiration of the whole bed (m3/s)"""
     frost: float
-    """1 if there is frost, otherwise 0"""
+    """1 during frost, otherwise 0"""
     until: int
     """the first tick of the next hour"""
 
 
 class WeatherSeries:
-    """A run's weather in SI units, tick by tick.
+    """The weather of a run in SI units, for every tick.
 
     Attributes:
-        precipitation: rain (m/s) in every tick, and in M more after the last.
-        evapotranspiration: evapotranspiration of the whole bed (m3/s), in the same ticks.
-        frost: 1 if there is frost, 0 if there is none or it is unknown, in the same ticks.
+        precipitation: rain (m/s) in every tick of the run, and in M more ticks.
+        evapotranspiration: evapotranspiration of the whole bed (m3/s) in the same ticks.
+        frost: 1 during frost, 0 without frost or if the temperature is unknown, in the same ticks.
         repeats_from: time from which the last record is repeated, because the window of M ticks
-            extends past the end of the records; None if it does not.
-        filled: by quantity, names of the hours that were missing and filled, on the run's days and
-            the day before.
-        filled_hours: their number; an hour counts once, however many quantities it lacked.
-        suspicious: what is implausible in the hours of the run, each in a sentence.
-        frost_hours: hours of frost in the run (h); None if the file has no temperature.
-        precipitation_in_frost: precipitation in these hours (mm); the model treats it as rain, not
-            snow.
+            extends beyond the end of the records; None if the records are sufficient.
+        filled: names of the hours that were missing and have been filled, by quantity, during the
+            run and the day before and after.
+        filled_hours: number of filled hours; an hour in which more than one quantity was filled
+            counts once.
+        suspicious: sentences about implausible weather in the hours of the run.
+        frost_hours: duration of frost in the run (h); None without temperature.
+        precipitation_in_frost: precipitation during frost (mm), which the model treats as rain.
     """
 
     def __init__(self, weather: Weather, site: Site, start: datetime, steps: int) -> None:
-        """Give ticks 0..steps, and the window after the last one, the values of their hours.
+        """Prepare the values of the ticks 0..steps, and of the window after the last tick.
 
         Args:
             weather: hourly records that cover the run.
-            site: site with tick, look-ahead, and the bed's area, to convert depths to volumes.
+            site: site with the duration of a tick, the look-ahead, and the area of the bed.
             start: time of tick 0.
             steps: N, the last tick.
 
         Raises:
-            ConfigurationError: if the records do not cover the run, or an hour of it is missing.
+            ConfigurationError: if the records do not cover the run, or if an hour of the run is
+                missing.
         """
         tick_ns = round(site.tau * 1e9)
         before = (weather.end - start).total_seconds()
         if start < weather.first or steps * site.tau > before:
             raise ConfigurationError(
-                f"has records from {to_minutes(weather.first)} to {to_minutes(weather.end)}, "
+                f"contains records from {to_minutes(weather.first)} to "
+                f"{to_minutes(weather.end)}, "
                 f"but the run starts at {to_minutes(start)} and lasts "
                 f"{duration(steps * site.tau)}",
                 file=weather.source,
@@ -222,11 +224,11 @@ class WeatherSeries:
 
     @property
     def notes(self) -> list[str]:
-        """What a reader of results needs to know about the weather's values, in sentences."""
+        """Sentences about the values of the weather for readers of the results."""
         return [
             *(
-                f"{quantity} is missing at {', '.join(hours)}, and was filled"
-                + (" with 0: rain that fell then is lost" if quantity == PRECIPITATION else "")
+                f"{quantity} is missing at {', '.join(hours)} and was filled"
+                + (" with 0: rain in these hours is lost" if quantity == PRECIPITATION else "")
                 for quantity, hours in self.filled.items()
             ),
             *(f"{sentence}; used unchanged" for sentence in self.suspicious),
@@ -252,7 +254,7 @@ def _rain_per_tick(weather: Weather, hours: _Clock, ticks: int) -> PerTick:
 
     Args:
         weather: the records.
-        hours: the hour of every tick.
+        hours: clock with the hour of every tick.
         ticks: number of ticks.
     """
     hourly = weather.precipitation / 1000 / 3600
@@ -272,12 +274,12 @@ def _rain_per_tick(weather: Weather, hours: _Clock, ticks: int) -> PerTick:
 
 
 def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
-    """Reject a run that needs a missing hour that was not filled."""
-    way_out = "choose another window, or fill in values from another station"
+    """Reject a run that needs a missing hour that has not been filled."""
+    way_out = "choose another period, or add values from another station"
     if weather.gaps == REFUSE:
         way_out += (
-            "; or fill the gaps (gaps: fill): missing rain is set to 0, and other missing values "
-            "to the mean at that time of day over the three days before and after"
+            "; or fill the gaps (gaps: fill), which sets missing rain to 0, and other missing "
+            "values to the mean at the same time of day on the three days before and after"
         )
     own = () if weather.method in COMPUTED else (EVAPOTRANSPIRATION,)
     for quantity in (PRECIPITATION, TEMPERATURE, *own):
@@ -295,7 +297,7 @@ def _check_hours(weather: Weather, hours: NDArray[np.int64]) -> None:
 def _refuse_missing(
     weather: Weather, quantity: str, hours: NDArray[np.int64], further: str
 ) -> None:
-    """Reject records that lack a quantity in some hours; ``further`` ends the message."""
+    """Reject records that lack a quantity in some hours; the message ends with ``further``."""
     missing = hours[np.isnan(weather.values[quantity][hours])]
     if missing.size:
         named = ", ".join(name_hours(weather.first, missing))
@@ -305,28 +307,29 @@ def _refuse_missing(
 def select_records(
     weather: Weather, quantity: str, hours: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Return records; beyond their ends, the first or last one is repeated.
+    """Return values of records; before and after them, the first or last value is repeated.
 
     Raises:
-        ConfigurationError: if one of them is missing.
+        ConfigurationError: if one of the values is missing.
     """
     index = np.clip(hours, 0, weather.hours - 1)
     _refuse_missing(
-        weather, quantity, np.unique(index), ", and the run's forecasts need it; choose "
-        "another window or another kind of forecast",
+        weather, quantity, np.unique(index), ", but the run's forecasts require it; choose "
+        "another period or another kind of forecast",
     )
     return weather.values[quantity][index]
 
 
 def align_to_hours(issues: Sequence[IssuedForecast], weather: Weather) -> list[IssuedForecast]:
-    """Return issues whose hours begin when hours of the records do.
+    """Shift issues to hours that begin at the same minute as those of the records.
 
-    The records of a place with an offset of half an hour begin between the hours of UTC. There, an
-    issue begins with the next hour of the records, and every hour is the mean of the two hours of
-    the issue that it overlaps, weighted by its share in each. An issue of one hour is left out.
+    If the UTC offset of a place includes half an hour, the hours of its records begin between the
+    hours of UTC. An issue then begins with the next hour of the records, and every hour is the
+    weighted mean of the two hours of the issue that it overlaps. An issue of only one hour is left
+    out.
 
     Raises:
-        ConfigurationError: if nothing is left.
+        ConfigurationError: if no issue is left.
     """
     resampled = []
     for issue in issues:
@@ -347,8 +350,8 @@ def align_to_hours(issues: Sequence[IssuedForecast], weather: Weather) -> list[I
             resampled.append(issue)
     if not resampled:
         raise ConfigurationError(
-            "must contain more than an hour, or begin a whole number of hours from "
-            f"{to_minutes(weather.first)}, where {weather.source} begins",
+            "must contain more than one hour, or begin a whole number of hours from "
+            f"{to_minutes(weather.first)}, at which {weather.source} begins",
             file=issues[0].file, line=issues[0].line, key="issued",
             value=to_minutes(issues[0].issued),
         )

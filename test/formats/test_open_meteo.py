@@ -133,7 +133,7 @@ def test_places(tmp_path: Path) -> None:
     assert len(read_weather([path], east).precipitation) == 5
     path = write(tmp_path, values="-33.9,151.2,9000.0,36000,Australia/Sydney,GMT+10")
     anywhere = replace(TORONTO, latitude=None, longitude=None, elevation=None)
-    refusal(read_weather, [path], anywhere, match="fao56 needs latitude, longitude in t")
+    refusal(read_weather, [path], anywhere, match="fao56 requires latitude, longitude in t")
     path = write(tmp_path, place=f"location_id,{PLACE}", values=f"1,{VALUES}")
     refusal(read_weather, [path], TORONTO, match="line 2: location_id = '1': must be for one place")
     path.write_text(f"{PLACE}\n{VALUES}\n")

@@ -259,7 +259,7 @@ def test_without_radiation(tmp_path: Path) -> None:
     without = read_weather([file], TORONTO)
     assert read.evapotranspiration.tobytes() == without.evapotranspiration.tobytes()
     assert not np.isnan(read.evapotranspiration[:48]).any()
-    assert f"there is no value of solar radiation in {file}" in read.notes
+    assert f"{file} contains no values of solar radiation" in read.notes
     one = weather(tmp_path, shortwave_radiation=among(None, 100.0), **columns)
     assert not np.isnan(one.evapotranspiration[:48]).any()
     assert one.evapotranspiration[29] == without.evapotranspiration[29]

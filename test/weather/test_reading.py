@@ -110,7 +110,8 @@ def test_rain_alone(tmp_path: Path) -> None:
     assert weather.evapotranspiration == pytest.approx([1.98, 1.98, 2.01])
     assert weather.method == "monthly"
     assert weather.notes == (
-        "there is no temperature, so no frost is assumed; during frost, nothing would be pumped",
+        "the weather contains no temperature, so no frost is assumed; during frost, nothing would "
+        "be pumped",
         "evapotranspiration is taken from the site's monthly means, for lack of temperature",
     )
     series = WeatherSeries(weather, TORONTO, weather.first, 3600)
@@ -131,7 +132,7 @@ def test_a_method_can_be_chosen(tmp_path: Path) -> None:
     assert means["hargreaves"] == pytest.approx(means["fao56"], rel=0.01)
     assert means["monthly"] == pytest.approx(4.02)
     nowhere = replace(TORONTO, latitude=None)
-    refusal(read_weather, [JULY], nowhere, "hargreaves", match="hargreaves needs latitude in the")
+    refusal(read_weather, [JULY], nowhere, "hargreaves", match="hargreaves requires latitude in the")
     header = "time,rain [mm],temperature [degC]"
     path = write(tmp_path / "hour.csv", header, "2021-07-07T03:00Z,0.5,20")
     hour = read_weather([path], TORONTO)
@@ -229,7 +230,7 @@ def test_months_far_from_each_other() -> None:
     reason = refusal(WeatherSeries, weather, site, parse_time("2021-03-31T12:00-05:00"), 6 * 24)
     assert reason.startswith(
         f"{DATA / '2 files'}, {MARCH.name} to {JULY.name}: precipitation is missing at "
-        "2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 (13 hours); choose another window"
+        "2021-04-01T00:00-05:00 to 2021-04-01T12:00-05:00 (13 hours); choose another period"
     )
     assert "fill the gaps (gaps: fill)" in reason
 

@@ -111,7 +111,7 @@ def test_missing_rows_and_empty_cells_are_gaps(file: Path) -> None:
     text = "\n".join([*lines[:61], *lines[71:], ""])
     record = read(file, text)
     for lacks, needed in (
-        ("latitude", "hargreaves needs latitude in the site file"),
+        ("latitude", "hargreaves requires latitude in the site file"),
         ("utc_offset", "set time_zone in the site file"),
     ):
         refusal(read, file, text, replace(TWIN, **{lacks: None}), match=needed)
