@@ -132,7 +132,7 @@ def test_a_method_can_be_chosen(tmp_path: Path) -> None:
     assert means["hargreaves"] == pytest.approx(means["fao56"], rel=0.01)
     assert means["monthly"] == pytest.approx(4.02)
     nowhere = replace(TORONTO, latitude=None)
-    refusal(read_weather, [JULY], nowhere, "hargreaves", match="hargreaves requires latitude in the")
+    refusal(read_weather, [JULY], nowhere, "hargreaves", match="hargreaves requires latitude in")
     header = "time,rain [mm],temperature [degC]"
     path = write(tmp_path / "hour.csv", header, "2021-07-07T03:00Z,0.5,20")
     hour = read_weather([path], TORONTO)

@@ -44,8 +44,8 @@ def test_run_outside_the_records() -> None:
     for start, steps in (("2021-07-07T02:59:59-05:00", 10), ("2021-07-07T03:00-05:00", 10801)):
         reason = refusal(WeatherSeries, THREE_HOURS, PAPER_SITE, parse_time(start), steps)
         assert reason.startswith(
-            "drawn.csv: contains records from 2021-07-07T03:00-05:00 to 2021-07-07T06:00-05:00, but "
-            "the run starts at "
+            "drawn.csv: contains records from 2021-07-07T03:00-05:00 to 2021-07-07T06:00-05:00, "
+            "but the run starts at "
         )
 
 
