@@ -2,7 +2,7 @@
 
 The on/off controller replaces a controller that fails, or that needs a forecast while there is
 none. ``python -m greenroof_ros.live.controller --controller NAME`` runs a controller of this
-package, or any class specified as ``package.module:Class``; the node is named after it.
+package, or any class specified as ``package.module:Class``; the node is named after the controller.
 """
 
 from __future__ import annotations
@@ -340,7 +340,7 @@ class LiveControllerNode(LiveNode):
             return
         problem = self._bad_forecasts()
         if not problem:
-            self.reports.diagnose("forecast", None, "the forecast is good")
+            self.reports.diagnose("forecast", None, "the forecast is valid")
             return
         values, case = {"problem": problem}, "bad" if needs else "without"
         if needs and self._stand_in_since:
@@ -371,7 +371,7 @@ def _given_up(why: str) -> ControllerClass:
 
 
 def make_node(controller: str) -> LiveControllerNode:
-    """Return the node, or report to bringup why there is none.
+    """Return the node; if this fails, report the reason to bringup.
 
     Raises:
         ConfigurationError: if the node cannot run with this controller.

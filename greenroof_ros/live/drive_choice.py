@@ -26,7 +26,7 @@ class DriveChoice:
         drive: the drive file, which describes the drive.
         address: address of the drive, as the user specified it.
         broker_login: login file for a relay's broker; empty for none.
-        broker_authority: file of trusted certificates for that broker; empty for the system's
+        broker_authority: file of trusted certificates for a relay's broker; empty for the system's
             certificates.
     """
 

@@ -1,7 +1,7 @@
 """Sample and hold: nodes that act at every tick of the steady clock on the newest input values.
 
-There is no plant and no clock topic. A node does not wait for an input that is missing, late or
-wrong. The rules of :mod:`greenroof_ros.live.pumping.input_rules` determine which inputs are
+A live graph has no plant and no clock topic. A node does not wait for an input that is missing,
+late or wrong. The rules of :mod:`greenroof_ros.live.pumping.input_rules` determine which inputs are
 invalid, and the node acts accordingly.
 """
 
@@ -201,4 +201,4 @@ class SampleAndHold:
         if required:
             bad = bad_inputs(required)
             level = WARN if bad is not None and bad.code in AWAITED else ERROR
-            self._reports.diagnose("inputs", bad, "all inputs are good", level)
+            self._reports.diagnose("inputs", bad, "all inputs are valid", level)

@@ -103,7 +103,7 @@ class LiveInput(Input):
         rules: rules of the input.
         diagnosis: diagnosis of the broken rule; None if the newest value may be used.
         received: whether any message has been received.
-        optional: whether the node acts without it.
+        optional: whether the node acts without the input.
     """
 
     diagnosis: Diagnosis | None = Diagnosis("input_waiting")
@@ -114,7 +114,7 @@ class LiveInput(Input):
         Args:
             publishers: publishers of the topic.
             rules: rules of the input.
-            optional: whether the node acts without it.
+            optional: whether the node acts without the input.
         """
         super().__init__(publishers.topic, publishers.full_name)
         self.publishers = publishers

@@ -95,7 +95,7 @@ class LiveNode(GraphNode):
 
         Args:
             name: name of the topic in the interface.
-            optional: whether the node acts without it.
+            optional: whether the node acts without the input.
             level: additional rule for a level; None for any other input.
         """
         limit = LIMITS[name].name

@@ -1,19 +1,19 @@
 """The pump node of a live site, which turns /pump/command into commands to a drive or a relay.
 
-The node acts once every tau of the site on the newest values, and lets the pump run only if they
-are fresh and valid. The node connects to the drive automatically, and does not run the pump unless
-the drive's own communication timeout would stop it without this node. Between two such steps,
-checks on the steady clock can stop the drive. /pump/flow is published every tau, and /pump/state
-whenever it changes.
+The node acts once every tau of the site on the newest values, and lets the pump run only if these
+values are fresh and valid. The node connects to the drive automatically, and does not run the pump
+unless the drive's own communication timeout would stop it without this node. Between two such
+steps, checks on the steady clock can stop the drive. /pump/flow is published every tau, and
+/pump/state whenever it changes.
 
 ``~/stop`` (std_srvs/SetBool) with true holds the pump, which then stays off, regardless of the
 command, even after a restart. With false, the service ends any hold. ``~/hold``
 (rcl_interfaces/SetParametersAtomically) holds the pump for an ``owner``, with a ``reason`` and an
 end, ``until`` (s since 1970), if they are specified. ``~/reset`` (std_srvs/Trigger), for a person
 at the pump, clears a latched fault and an unknown state; ``~/clear``, for the page, clears only a
-fault that needs no person at the pump (speed_not_followed). If the site file allows it, ``~/dose``
-(rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, the present time in s
-since 1970) delivers a volume once, or returns the reason for rejecting the request.
+fault that needs no person at the pump (speed_not_followed). If the site file allows doses,
+``~/dose`` (rcl_interfaces/SetParametersAtomically: ``volume`` in m3, and ``asked_at``, the present
+time in s since 1970) delivers a volume once, or returns the reason for rejecting the request.
 """
 
 from __future__ import annotations

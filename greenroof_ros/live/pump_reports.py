@@ -43,7 +43,7 @@ class PumpReports:
             site: the site.
             state: state of the pump.
             decision: the last decision.
-            dose: the dose that is waiting, is running or ended a moment ago; None if there is none.
+            dose: dose that is waiting, is running or ended a moment ago; None if there is no dose.
             unsaved: reason why the state would be forgotten at a restart; empty if it would be
                 kept.
             changed: whether another program has just changed the record.

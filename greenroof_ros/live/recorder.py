@@ -3,8 +3,8 @@
 Messages go into the files of a bag, split by size and by day (UTC), with their times of arrival,
 and are on the disk after 10 s. The oldest files are removed when the bag reaches its limit. A full
 disk stops the recording and raises an alarm; the node keeps running, and tries again every minute.
-If the disk hangs, up to 32 MB of messages wait in memory until it responds, which also raises an
-alarm. A report on /diagnostics is recorded if a state, a level or a diagnosis has changed, and
+If the disk hangs, up to 32 MB of messages wait in memory until the disk responds; this, too, raises
+an alarm. A report on /diagnostics is recorded if a state, a level or a diagnosis has changed, and
 otherwise once every ten seconds for each node.
 """
 

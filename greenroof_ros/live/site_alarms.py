@@ -21,9 +21,9 @@ _PAUSE_S = 1.0
 class SiteAlarms:
     """Alarms from the reports of a site's nodes, which are printed and recorded.
 
-    Here, a node is lost as soon as its process has ended. For an observer of /diagnostics, the node
-    is lost when it has been silent for a while or is back. Both losses raise the same alarm, which
-    dates from the node's last report on /diagnostics.
+    In these alarms, a node is lost as soon as its process has ended. For an observer of
+    /diagnostics, the node is lost when it has been silent for a while or is back. Both losses raise
+    the same alarm, which dates from the node's last report on /diagnostics.
 
     Attributes:
         log: log of the alarms that are printed and recorded.

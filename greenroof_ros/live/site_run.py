@@ -226,7 +226,7 @@ class _StartReport:
 
 
 class _SiteRecord:
-    """The record of a site since its start: ``summary.json``, alarms and warnings.
+    """Record of a site since its start: ``summary.json``, alarms and warnings.
 
     The disk thread writes the files, so a full or hung disk stops nothing else.
 
@@ -325,7 +325,7 @@ def _pump_of(values: Mapping[str, Any]) -> PumpState:
 
 
 def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return both levels as text; ``unknown`` if no node has reported one."""
+    """Return both levels as text, with ``unknown`` for a level that no node has reported."""
     return ", ".join(
         f"{name} unknown" if level is None else f"{name} {level:.{_PLACES[name]}f} m"
         for name, level in _levels(reports).items()
@@ -333,7 +333,7 @@ def levels_of(reports: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _levels(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, float | None]:
-    """Return both levels (m); None if no node has reported one."""
+    """Return both levels (m), with None for a level that no node has reported."""
     values = _merge_values(reports)
     return {name: values.get(f"{name}_level") for name in _PLACES}
 
@@ -380,7 +380,7 @@ def _fit_bag(site: LiveSite, bag: Path) -> None:
 
 
 class _Configuration:
-    """Copies of the files with which a site is started, for its nodes to read after a restart, too.
+    """Copies of the files with which a site is started, which its nodes read even after a restart.
 
     Nodes read neither the originals, which may have been edited, nor the copies of an earlier
     start. Only the forecast, which is replaced in its own place, and the controller's code are read

@@ -124,9 +124,9 @@ class NodeProcess:
         process: the operating-system process.
         last_report_at: time of its last report or of its start, or time at which this process
             resumed (steady clock, s).
-        has_reported: whether it has reported.
-        reports: last report of each of its nodes that has reported, by name.
-        last_lines: last lines that it printed.
+        has_reported: whether the process has reported.
+        reports: last report of each node that has reported, by name.
+        last_lines: last lines that the process printed.
     """
 
     def __init__(
@@ -164,7 +164,7 @@ class NodeProcess:
 
 @dataclass
 class _NodeRecord:
-    """A node of a live site: how to start it, and the history of its starts."""
+    """Start command of a node of a live site, and the history of the node's starts."""
 
     start: NodeStart
     starts_again: float | None = None  # when its restart is due; None while it runs
@@ -203,10 +203,10 @@ class LiveSupervisor:
             logs: existing directory for the nodes' output, with one file for each.
             parameters: ROS 2 parameter files for all nodes; later files override earlier ones.
             namespace: namespace of the nodes, such as ``/site1``; empty for none.
-            stop_drive: function that stops the drive; None if there is none or the user runs the
-                pump.
-            on_failure: function called with a node's name and a text if the node failed without
-                ending the run, or if the drive had to be stopped in its place.
+            stop_drive: function that stops the drive; None if there is no drive or the user runs
+                the pump.
+            on_failure: function that receives a node's name and a text if the node failed without
+                ending the run, or if the drive had to be stopped in the node's place.
             silence_s: time for which a node may be silent before it is killed (s).
             prepare: function called before every start of a node; it returns additions to the
                 node's environment, or raises an :class:`OSError`.
@@ -228,7 +228,7 @@ class LiveSupervisor:
         self._read_at = time.monotonic()
 
     def __enter__(self) -> LiveSupervisor:
-        """Return the supervisor; nothing is started."""
+        """Return the supervisor without starting a node."""
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,1 +1,1 @@
-"""Safety of a real pump, without ROS and without a clock of its own: time is an argument."""
+"""Safety of a real pump, independent of ROS and of any clock: time is passed as an argument."""

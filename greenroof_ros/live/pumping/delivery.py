@@ -6,23 +6,23 @@ The check keeps three balances of water (m3) that the levels do not explain:
   the speed should deliver if that is more, since a meter shows no flow behind a closed valve),
   minus the rise of the roof, minus ``max_loss`` for evapotranspiration. This balance grows if a
   pump runs and the roof's level does not rise, because a pipe has burst or a valve is closed. Rain
-  can only lower it.
+  can only lower this balance.
 - *lost from the cistern*: the fall of the cistern, minus the pumped volume and the volume that a
   low outlet may have drawn, both divided by ``min_delivery``, minus ``max_loss`` for a drifting
   sensor. This balance grows if water leaves while the pump is stopped, because of a leak or a stuck
-  contactor. Rain can only lower it. The upper outlet does not matter, since the cistern's volume
-  counts only up to that outlet. While the level is above a low outlet, or unknown, any other loss
-  is detected only if it exceeds the flow of that outlet. This may be the case only after the level
-  has fallen and the outlet's flow has decreased. A clogged low outlet is not a fault.
+  contactor. Rain can only lower this balance. The upper outlet does not matter, since the cistern's
+  volume counts only up to that outlet. While the level is above a low outlet, or unknown, any other
+  loss is detected only if it exceeds the flow of that outlet. This may be the case only after the
+  level has fallen and the outlet's flow has decreased. A clogged low outlet is not a fault.
 - *not from the cistern*: a share ``min_delivery`` of the pumped volume, minus the fall of the
   cistern, minus ``max_loss`` for a drifting sensor, minus the mains water that may have entered
   while the reading was below the level of the mains valve, or unknown. This balance grows if a pump
   runs and the cistern does not fall: its sensor is stuck, perhaps with some noise, or drifts
   upward, so the pump would eventually run dry. The balance is at most that share of the pumped
-  volume, so rain while the pump is stopped does not cause a fault. Rain while it runs explains
-  ``a_in / a2`` times the roof's rise beyond that share, as if all the rain ran off, because a
-  storm's runoff coefficient may be above the mean. If a_in is at least a2, this explains so much
-  that only the first balance remains effective.
+  volume, so rain while the pump is stopped does not cause a fault. Rain while the pump runs
+  explains ``a_in / a2`` times the roof's rise beyond that share, as if all the rain ran off,
+  because a storm's runoff coefficient may be above the mean. If a_in is at least a2, rain explains
+  so much that only the first balance remains effective.
 
 Water is counted even while a level is unknown, and the balances resume when the level is known
 again, so a sensor that is silent now and then hides no loss. Jumps of a level that water cannot

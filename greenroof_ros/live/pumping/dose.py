@@ -75,7 +75,7 @@ class Doses:
     nor after a restart.
 
     Attributes:
-        last: the newest dose, until a while after its end; None if there is none.
+        last: the newest dose, until some time after its end; None if there is no dose.
     """
 
     def __init__(self, site: Site, now: float) -> None:
@@ -112,7 +112,7 @@ class Doses:
         """Accept a request and return an empty string, or return the reason for its rejection.
 
         Args:
-            requested_at: time at which it was made (s since 1970), which is its id.
+            requested_at: time at which the request was made (s since 1970), which is the dose's id.
             volume: requested volume (m3).
             now: system time (s since 1970).
             minimum: smallest volume that the pump can deliver (m3).
@@ -131,7 +131,8 @@ class Doses:
         if requested_at <= self._newest:
             self._newest = min(self._newest, now + _AHEAD_S)  # this machine's clock was ahead
             return (
-                "the request was made before the last one, or before the pump node was started: "
+                "the request was made before the previous request, or before the pump node was "
+                "started: "
                 "repeat the request"
             )
         self._newest = requested_at  # even if it is refused below
@@ -161,7 +162,7 @@ class Doses:
         if dose.delivered >= dose.volume:
             self.end(DONE)
         elif not dose.begun and dose.age > EXPIRES_S:
-            self.end(EXPIRED, f"it could not begin within {EXPIRES_S:g} s: {dose.why}")
+            self.end(EXPIRED, f"the dose could not begin within {EXPIRES_S:g} s: {dose.why}")
 
     def share(self, max_flow: float) -> float:
         """Return the share of the maximum flow (m3/s) that the present dose requires."""

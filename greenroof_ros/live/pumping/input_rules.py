@@ -254,7 +254,7 @@ class InputRules:
         self, now: float, limit: float, recovery: float, *, topic: str = "",
         limit_name: str = "limit", level: LevelRule | None = None,
     ) -> None:
-        """Wait for the first value.
+        """Begin to wait for the first value.
 
         Args:
             now: time of a steady clock (s).
@@ -329,7 +329,7 @@ class InputRules:
         )
 
     def _broken_rule(self, now: float, publishers: str) -> Diagnosis | None:
-        """Return the first rule that is broken now, ignoring recovery."""
+        """Return the diagnosis of the first broken rule, without regard to recovery."""
         if publishers:
             return Diagnosis.of("input_publishers", problem=publishers)
         if self._received_at is None:

@@ -149,9 +149,9 @@ class PumpRecord:
 class Ledger:
     """The pump's record, kept in a file if a file is specified.
 
-    If the file is missing, the record is fresh and the file is made immediately. The first ledger
-    of a file owns it until the ledger is closed or its process ends. A second ledger reads the file
-    at its own start, and writes nothing until it can acquire the file (:meth:`acquire`).
+    If the file is missing, the record is empty and the file is created immediately. The first
+    ledger of a file owns it until the ledger is closed or its process ends. A second ledger reads
+    the file at its own start, and writes nothing until it can acquire the file (:meth:`acquire`).
 
     Attributes:
         record: the present record.
@@ -161,8 +161,8 @@ class Ledger:
         """Read the file.
 
         Args:
-            file: file of the record; None keeps it in memory only.
-            system_clock: function that returns s since 1970, such as :func:`time.time`.
+            file: file of the record; None to keep the record in memory only.
+            system_clock: function that returns the time (s since 1970), such as :func:`time.time`.
         """
         self._file = file
         self._clock = system_clock
@@ -178,10 +178,11 @@ class Ledger:
             self._load(file, noted)
 
     def acquire(self) -> bool:
-        """Acquire a file that another ledger had or that could not be created; return the success.
+        """Acquire the file if it was not acquired before; return whether it was acquired now.
 
-        The file's present content counts, plus any hold and fault that arrived here meanwhile. An
-        earlier release does not apply to the file's content, even if that is unreadable.
+        The file's present content counts, plus any hold and fault that this ledger received in the
+        meantime. An earlier release does not apply to the file's content, even if that is
+        unreadable.
         """
         if self._file is None or self._file_lock is not None:
             return False
@@ -308,7 +309,7 @@ class Ledger:
             self.switch(False)
 
     def check_file(self) -> bool:
-        """Write the file again if another program has changed it; return whether one ever has."""
+        """Write the file again if another program changed it; return whether one ever has."""
         if self._file_lock is None:
             return False
         if self._lines.changed:
@@ -376,7 +377,7 @@ class _Lines:
         self._written = b""  # the newest line
 
     def check(self) -> None:
-        """Check whether the newest line is as it was written; runs on the disk thread."""
+        """Check whether the newest line is unchanged; runs on the disk thread."""
         if self._written:
             self.changed = not self._is_written()
 
@@ -408,7 +409,8 @@ def _error_text(file: Path, error: Exception) -> str:
     if isinstance(error, LockedError):
         return (
             f"{file} cannot be written: process {error.holder or 'unknown'} already uses it; end "
-            "that process and this one continues automatically, or give this one another file "
+            "that process, and this process continues automatically; or give this process "
+            "another file "
             "(--state, state_file)"
         )
     why = getattr(error, "strerror", None) or repr(error)
@@ -448,7 +450,7 @@ def _rounded_up(value: float) -> float:
 
 
 def _create(file: Path, first: int, record: PumpRecord) -> None:
-    """Write the file under another name, then rename it, which replaces a broken one in one step.
+    """Write the file under another name, then rename it, which replaces a broken file in one step.
 
     The remains of a failed attempt would keep the pump off at the next start, so they are removed
     unless a hold or a fault would then be forgotten.
@@ -493,7 +495,7 @@ def _overwrite(file: Path, sequence: int, record: PumpRecord) -> None:
 
 
 def _lock_file(file: Path) -> Path:
-    """Return the file of the lock, which is not the record itself: that is replaced if broken."""
+    """Return the file of the lock; the record's file cannot serve, as it is replaced if broken."""
     return file.with_name(file.name + _LOCK)
 
 
@@ -516,7 +518,7 @@ def _read(file: Path, noted: int | None) -> tuple[PumpRecord, int, bool]:
 
     Returns:
         The newest record; its number, 0 if the file must be made; and whether the file was intact.
-        If it was not, the record stops the pump.
+        If the file was not intact, the record stops the pump.
     """
     numbered, problems = [], []
     try:

@@ -1,6 +1,6 @@
 """Limits of a pump: their settings, the reasons against running, and pulses below minimum flow.
 
-Every inhibit that comes from a limit clears automatically.
+Inhibits that are due to a limit clear automatically.
 """
 
 from __future__ import annotations

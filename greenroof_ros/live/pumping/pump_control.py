@@ -79,8 +79,8 @@ class PumpControl:
     """Conversion of commands into speeds, with the pump kept off while an interlock is active.
 
     Attributes:
-        doses: the dose that is waiting, is running or ended a moment ago.
-        min_pulse: the smallest volume that can be delivered (m3), and thus the smallest dose;
+        doses: requests for doses, with the dose that is waiting, is running or ended a moment ago.
+        min_pulse: smallest volume that the pump can deliver (m3), and thus the smallest dose;
             infinite until the level is known.
     """
 
@@ -106,7 +106,7 @@ class PumpControl:
         self._delivery = DeliveryCheck(site, settings)
         self.doses = Doses(site, ledger.now)
         # Why the pump must not run, at the last step.
-        self._inhibit_reason = "it has not been checked yet"
+        self._inhibit_reason = "the pump has not been checked yet"
         self.min_pulse = math.inf
         self._setpoint: float | None = None
         # Speed that the slowest permitted ramp has reached on its way to the requested speed (share
@@ -140,7 +140,7 @@ class PumpControl:
     def reset(self) -> str:
         """Clear the latched fault and an unknown state, and return both.
 
-        If its cause persists, the fault latches again.
+        If the cause of the fault persists, the fault latches again.
         """
         record = self._ledger.record
         self._ledger.clear_unknown()
@@ -167,7 +167,7 @@ class PumpControl:
             self._failed_starts = 0
 
     def count_unseen(self, dt: float) -> None:
-        """Count unseen time, such as a suspension of the machine; the pump is off after it.
+        """Count unseen time, such as a suspension of the machine; the pump is then off.
 
         In the worst case, the pump ran on until the drive's own timeout stopped it. The unseen time
         does not count as time without an answer from the drive: whether the drive is stopped must
@@ -401,7 +401,7 @@ class PumpControl:
         self, drive_dt: float, observed: Observation, backwards: Diagnosis | None,
         undelivered: Diagnosis | None,
     ) -> list[Diagnosis]:
-        """Return the present faults, and the latched one until it is reset.
+        """Return the present faults, and the latched fault until it is reset.
 
         The result includes the other reasons that the ledger keeps: a hold, and an unreadable
         record.
@@ -481,7 +481,7 @@ class PumpControl:
 
 
 def drive_fault(fault: str, runs_on: bool) -> Diagnosis:
-    """Return the fault that a drive reports; ``runs_on`` means that it does not obey a stop."""
+    """Return the fault of a drive; ``runs_on`` means that the drive does not obey a stop."""
     if runs_on:
         return Diagnosis.of("runs_on", "drive", fault=fault)
     return Diagnosis.of("drive_fault", fault=fault)

@@ -17,7 +17,7 @@ class PumpInput(NamedTuple):
     """An input of the pump node.
 
     Attributes:
-        name: name of the field of :class:`Observation` that it sets.
+        name: name of the field of :class:`Observation` that the input sets.
         topic: name of the topic in the interface.
         unknown: code of the interlock while the input is unknown; empty if the pump runs without
             it.
@@ -49,7 +49,7 @@ class Observation:
         frost: frost signal: 1 if there is frost, otherwise 0.
         time_ns: time at the site (ns since 1970): system time at a live site, otherwise simulated
             time.
-        speed: speed of the drive, share of the rated speed.
+        speed: speed of the drive, as a share of the rated speed.
         flow: flow that a flow meter measures (m3/s).
         drive_flow: flow that the drive itself reports (m3/s).
         drive_ready: whether the drive runs, or would run if requested.
