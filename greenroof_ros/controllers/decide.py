@@ -21,7 +21,7 @@ from greenroof_ros.controllers.registry import ControllerChoice
 
 
 def may_decide(controller: Controller, allowed: bool, quiet: bool) -> bool:
-    """Return whether a controller decides in a tick: in quiet hours, only if it uses the time."""
+    """Return whether a controller decides in a tick; quiet hours require that it uses the time."""
     return allowed and (not quiet or hasattr(controller, "time_ns"))
 
 

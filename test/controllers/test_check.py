@@ -132,7 +132,7 @@ def test_the_command(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text(TEXT.replace(*returning("return None")))
     for reference, directory, code, message in (
         (EXAMPLE, CHECKOUT, 0, "13 of 13 checks passed"),
-        ("broken:Proportional", tmp_path, 1, "must be a finite number"),
+        ("broken:Proportional", tmp_path, 1, "must be finite"),
         ("nothing:Here", tmp_path, 2, ""),
     ):
         result = run_command(

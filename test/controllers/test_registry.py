@@ -55,7 +55,7 @@ def test_a_dump_of_a_node(tmp_path: Path) -> None:
     for namespace, other in (("", "/x"), ("/x", ""), ("/x", "/x/y")):
         file.write_text(DUMP.format(namespace))
         assert onoff.read_parameters(file, namespace) == {"fraction": 0.5, "level": 1.0}
-        with pytest.raises(ConfigurationError, match=f"is not for the node {other}/onoff$"):
+        with pytest.raises(ConfigurationError, match=f"for the node {other}/onoff; it contains"):
             onoff.read_parameters(file, other)
 
 

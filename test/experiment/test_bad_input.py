@@ -30,11 +30,11 @@ OPTIONS = {
     "--hours 0.0001": "whole number of ticks",
     "--start 2021-07-06T23:00-05:00": "2021-07-07T00:00-05:00",
     "--site nowhere.yaml": "nowhere.yaml: cannot be read: No such file",
-    "--output full": "never overwritten",
+    "--output full": "never overwrites",
     "--output /proc/greenroof --trajectory": "/proc/greenroof",
     "--forecast perfekt": "did you mean perfect?",
     "--forecast file": "a file (.csv, ",
-    "--forecast late.csv": "from 2021-07-07T03:00-05:00 on",
+    "--forecast late.csv": "before 2021-07-07T03:00-05:00",
     "--forecast-seed 1": "errors and ensemble",
     "--forecast errors --forecast-skill large": "real, worse",
 }
