@@ -110,7 +110,7 @@ def test_faults_are_those_of_the_campaign() -> None:
     assert row is not None
     assert f"in all {row[1]} cases with a fault of a drive, its line or its power" in README
     assert f"the case nearest to its bound took **{row[2]}**" in README
-    day = re.search(r"a whole run of (\d+ \w+ \d{4})", page)
+    day = re.search(r"a complete run of (\d+ \w+ \d{4})", page)
     cases = re.search(r"^\| together \| (\d+) \|", page, re.MULTILINE)
     assert day is not None and cases is not None
     assert f"a run of {day[1]} with {cases[1]} cases" in README
