@@ -226,8 +226,8 @@ class PumpCheck(NodeCheck):
         while self._flowing(flow):
             require(
                 time.monotonic() <= began + STOP_S,
-                f"the flow is {flow:.3g} m3/s {STOP_S:g} s after {reason} "
-                f"(first answer: {before:.3g}){self._driver_state()}",
+                f"{STOP_S:g} s after {reason}, the flow is still {flow:.3g} m3/s "
+                f"(first answer: {before:.3g} m3/s){self._driver_state()}",
             )
             flow = self._answer(overrides)
         self.result = self.result or f"no flow after {time.monotonic() - began:.1f} s"

@@ -453,7 +453,7 @@ def _register_mistakes(register: Register, offset: int) -> Iterator[tuple[str, s
     if register.scale == 0 or not math.isfinite(register.scale):
         yield "scale", "must be finite and not 0"
     if register.low > register.high:
-        yield "low", f"must be at most high, {register.high:g}"
+        yield "low", f"must be at most high, which is {register.high:g}"
     if register.unit and text:
         yield "unit", "is not for the type text"
 

@@ -114,7 +114,7 @@ class Address:
         return "serial" if self.line or self.gateway else "tcp"
 
     def shares_line(self, other: Address) -> bool:
-        """Return whether both addresses are on one serial line, even if its names differ."""
+        """Return whether both addresses are on one serial line, even under different names."""
         return bool(self.line and other.line) and (
             self.canonical_name(0) == other.canonical_name(0)
         )

@@ -189,7 +189,7 @@ def _mistakes(relay: RelayFile, content: YamlMapping) -> Iterator[tuple[str, str
         yield "state.is_off", "must differ from is_on"
     for number, scale in enumerate(relay.timer.scales, start=1):
         if scale.low > scale.high:
-            yield f"timer.scales.{number}.low", f"must be at most high, {scale.high:g}"
+            yield f"timer.scales.{number}.low", f"must be at most high, which is {scale.high:g}"
     for number, key in enumerate(relay.unverified, start=1):
         if find(content, key)[1] is None:
             yield f"unverified.{number}", "is not a key of this file"

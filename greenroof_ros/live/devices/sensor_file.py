@@ -307,7 +307,7 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
     if sensor.scale == 0:
         yield "scale", "must not be 0"
     if sensor.low >= sensor.high:
-        yield "high", f"must be above low, {sensor.low:g} {topic.unit}"
+        yield "high", f"must be above low, which is {sensor.low:g} {topic.unit}"
     if section in TANKS and sensor.low < topic.low - _LEVEL_NOISE:
         yield "low", (
             f"must be at least {topic.low - _LEVEL_NOISE:g} {topic.unit}: a lower level cannot be "
@@ -321,8 +321,8 @@ def _sensor_mistakes(sensor: Sensor, section: str) -> Iterator[tuple[str, str]]:
         yield "substrate_depth", "is only for the roof"
     if sensor.substrate_depth is not None and sensor.high > sensor.substrate_depth:
         yield "high", (
-            f"must be at most substrate_depth, {sensor.substrate_depth:g} m: the substrate cannot "
-            "hold more water than its volume"
+            f"must be at most substrate_depth, which is {sensor.substrate_depth:g} m: the "
+            "substrate cannot hold more water than its volume"
         )
     if sensor.counts and section not in ("flow_meter", "rain_gauge"):
         yield "counts", "is only for a flow meter or a rain gauge"
@@ -367,8 +367,8 @@ def _modbus_mistakes(
     yield from _period_mistakes(sensor, quantity, sensor.period)
     if sensor.period > max_age / 2:
         yield "period", (
-            f"must be at most {max_age / 2:g} s, half of {quantity.limit}: older values are "
-            "not used"
+            f"must be at most {max_age / 2:g} s, which is half of {quantity.limit}: older values "
+            "are not used"
         )
 
 
@@ -391,5 +391,5 @@ def _mqtt_mistakes(
     yield from _period_mistakes(sensor, quantity, sensor.max_age)
     if sensor.max_age > max_age:
         yield "max_age", (
-            f"must be at most {max_age:g} s, {quantity.limit}: older values are not used"
+            f"must be at most {max_age:g} s, which is {quantity.limit}: older values are not used"
         )

@@ -71,7 +71,7 @@ SECONDS = "    type: uint16\n    unit: s"
         (SECONDS, SECONDS.replace("16", "32"),
          "registers.timeout_time.word_order: must be 'high first' or 'low first'"),
         ("    scale: 0.1\n", "    scale: 0\n", "registers.timeout_time.scale = 0: must be fin"),
-        ("    low: -1.6\n", "    low: 2\n", "registers.speed.low = 2: must be at most high, 1.6"),
+        ("    low: -1.6\n", "    low: 2\n", "registers.speed.low = 2: must be at most high, which"),
         ("stops: {1: Fault,", "stops: {2: Fault,",
          "timeout.serial.action.stops.2 = 'Fault': is in both stops and"),
         ("    register: timeout_time\n", "    register: rating\n",

@@ -256,7 +256,7 @@ SHIPPED = (CONFIG / "sensors_mqtt.yaml").read_text()
         ("sensors[0].distance  ", "sensors[x].distance  ", 21, "roof.value = "
          "'sensors[x].distance': must be a path of names and indices"),
         ("  max_age: 5.0  ", "  max_age: 6.0  ", 16, "cistern.max_age = 6.0: must be at most 5 s, "
-         "level_limit"),
+         "which is level_limit"),
         ("# login: /etc/greenroof/broker.yaml", "login: broker.yaml", 17, "cistern.login = "
          "'broker.yaml': must be an absolute path"),
         ("# login:", "authority: /ca.pem #", 10, "certificates can be used only with mqtts://"),
