@@ -76,7 +76,7 @@ BROKEN: dict[str, tuple[list[tuple[str, str]], dict[str, str]]] = {
         ],
         {"topics fit": "its publisher of /pump/command is volatile; it must be reliable, transient "
                        "local, keep last 64, with a liveliness lease of 1 s; its subscription to "
-                       "/cistern/level is volatile.*it has no subscription to /weather/frost"},
+                       "/cistern/level is volatile.*node has no subscription to /weather/frost"},
     ),
 }
 # Good nodes: the example, and this package's lookahead, which has a memory and limits the starts.

@@ -148,7 +148,7 @@ def test_without_a_driver_or_with_a_second_graph_it_explains(domain: int, tmp_pa
     try:
         check_again = check(domain, tmp_path, "taken")
         assert absent.wait(300) == 2
-        assert "no node pumpe publishes /pump/flow" in absent.stderr()
+        assert "no node pumpe that publishes /pump/flow" in absent.stderr()
         assert check_again.wait(300) == 3
         assert "/taken/pump/command already has a publisher (pump)" in check_again.stderr()
     finally:

@@ -559,7 +559,7 @@ class Stopping:
         (lambda _now: 0.5, [12.3, 78.4, 144.5], "has not fallen for 10 s (the speed is 50.0%)"),
         # From 5.1 s on a connection is lost every 1.1 s: at 16.1 s that is over 10 s, noticed 1 s
         # later; after the silence until 23.1 s, again a minute later, at 83.7 s.
-        (lambda now: 0.0 if now < 5 else None, [17.1, 84.7, 152.3], "; its speed cannot be read"),
+        (lambda now: 0.0 if now < 5 else None, [17.1, 84.7, 152.3], "; the speed cannot be read"),
     ],
     ids=["obeys", "runs on", "speed not read"],
 )
@@ -568,7 +568,7 @@ def test_one_that_does_not_slow_down_is_left_and_again_after_a_minute(
 ) -> None:
     stopping = Stopping()
     stopping.listen(900 if not left else 200, speed)
-    acknowledges = "it acknowledges *stop*, but its speed has not fallen for 10 s"
+    acknowledges = "the drive acknowledges *stop*, but its speed has not fallen for 10 s"
     assert stopping.faults <= {"", acknowledges}
     assert any(stopping.faults) == ("fallen" in why)
     assert [at for at, _ in stopping.left] == pytest.approx(left, abs=0.2)

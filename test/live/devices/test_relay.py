@@ -292,7 +292,7 @@ SHELLY = (CONFIG / "drives" / "shelly_gen2.yaml").read_text(encoding="utf-8")
         (TASMOTA, "payload: \"ON\"}", "payload: $on}",
          "switch_on.payload = '$on': may contain only these $ names: $device, $me, $id, $seconds"),
         (TASMOTA, 'is_off: "OFF"', 'is_off: "ON"', "state.is_off = 'ON': must differ from is_on"),
-        (TASMOTA, "{low: 1, high: 111,", "{low: 112, high: 111,", "must be at most high, which is 111"),
+        (TASMOTA, "{low: 1, high: 111,", "{low: 112, high: 111,", "must be at most high, which is"),
         (TASMOTA, "unverified: []", "unverified: [clock]", "is not a key of this file"),
         (SHELLY, '{"id": $id, "src": "$me", "method": "Shelly.GetDeviceInfo"}', "{}",
          "number = 'id': requires $id in the payload of every question"),

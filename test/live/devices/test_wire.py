@@ -379,7 +379,7 @@ def first(*answers: tuple[float, bytes]) -> Callable[[bytes], Answer]:
         ([(0, frame("0001 0000 0003 01 83 02"))], "answer", "exception 2, illegal data address"),
         ([(0, frame("0009 0000 0005 01 03 02 1337"))], "connection", "no valid answer"),
         ([(0, frame("0001 0000 0005 07 03 02 1337"))], "connection", "no valid answer"),
-        ([(0, frame("0001 0000 0005 01 04 02 1337"))], "answer", "function 4, not 3"),
+        ([(0, frame("0001 0000 0005 01 04 02 1337"))], "answer", "function code 4, not 3"),
         ([(0, frame("0001 0000 0007 01 03 04 1337 0000"))], "answer", "2 registers, not 1"),
         ([(0, bytes(range(255, 0, -1)) * 4)], "connection", ""),
         ([], "connection", "no valid answer within 0.3 s"),
@@ -507,7 +507,7 @@ def test_a_word_that_the_register_cannot_hold_is_not_written(tmp_path: Path) -> 
 def test_local_control_is_named() -> None:
     """Inhibited, and bit 9 is 0."""
     drive = Registers({0: 0, 3: 0x1070})
-    with pytest.raises(DriveError, match="it is in local control") as raised:
+    with pytest.raises(DriveError, match="the drive is in local control") as raised:
         against(drive, run)
     assert raised.value.kind == "drive"
     assert "control = 0x047E had no effect within 2 s" in str(raised.value)
