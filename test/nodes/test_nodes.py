@@ -149,7 +149,7 @@ REFUSED = {
     f"live.pump {DRIVE} -p site_file:=slow.yaml -p command_limit:=3.0":
         ("command_limit of pump = 3.0: must be more than tau of the",),
     f"live.pump {DRIVE} -p folow_time:=9.0":
-        ("folow_time of pump = '9.0': no such parameter; the closest match is follow_time",),
+        ("folow_time of pump = '9.0': there is no such parameter; the closest",),
 }
 
 
