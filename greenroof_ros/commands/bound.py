@@ -147,7 +147,7 @@ def _print_frontier(run: Run, as_json: bool) -> None:
         ),
         (
             "on/off", f"{frontier.wet_discharge_m3:.2f}",
-            f"{about(frontier.mains_m3)}; the bound is for the same irrigation",
+            f"{about(frontier.mains_m3)}; the bound uses the same irrigation",
         ),
     )
     console = Console()

@@ -52,7 +52,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--command", type=make_number_type(0.001, 1.0), default=0.5, metavar="SHARE",
-        help="run the pump at this command, a share of its maximum flow (default: 0.5)",
+        help="run the pump at this command, as a share of the pump's maximum flow (default: 0.5)",
     )
     parser.add_argument(
         "--live", action="store_true",

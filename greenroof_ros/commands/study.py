@@ -1,4 +1,4 @@
-"""Many runs from one grid: ``greenroof study``."""
+"""Run many simulations from one grid: ``greenroof study``."""
 
 from __future__ import annotations
 

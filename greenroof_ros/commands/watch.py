@@ -103,7 +103,7 @@ def _refuse_wrong(arguments: argparse.Namespace) -> None:
     """Reject options of the page if --foxglove is given, so that there is no page.
 
     Raises:
-        ConfigurationError: if there is such an option.
+        ConfigurationError: if --foxglove is used with an option of the page.
     """
     for option in ("allow_release", "host", "port", "token_file"):
         if arguments.foxglove is not None and getattr(arguments, option):

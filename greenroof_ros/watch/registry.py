@@ -279,7 +279,8 @@ class Registry:
             self._on_event(f"the pump is held: {hold}" if hold else "the hold has ended")
         if before.get("fault", "") != values.get("fault", ""):
             self._on_event(
-                f"the pump is off until it is reset: {fault}" if fault else "the fault was reset"
+                "the pump is off until the fault is reset: "
+                f"{fault}" if fault else "the fault was reset"
             )
 
     def _receive_plant(self, wall: float, node: Node, stamp_ns: int) -> None:

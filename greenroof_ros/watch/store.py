@@ -177,7 +177,7 @@ class GraphStore:
             self.notes[0] = clean_text(note)
 
     def set_present(self, *, mode: str, factor: float | None, note: str) -> None:
-        """Set the mode and the speed in which the graph is watched now.
+        """Set the mode and the speed of the graph that is watched.
 
         Args:
             mode: mode, as in the attribute of this name.

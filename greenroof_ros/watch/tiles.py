@@ -55,7 +55,7 @@ def _make_tile(
     elif newest is None:
         text, state, sentence = words.UNKNOWN, "unknown", _NOT_YET
     else:
-        text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "its sensor's value is impossible"
+        text, state, sentence = words.NOT_PLAUSIBLE, "alarm", "the sensor's value is impossible"
     stale = newest is not None and newest.stale
     if newest is not None and newest.stale:
         sentence = f"{text} at last contact, {store.time_of_day(newest.time_ns / 1e9)}"
@@ -152,7 +152,7 @@ def make_cistern_tile(store: GraphStore) -> Tile:
         if site.low_outlet_valve:
             share = store.present_value(_VALVE)
             return "good", text + _write_opened(share)
-        drains = "; its low outlet drains it" if level > site.min_outlet_level else ""
+        drains = "; the low outlet drains the cistern" if level > site.min_outlet_level else ""
         return "good", text + drains
 
     shown = 0.0 if newest is None else newest.value or 0.0
@@ -193,14 +193,16 @@ def make_pump_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) -> Til
     state, why = _read_pump_state(store, report)
     parts = []
     if may_turn:
-        parts.append("it is unknown whether it is stopped")
+        parts.append("it is unknown whether the pump is stopped")
         state, why = "unknown", why if report is not None else ""
     elif not speed_known:
-        parts.append("its drive is not responding: stopped at last contact, or by its timeout")
+        parts.append(
+            "the drive is not responding: stopped at last contact, or by the drive's timeout"
+        )
     if pumped is not None:
         parts.append(words.NOT_PLAUSIBLE if pumped.value is None else write_flow(pumped.value))
     elif not flow_known and not may_turn:
-        parts.append("its flow is unknown")
+        parts.append("the flow is unknown")
     if command is not None:
         parts.append(_write_commanded(command.value))
     newest = pumped if pumped is not None else command
@@ -241,7 +243,7 @@ def _read_pump_state(store: GraphStore, report: PumpState | None) -> tuple[str, 
     if report is not None:
         return report.state, report.why
     if store.mode == "live":
-        return "unknown", "its node is not responding"
+        return "unknown", "the pump node is not responding"
     pumped, share = (
         None if newest is None else newest.value
         for newest in (store.newest.get(_FLOW), store.newest.get(_COMMAND))
@@ -316,14 +318,14 @@ def make_controller_tile(store: GraphStore, wrong: Sequence[Mapping[str, Any]]) 
     elif name is None and command is None:
         sentence = "no controller is known"
     elif command is None or command.value is None:
-        sentence = "its command is unknown"
+        sentence = "the controller's command is unknown"
     elif command.value:
         sentence = f"commands {words.write_command(command.value)} of the pump's maximum flow"
     else:
         sentence = "commands no pumping now"
     if not alarm:
         aim = store.present_value(_FILL_TO)
-        text = "" if aim is None else f"fills to {words.write_value(_FILL_TO, aim)} now"
+        text = "" if aim is None else f"fills the roof to {words.write_value(_FILL_TO, aim)} now"
         sentence = "; ".join(filter(None, (text, sentence)))
     return {
         "label": "Controller", "value": name or words.UNKNOWN, "number": None,
@@ -344,7 +346,7 @@ def _has_forecast(store: GraphStore) -> bool:
 def _write_plan(store: GraphStore, plan: Plan, now: float) -> str:
     right = " if the forecast is right" if _has_forecast(store) else ""
     if now >= plan.ends[-1]:
-        return "its plan has ended"
+        return "has reached the end of its plan"
     pumped = plan.pumped(now)
     reach = words.write_horizon(min(12 * 3600.0, float(plan.ends[-1]) - now))
     if pumped is None:

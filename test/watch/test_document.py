@@ -126,7 +126,7 @@ LOW_OUTLET = replace(SITE, low_outlet_level=1.0, low_outlet_radius=0.02)
     ("cistern", SITE, 0.75, "low", "too low for the pump, since it is not above the suction level"),
     ("cistern", SITE, 3.01, "high", "above its overflow, so water runs to the sewer"),
     ("cistern", LOW_OUTLET, 2.5, "good",
-     "43.8 m³ above the suction level can be pumped; its low outlet drains it"),
+     "43.8 m³ above the suction level can be pumped; the low outlet drains the cistern"),
 ])
 def test_levels(name: str, site: Site, level: float, state: str, sentence: str) -> None:
     """The roof's band is 5 % of the target of 45.7 mm: from 43.415 to 47.985 mm."""
@@ -225,7 +225,8 @@ def test_the_plan_in_words() -> None:
         assert tile["sentence"] == sentence
     assert read_series(graph, 3)["plan"] == []
     graph.add_plan(MINUTE + 5 * SECOND, plan_of((3600.0, 1e-3, 0.045)))
-    for second, level, text in ((61, 0.041, "fills to 41.0 mm now"), (62, math.nan, "will pump")):
+    filling = "fills the roof to 41.0 mm now"
+    for second, level, text in ((61, 0.041, filling), (62, math.nan, "will pump")):
         add_at(graph, "/controller/fill_to", (second, level))
         assert tile_of(graph, "controller")["sentence"].startswith(text)
 
@@ -567,7 +568,7 @@ def test_a_pump_that_may_turn_is_unknown_and_an_alarm() -> None:
     tile, summary = document["tiles"]["pump"], document["tiles"]["summary"]
     assert (tile["value"], tile["state"], tile["alarm"]) == ("unknown", "unknown", True)
     assert tile["number"] is None and "L/min" not in tile["sentence"]
-    assert tile["sentence"].startswith("it is unknown whether it is stopped; commanded 100")
+    assert tile["sentence"].startswith("it is unknown whether the pump is stopped; commanded 100")
     assert (summary["level"], summary["word"]) == ("error", "1 alarm, 1 warning.")
     assert summary["sentence"].endswith("it is unknown whether the pump is stopped.")
     first = document["alarms"][0]
