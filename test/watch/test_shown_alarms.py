@@ -172,7 +172,8 @@ def test_events_of_a_hold_and_a_fault() -> None:
         receive(alarms, 5.0, pump(hold=hold, fault=fault))
     assert happened(alarms) == [
         f"the pump is held: {HELD}", "the pump is held: a hold by the page", "the hold has ended",
-        "the pump is off until the fault is reset: the drive reports: overheat", "the fault was reset",
+        "the pump is off until the fault is reset: the drive reports: overheat",
+        "the fault was reset",
     ]
     for number in range(100):
         alarms.add_event(str(number))
