@@ -97,10 +97,10 @@ def test_a_request_counts_once(rig: Rig) -> None:
     rig.run(5, 0.0)
     assert "another dose is under way: a dose: 0.0" in rig.control.request_dose(now + 0.1, 0.3)
     rig.run(100, 0.0)
-    assert "made before the last one" in rig.control.request_dose(now, 0.1)
-    assert "made before the last one" in rig.control.request_dose(now - 0.001, 0.1)
+    assert "made before the previous request" in rig.control.request_dose(now, 0.1)
+    assert "made before the previous request" in rig.control.request_dose(now - 0.001, 0.1)
     assert "at least" in rig.control.request_dose(now + 1, 0.001)
-    assert "made before the last one" in rig.control.request_dose(now + 1, 0.1)
+    assert "made before the previous request" in rig.control.request_dose(now + 1, 0.1)
 
 
 def test_a_clock_that_was_ahead_refuses_one_request(rig: Rig) -> None:
