@@ -97,8 +97,8 @@ def test_refused_commands_to_the_valve(outlet: object) -> None:
 
 
 def test_no_command_to_a_valve_that_is_not_there() -> None:
-    sentence = r"is a parameter of the valve of the low outlet, which this site does not have"
-    refusal(gr.Environment(hours=1).step, 0.0, 0.5, match=f"outlet = 0.5: {sentence}")
+    refusal(gr.Environment(hours=1).step, 0.0, 0.5, match="outlet = 0.5: commands the valve on the")
+    sentence = "is a parameter of the valve of the low outlet, which this site does not have"
     for inputs in ({"outlet": "drain"}, {"outlet_reserve": 1.0}, {"outlet_reach": 1}):
         refusal(lambda given=inputs: gr.Environment(**given), match=sentence)
         refusal(lambda given=inputs: gr.simulate("onoff", **given), match=sentence)

@@ -219,7 +219,7 @@ def test_a_command_that_is_none(command: Any) -> None:
     refusal(lambda: gr.simulate(decide, hours=0.01), match=(
         f"{Path(__file__).name}, line .*: the command of decide = .*: must be"
     ))
-    refusal(gr.Environment(hours=0.01).step, command, match="command.*: must be a finite number")
+    refusal(gr.Environment(hours=0.01).step, command, match="command.*: must be a finite, non-negative")
 
 
 @pytest.mark.parametrize(("kind", "further"), [
@@ -366,7 +366,7 @@ def test_sites(tmp_path: Path) -> None:
     ({"hours": "2"}, "hours = '2': must be a number greater than 0"),
     ({"hours": np.bool_(True)}, "hours = .*: must be a number"),
     ({"site": 3}, "site = 3: must be the name of a site file, or a site from gr.read_site"),
-    ({"weather": 3}, "weather: must be a file, .*, not of type builtins.int"),
+    ({"weather": 3}, "weather: must be a file name, .*, not an object of type builtins.int"),
     ({"forecast": 3}, "forecast = 3: must be the name of a forecast model, or a path"),
     ({"gaps": "drop"}, "gaps = 'drop': must be one of refuse, fill"),
     ({"initial": (60.0,)}, "initial = .*: must be one of low-low.* or the volumes in cistern"),
@@ -374,7 +374,7 @@ def test_sites(tmp_path: Path) -> None:
     ({"controller": 3}, "controller = 3: must be a name, a class, an instance, or a function"),
     ({"controller": object}, "is not a controller: it lacks parameters, command"),
     ({"controller": lambda state, forecast: -1.0}, "must be a finite number and not negative"),
-    ({"controller": OnOff(gr.read_site(), 1.0), "fraction": 0.5}, "fraction: cannot be set with"),
+    ({"controller": OnOff(gr.read_site(), 1.0), "fraction": 0.5}, "fraction: cannot be set for"),
 ])
 def test_what_is_wrong_is_named(inputs: dict[str, object], reason: str) -> None:
     refusal(lambda: gr.simulate(**inputs), match=reason)  # type: ignore[arg-type]
@@ -395,7 +395,7 @@ def test_a_saved_run_is_read_by_the_report(tmp_path: Path) -> None:
     """As the directory of a run, with its trajectory; nothing is overwritten."""
     result = gr.simulate("onoff", level=0.9, hours=1)
     assert result.save(tmp_path / "mine") == tmp_path / "mine"
-    refusal(result.save, tmp_path / "mine", match="is never overwritten")
+    refusal(result.save, tmp_path / "mine", match="never overwrites")
     (run,) = find_runs([tmp_path / "mine"]).runs
     assert (run.row["controller"], run.row["parameter:level"]) == ("onoff", 0.9)
     assert run.row["total_deviation_m3"] == result.metrics["total_deviation_m3"]
