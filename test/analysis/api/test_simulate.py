@@ -219,7 +219,7 @@ def test_a_command_that_is_none(command: Any) -> None:
     refusal(lambda: gr.simulate(decide, hours=0.01), match=(
         f"{Path(__file__).name}, line .*: the command of decide = .*: must be"
     ))
-    refusal(gr.Environment(hours=0.01).step, command, match="command.*: must be a finite, non-negative")
+    refusal(gr.Environment(hours=0.01).step, command, match="command.*: must be a finite,")
 
 
 @pytest.mark.parametrize(("kind", "further"), [
