@@ -1,1 +1,1 @@
-"""Site and plant: Eqs. (1)-(10) of the paper, and the metrics by which a run is judged."""
+"""Site and plant, Eqs. (1)-(10) of the paper, and the metrics of a run."""

@@ -1,4 +1,4 @@
-"""The cisterns of many sites: inflow and outflow in a tick, as in :class:`.plant.Plant`."""
+"""Inflow and outflow of the cisterns of many sites in a tick, as in :class:`.plant.Plant`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NO_OUTLET = 1e-200
 
 
 class CisternFlows(NamedTuple):
-    """Volumes that flow in a tick (m3), each of shape (n,)."""
+    """Volumes that flow during a tick (m3), each of shape (n,)."""
 
     volumes: Values
     """volume pumped in each step, shape (steps, n)"""
@@ -33,15 +33,15 @@ class Cisterns:
     """The site parameters that determine the flows of cisterns, each of shape (n,).
 
     Attributes:
-        upper: volume up to the upper outlet (m3).
-        lower: volume up to the low outlet, or to the upper one if there is none (m3).
-        lowest: volume that the pumps leave in the cistern (m3).
-        filled: volume up to which the mains fill the cistern (m3).
+        upper: volume up to the level of the upper outlet (m3).
+        lower: volume up to the level of the low outlet, or else of the upper outlet (m3).
+        lowest: minimum volume that the pumps leave in the cistern (m3).
+        filled: volume to which mains water fills the cistern (m3).
         mains_flow: inflow from the mains (m3/s).
     """
 
     def __init__(self, values: Values) -> None:
-        """Set the parameters, which :meth:`of` puts in order."""
+        """Set the parameters, in the order of :meth:`of`."""
         self._values = values
         (
             self._a1, self._b, self._lift, self._c_out, self._c_low, self.mains_flow,
@@ -72,11 +72,11 @@ class Cisterns:
         return np.asarray(np.multiply(self._b, head, out=head))
 
     def hold(self, outlet: Values) -> Values:
-        """Return the volume above which water leaves for the sewer (m3)."""
+        """Return the volume above which water flows to the sewer (m3)."""
         return np.asarray(np.where(outlet > 0, self.lower, self.upper))
 
     def mains(self, x1: Values, drawn: Values, seconds: float) -> Values:
-        """Return the mean flow of the mains in a step (m3/s); see :func:`.plant.mains_flow`."""
+        """Return the mean flow of mains water in a step (m3/s); see :func:`.plant.mains_flow`."""
         missing = self.filled - x1
         before = np.where(missing > 0, self.mains_flow, 0.0)
         towards = before - drawn
@@ -90,14 +90,14 @@ class Cisterns:
     def step_short(
         self, tau: float, x1: Values, collected: Values, flow: Values, outlet: Values
     ) -> tuple[CisternFlows, Flags]:
-        """Return the volumes that flow in a short tick, and where the demand was not met.
+        """Return the volumes that flow in a short tick, and a mask of cisterns with unmet demand.
 
         Args:
             tau: duration of the tick (s).
             x1: volume in each cistern (m3).
-            collected: rain that flows in (m3/s).
+            collected: rain that flows into the cistern (m3/s).
             flow: flow of the pumps (m3/s).
-            outlet: share to which each low outlet is open (1).
+            outlet: opening of each low outlet, 0 to 1 (1).
         """
         pump, level = tau * flow, x1 / self._a1
         low = tau * outlet * self._c_low * _root(level - self.lower / self._a1)
@@ -110,20 +110,21 @@ class Cisterns:
         return CisternFlows((share * pump)[None], share * out, share * low, mains), limited
 
     def is_quick(self, pumped: Values) -> Flags:
-        """Return where pumps move so much in a tick (m3) that the tick is divided into steps."""
+        """Return a mask of cisterns whose pumped volume (m3) requires steps within a tick."""
         return np.asarray(pumped > self._much)
 
     def drain(self, seconds: float, steps: int, x1: Values, outlet: Values) -> Values:
         """Return the volume that leaves through low outlets if nothing else flows (m3).
 
-        It is what :class:`_Outlets` computes. With c and t of the outlet, the head h and
-        u^2 = h (2 a1 / (c t))^2, a step leads from u to sqrt(1 + u^2) - 1.
+        The result equals that of :class:`_Outlets`. With the coefficient c of the outlet, the
+        duration t of a step, the head h and u^2 = h (2 a1 / (c t))^2, a step changes u to sqrt(1 +
+        u^2) - 1.
 
         Args:
             seconds: duration of a step (s).
             steps: number of steps.
             x1: volume in each cistern (m3).
-            outlet: share to which each low outlet is open (1).
+            outlet: opening of each low outlet, 0 to 1 (1).
         """
         drop = outlet * self._c_low * seconds
         unit = drop * drop / (4 * self._a1) + _NO_OUTLET
@@ -148,14 +149,14 @@ class Cisterns:
 
         Args:
             tau: duration of the tick (s).
-            steps: number of steps into which the tick is divided if a flow is large; otherwise
-                the pumped volume is divided evenly among them.
+            steps: number of steps into which the tick is divided if a flow is large; otherwise, the
+                pumped volume is divided evenly among the steps.
             x1: volume in each cistern (m3).
-            collected: rain that flows in (m3/s).
+            collected: rain that flows into the cistern (m3/s).
             command: command to the pumps (share of the maximum flow).
-            outlet: share to which each low outlet is open (1).
-            missing: volume to be pumped until the roof is at its target (m3).
-            rise: rate at which rain reduces that volume (m3/s).
+            outlet: opening of each low outlet, 0 to 1 (1).
+            missing: volume that must be pumped to fill the roof to its target (m3).
+            rise: rate at which rain reduces ``missing`` (m3/s).
         """
         flow = np.where(missing > 0, command * self.pump_flow(x1), 0.0)
         if flow.any():
@@ -183,7 +184,7 @@ class Cisterns:
         self, tau: float, steps: int, x1: Values, collected: Values, command: Values,
         outlet: Values, missing: Values, rise: Values,
     ) -> CisternFlows:
-        """Return the volumes that flow in a long tick, with the same number of steps everywhere."""
+        """Return the volumes that flow in a long tick, with the same number of steps for all."""
         seconds = tau / steps
         arrives = seconds * collected if collected.any() else 0.0
         running = np.zeros(len(x1), bool)
@@ -214,16 +215,16 @@ class Cisterns:
         self, seconds: float, x1: Values, collected: Values, flow: Values, missing: Values,
         rise: Values, running: Flags, volume: Values,
     ) -> Values:
-        """Write the volume pumped in a step, and return the inflow from the mains in it (m3).
+        """Write the volume pumped in a step, and return the inflow of mains water (m3).
 
         Args:
             seconds: duration of the step.
             x1: volume in each cistern (m3).
-            collected: rain that flows in (m3/s).
+            collected: rain that flows into the cistern (m3/s).
             flow: flow of the pumps (m3/s).
-            missing: volume to be pumped until the roof is at its target (m3).
-            rise: rate at which rain reduces that volume (m3/s).
-            running: whether the pumps ran at the end of the previous step.
+            missing: volume that must be pumped to fill the roof to its target (m3).
+            rise: rate at which rain reduces ``missing`` (m3/s).
+            running: mask of the pumps that were running at the end of the previous step.
             volume: array to which the pumped volume is written (m3).
         """
         share = np.divide(flow, flow + rise, out=np.zeros_like(flow), where=flow > 0)
@@ -243,13 +244,13 @@ class Cisterns:
     def let_out_all(
         self, seconds: float, x1: Values, arriving: Values, outlet: Values, volumes: Values
     ) -> CisternFlows:
-        """Return the volumes that flow in a long tick if the pumped volume is known.
+        """Return the volumes that flow in a long tick with a known pumped volume.
 
         Args:
             seconds: duration of a step.
             x1: volume in each cistern (m3).
             arriving: rain and drainage that flow in (m3/s).
-            outlet: share to which each low outlet is open (1).
+            outlet: opening of each low outlet, 0 to 1 (1).
             volumes: pumped volume in each step (m3), shape (steps, n).
         """
         let_in, outlets = np.zeros(len(x1)), _Outlets(self, outlet, seconds)
@@ -262,7 +263,7 @@ class Cisterns:
 
 
 class _Outlets:
-    """Both outlets of cisterns in steps, computed with the formula of :class:`.plant.Plant`.
+    """The upper and low outlets of cisterns, computed in steps as in :class:`.plant.Plant`.
 
     Attributes:
         upper: volume that has left through the upper outlets (m3).
@@ -270,11 +271,11 @@ class _Outlets:
     """
 
     def __init__(self, cisterns: Cisterns, outlet: Values, seconds: float) -> None:
-        """Begin with the first step.
+        """Prepare the first step.
 
         Args:
             cisterns: cisterns to which the outlets belong.
-            outlet: share to which each low outlet is open (1).
+            outlet: opening of each low outlet, 0 to 1 (1).
             seconds: duration of a step (s).
         """
         self._cisterns, self._four_a1 = cisterns, 4 * cisterns._a1
@@ -283,11 +284,11 @@ class _Outlets:
         self.upper, self.low = np.zeros((2, len(outlet)))
 
     def _drop(self, drop: Values) -> tuple[Values, Values, Values]:
-        """Return c t, its double and its square; more than 0, so that a closed outlet has roots."""
+        """Return c t, its double and its square, which is positive even for a closed outlet."""
         return drop, 2 * drop, drop * drop + _TINY
 
     def let_out(self, x1: Values) -> None:
-        """Subtract from the volumes (m3) the water that leaves through the outlets in a step."""
+        """Subtract the water that leaves through the outlets in a step from the volumes (m3)."""
         above = x1 - self._cisterns.upper
         if above.max() > 0:
             upper = self._take(above, *self._upper)
@@ -298,7 +299,7 @@ class _Outlets:
         x1 -= low
 
     def _take(self, above: Values, drop: Values, double: Values, square: Values) -> Values:
-        """Return the volume (m3) that leaves through an outlet, of the volume above it (m3)."""
+        """Return the volume (m3) that leaves through an outlet, given the volume above it (m3)."""
         np.maximum(above, 0.0, out=above)
         root = self._four_a1 * above
         root += square

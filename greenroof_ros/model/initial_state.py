@@ -1,4 +1,4 @@
-"""Initial states: the paper's (Table II), a site's own, and the volumes that a site can hold."""
+"""Initial states of runs: those of the paper (Table II), and those of a site file."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _TABLE_II = {
 SITE_STATE = "site"
 """name of the state that a site file defines with ``initial_cistern`` and ``initial_roof``"""
 INITIAL_STATES = (*_TABLE_II, SITE_STATE)
-"""names of the states of a site that defines its own"""
+"""names of the states of a site whose file defines a state"""
 
 
 def initial_states(site: Site) -> dict[str, tuple[float, float]]:
-    """Return the volumes x1 and x2 (m3) of the states in which runs begin, the default first.
+    """Return the volumes x1 and x2 (m3) of the initial states, beginning with the default.
 
-    The default is the site file's own, or else low-low. The drainage layer of field-capacity soil
-    always begins with the site file's ``initial_layer``: the states do not include it.
+    The default is the state of the site file, or else low-low. The states do not include the
+    drainage layer of a field-capacity soil, which always starts with ``initial_layer``.
     """
     states = {
         name: (site.a1 * site.z_o * cistern, site.a2 * site.z_veg * roof)
@@ -36,31 +36,32 @@ def initial_states(site: Site) -> dict[str, tuple[float, float]]:
 def find_state(
     site: Site, name: str | None, volumes: tuple[float, float] | None
 ) -> tuple[str, tuple[float, float]]:
-    """Return the state in which a run begins: its name, and the volumes x1 and x2 (m3).
+    """Return the initial state of a run: its name, and the volumes x1 and x2 (m3).
 
     Args:
         site: the site.
-        name: name of a state of the site, or any other name if volumes are given; None for the
+        name: name of an initial state, or an arbitrary name if volumes are given; None for the
             default.
-        volumes: x1 and x2 (m3); None for those of the named state.
+        volumes: volumes x1 and x2 (m3); None for the volumes of the named state.
 
     Raises:
-        ConfigurationError: if there is no such state, its volumes differ from those given, or the
-            site cannot hold them.
+        ConfigurationError: if the state does not exist, if its volumes differ from the given
+            volumes, or if the site cannot hold the volumes.
     """
     states = initial_states(site)
     if volumes is None:
         name = next(iter(states)) if name is None else name
         if name not in states:
             raise ConfigurationError(
-                "needs initial_cistern and initial_roof in the site file" if name == SITE_STATE
-                else f"must be one of {', '.join(INITIAL_STATES)}, or the volumes in the cistern "
-                "and on the roof must be given (m3)", key="initial", value=name,
+                "requires initial_cistern and initial_roof in the site file" if name == SITE_STATE
+                else f"must be one of {', '.join(INITIAL_STATES)}, or volumes (m3) must be "
+                "given for the cistern and the roof", key="initial", value=name,
             )
         volumes = states[name]
     elif states.get(name or "", volumes) != volumes:
         raise ConfigurationError(
-            "has volumes that differ from those given for cistern and roof; remove one of them",
+            "differs from the volumes given for cistern and roof; remove either the name or the "
+            "volumes",
             key="initial", value=name,
         )
     check_volumes(site, *volumes)
@@ -70,9 +71,9 @@ def find_state(
 def check_volumes(site: Site, cistern: float, roof: float) -> None:
     """Reject initial volumes that the site cannot hold.
 
-    The plant has no rim: rain can raise the water on the roof above the soil's capacity. It then
-    drains slowly, or on field-capacity soil in the first tick. A run can begin in any state in
-    which another one can end.
+    The roof has no rim, so rain can raise the water above the capacity of the soil. The excess then
+    drains slowly, or in the first tick on a field-capacity soil. Therefore a run can start in any
+    state in which another run can end.
 
     Args:
         site: the site.
@@ -80,7 +81,7 @@ def check_volumes(site: Site, cistern: float, roof: float) -> None:
         roof: volume x2 (m3).
 
     Raises:
-        ConfigurationError: if no rain can lead to such a state, so that a unit is wrong. The
+        ConfigurationError: if no rain can lead to such a volume, which indicates a wrong unit. The
             error's key is ``cistern`` or ``roof``.
     """
     for key, value, expected in find_unheld(site, cistern, roof):
@@ -88,12 +89,12 @@ def check_volumes(site: Site, cistern: float, roof: float) -> None:
 
 
 def note_full_roof(site: Site, roof: float) -> list[str]:
-    """Return a sentence if a volume on the roof (m3) is more than its soil holds."""
+    """Return a sentence if a volume on the roof (m3) exceeds the capacity of the soil."""
     if roof <= site.z_cap:
         return []
     full = site.roof_level(site.z_cap)
     return [
-        f"the run begins with {roof:g} m3 on the roof, more than the {site.z_cap:g} m3 (a level of "
+        f"the run starts with {roof:g} m3 on the roof, more than the {site.z_cap:g} m3 (a level of "
         f"{full:g} m) that the soil holds: {site.roof_level(roof) - full:.3g} m "
-        f"{soil_of(site).excess}. It is a volume in m3"
+        f"{soil_of(site).excess}. The value is a volume in m3"
     ]

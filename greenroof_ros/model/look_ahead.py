@@ -1,4 +1,4 @@
-"""How far controllers look ahead, in which steps, and with how many forecasts."""
+"""The look-ahead of controllers: horizon, steps and maximum number of forecasts."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ _LATER = 21_600
 _HOUR = 3600
 
 MAX_HORIZON = 240.0
-"""the maximum horizon (h): ten days"""
+"""maximum horizon of a controller (h): ten days"""
 
 MAX_MEMBERS = 100
-"""the maximum number of members of an ensemble of forecasts"""
+"""maximum number of members in an ensemble of forecasts"""
 
 
 def growing_steps(horizon: float) -> NDArray[np.float64]:
-    """Return the ends of growing steps, from now to the horizon.
+    """Return the ends of steps of increasing length, from now to the horizon.
 
-    From 4 h 20 min on, steps are an hour each; from 24 h 20 min on, six hours; the last one ends at
-    the horizon.
+    Steps last one hour each from 4 h 20 min on, and six hours each from 24 h 20 min on. The last
+    step ends at the horizon.
 
     Args:
-        horizon: how far to look ahead (h).
+        horizon: length of the look-ahead (h).
 
     Returns:
-        Seconds from now, the first 0, the last at the horizon, shape (steps + 1,).
+        Ends of the steps (s from now), from 0 to the horizon, shape (steps + 1,).
     """
     seconds = horizon * _HOUR
     more = max(0, int(np.ceil((seconds - sum(_FIRST_DAY)) / _LATER)))
@@ -41,12 +41,14 @@ def growing_steps(horizon: float) -> NDArray[np.float64]:
 def look_ahead_ends(
     site: Site, horizon: float, outlet_horizon: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return the ends of the steps of a look-ahead (s from now), the first 0, shape (steps + 1,).
+    """Return the ends of the steps of a look-ahead (s from now), from 0 on, shape (steps + 1,).
 
     Args:
-        site: site with tick and look-ahead.
-        horizon: 0 for the next M ticks one by one; otherwise hours, in steps that grow.
-        outlet_horizon: hours that a plan of the outlet valve looks ahead, in further steps.
+        site: site with the duration of a tick and the look-ahead M.
+        horizon: length of the look-ahead (h), in steps of increasing length; 0 for M steps of one
+            tick.
+        outlet_horizon: length of the look-ahead for a plan of the outlet valve (h), in additional
+            steps.
     """
     ends = growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
     further = growing_steps(outlet_horizon) if outlet_horizon else ends

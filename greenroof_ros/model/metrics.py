@@ -79,7 +79,7 @@ class Samples:
         drainage: drainage from the roof (m3/s).
         evapotranspiration: evapotranspiration from the roof, no more than what it held (m3/s).
         layer: water volume in the drainage layer of field-capacity soil (m3); 0 for other soils.
-        potential: evapotranspiration of plants that lack no water (m3/s).
+        potential: evapotranspiration of plants with sufficient water (m3/s).
         time: start of every sample, since the run's start (s).
         start: start of the run (s since 1970).
         mains: flow from the mains into the cistern (m3/s); 0 if there is no valve.
@@ -803,7 +803,7 @@ class Metrics:
         Args:
             command: command of the controller (1).
             precipitation: rain rate (m/s).
-            potential: evapotranspiration of plants that lack no water (m3/s).
+            potential: evapotranspiration of plants with sufficient water (m3/s).
             flows: flows in the tick (m3/s).
         """
         plant = self._plant

@@ -1,4 +1,4 @@
-"""Places on earth: how they are written, and how far apart they are."""
+"""Functions that format places on Earth and measure the distance between them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _EARTH_KM = 6371.0
 
 
 def measure_distance(here: tuple[float, float], there: tuple[float, float]) -> float:
-    """Return the great-circle distance (km) of two places, given as (latitude, longitude)."""
+    """Return the great-circle distance (km) between two places, given as (latitude, longitude)."""
     (north, east), (north2, east2) = (map(math.radians, place) for place in (here, there))
     chord = math.sin((north2 - north) / 2) ** 2 + (
         math.cos(north) * math.cos(north2) * math.sin((east2 - east) / 2) ** 2
@@ -17,7 +17,7 @@ def measure_distance(here: tuple[float, float], there: tuple[float, float]) -> f
 
 
 def format_place(latitude: float | None, longitude: float | None) -> str:
-    """Write a place for people: 43.63 N, 79.4 W."""
+    """Return a place as readable text: 43.63 N, 79.4 W."""
     if latitude is None or longitude is None:
         return "place not stated"
     return (

@@ -97,7 +97,8 @@ def mains_flow(site: Site, x1: float, drawn: float, seconds: float) -> float:
     Args:
         site: parameters of the site.
         x1: volume in the cistern at the beginning (m3).
-        drawn: what is pumped and drains, minus the rain that flows in (m3/s), constant in the step.
+        drawn: pumped and drained water, minus the rain that flows into the cistern (m3/s), constant
+            in the step.
         seconds: duration of the step (s).
     """
     if site.mains_flow is None or site.mains_level is None:
@@ -147,7 +148,7 @@ def command_to(
         x2: volume on the roof (m3).
         target: volume on the roof at the end of the tick (m3).
         rain: rain in the tick (m/s).
-        potential: evapotranspiration from the whole bed (m3/s) of plants that lack no water.
+        potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water.
     """
     stays = target - x2 + site.tau * potential * soil.water_stress(x2)
     full = maximum_pump_flow(site, x1)
@@ -225,11 +226,11 @@ class Plant:
 
         Args:
             precipitation: rain rate (m/s).
-            evapotranspiration: evapotranspiration from the whole bed (m3/s), of plants that lack no
-                water.
+            evapotranspiration: evapotranspiration from the whole bed (m3/s), of plants with
+                sufficient water.
             command: command to the pumps (share of the maximum flow), Eq. (3a).
             pumped: flow from the cistern to the roof (m3/s), if another program drives the pumps.
-            outlet: share to which the valve of the low outlet is open (1).
+            outlet: opening of the low outlet's valve, 0 to 1 (1).
         """
         x1, x2, tau = self.x1, self.x2, self._tau
         collected, rain = precipitation * self._catchment, precipitation * self._a2
@@ -281,7 +282,7 @@ class Plant:
 
         Args:
             rain: rain on the roof (m3/s).
-            evapotranspiration: evapotranspiration from the roof (m3/s), of plants that lack no
+            evapotranspiration: evapotranspiration from the roof (m3/s), of plants with sufficient
                 water.
 
         Returns:
@@ -305,11 +306,11 @@ class Plant:
         and mains stop at their levels; then the outlets take their part.
 
         Args:
-            collected: rain that flows in (m3/s).
+            collected: rain that flows into the cistern (m3/s).
             command: command to the pumps (share of the maximum flow).
             pumped: flow to the roof (m3/s), if another program drives the pumps.
-            outlet: share to which the valve of the low outlet is open (1).
-            missing: volume to be pumped until the roof is at its target (m3).
+            outlet: opening of the low outlet's valve, 0 to 1 (1).
+            missing: volume that must be pumped to fill the roof to its target (m3).
             rise: rate at which that falls because of rain (m3/s).
 
         Returns:
@@ -366,7 +367,7 @@ class Plant:
         Args:
             arriving: rain and drainage that flow in (m3/s).
             volumes: what :meth:`_step_cistern` pumps in every step, or in the tick (m3).
-            outlet: share to which the valve of the low outlet is open (1).
+            outlet: opening of the low outlet's valve, 0 to 1 (1).
         """
         x1, tau = self.x1, self._tau
         steps = math.ceil(tau / MAX_STEP_S)
@@ -396,7 +397,7 @@ class Plant:
 
         Args:
             x1: volume in the cistern without their flow (m3).
-            outlet: share to which the valve of the low outlet is open (1).
+            outlet: opening of the low outlet's valve, 0 to 1 (1).
             seconds: duration of the step (s).
         """
         site, a1 = self._site, self._a1

@@ -56,7 +56,7 @@ class _Pumping(NamedTuple):
     """volume to be pumped until the roofs are at their targets (m3), infinite in a short tick; 0
     where the pump does not run"""
     rise: Values | float = 0.0
-    """rate at which rain reduces that volume (m3/s)"""
+    """rate at which rain reduces ``missing`` (m3/s)"""
 
 
 class Plants:
@@ -115,7 +115,7 @@ class Plants:
 
         Args:
             rain: rain on each site (m/s).
-            potential: evapotranspiration off each bed (m3/s), of plants that lack no water.
+            potential: evapotranspiration off each bed (m3/s), of plants with sufficient water.
         """
         sites, tau = self.sites, self._tau
         self._raining, self._on_roof = bool(rain.any()), rain * sites.a2
@@ -130,7 +130,7 @@ class Plants:
         """Return the water that moves during the current tick, and move on to the next tick.
 
         Args:
-            outlet: share to which each low outlet is open (1).
+            outlet: opening of each low outlet, 0 to 1 (1).
             allowed: whether the pumps of each site may run; None if all may run.
         """
         moved, soils = self.moved, self._soils

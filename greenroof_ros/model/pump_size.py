@@ -1,4 +1,4 @@
-"""Whether the pumps suit the roof and the tick, in sentences for readers of results."""
+"""Checks of the size of the pumps, relative to the roof and to the duration of a tick."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ _MAX_SHARE = 0.1
 
 
 def note_pumps(site: Site) -> Iterator[str]:
-    """Yield a sentence if the pumps are too large for the roof, and one if they are for the tick.
+    """Yield a sentence if the pumps are too large for the roof, or for the duration of a tick.
 
-    The first is only for field-capacity soil. On Table I's soil, Eq. (4), water stays on the
-    surface until it drains at 0.28 mm/h, so there no pump suits; that is the paper's model, and not
-    for this to mend.
+    The size relative to the roof is checked only for a field-capacity soil. On Table I's soil, Eq.
+    (4), water stays on the surface until it drains at 0.28 mm/h, so no pump would pass this check.
     """
     flow = maximum_pump_flow(site, site.a1 * site.z_o)
     depth = flow / site.a2 / LITRES_PER_HOUR
     if site.field_capacity is not None and depth > _TAKEN_UP:
         yield (
-            f"the pumps can lift {1000 * flow:.3g} l/s, {depth:.0f} mm/h on {site.a2:g} m2 of "
-            f"roof. A substrate is assumed to take up {_TAKEN_UP:g} mm/h; anything above that runs "
-            "off, which is not simulated. Is the pump's curve or flow right?"
+            f"the pumps can deliver {1000 * flow:.3g} l/s, or {depth:.0f} mm/h on "
+            f"{site.a2:g} m2 of roof. A substrate is assumed to absorb {_TAKEN_UP:g} mm/h; more "
+            "water runs off the surface, which is not simulated. Is the pump's curve or flow right?"
         )
     share = site.tau * flow / site.x2_star
     if share > _MAX_SHARE:
         yield (
-            f"in a tick of {site.tau:g} s the pumps can lift {share:.0%} of the target: simulated "
-            "pumps stop at the target within the tick, as with a float switch, and real pumps need "
-            f"one; alternatively, use ticks of up to {_MAX_SHARE * site.x2_star / flow:.3g} s"
+            f"in a tick of {site.tau:g} s the pumps can deliver {share:.0%} of the target volume: "
+            "simulated pumps stop at the target within the tick, as with a float switch, and real "
+            "pumps need such a switch; alternatively, use ticks of at most "
+            f"{_MAX_SHARE * site.x2_star / flow:.3g} s"
         )

@@ -1,4 +1,4 @@
-"""Quiet hours: times of day, on the local clock, when the pump must stay off."""
+"""Quiet hours: times of day on the local clock during which the pump must stay off."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _INTERVAL = re.compile(
 
 
 class QuietHours:
-    """Intervals of the day in a time zone, with daylight saving time.
+    """Intervals of the day in a time zone, including daylight saving time.
 
-    A minute is quiet if the local clock shows a time within an interval. So an interval in the hour
-    that the clock skips in spring does not occur on that day, and an interval in the hour that it
-    repeats in autumn occurs twice.
+    A minute is quiet if the local clock shows a time within an interval. Therefore an interval in
+    the hour that the clock skips in spring does not occur on this day, and an interval in the hour
+    that the clock repeats in autumn occurs twice.
     """
 
     def __init__(self, intervals: Sequence[str], zone: tzinfo) -> None:
         """Read the intervals.
 
         Args:
-            intervals: intervals such as ``22:00-06:00``; 22:00 is quiet, 06:00 is not.
+            intervals: intervals such as ``22:00-06:00``, which includes 22:00 but not 06:00.
             zone: time zone of the clock.
 
         Raises:
-            ValueError: if an interval is invalid, or together they leave no time to pump.
+            ValueError: if an interval is invalid, or if the intervals leave no time for pumping.
         """
         self._zone = zone
         self._by_clock = np.zeros(_DAY_MINUTES, dtype=bool)
@@ -47,7 +47,7 @@ class QuietHours:
             quiet = (begin <= clock, clock < end)
             self._by_clock |= np.logical_and(*quiet) if begin < end else np.logical_or(*quiet)
         if self._by_clock.all():
-            raise ValueError("they leave no time to pump")
+            raise ValueError("the intervals leave no time for pumping")
 
     def quiet_at(self, time_ns: int) -> bool:
         """Return whether a time (ns since 1970) is in quiet hours."""
@@ -55,7 +55,7 @@ class QuietHours:
         return bool(self._by_clock[_clock(day, self._zone)[minute]])
 
     def end_after(self, time_ns: int) -> datetime:
-        """Return when the quiet hours around a time (ns since 1970) end, in the zone."""
+        """Return the end of the quiet hours around a time (ns since 1970), in the time zone."""
         day, minute = divmod(time_ns // _MINUTE_NS, _DAY_MINUTES)
         while self._day(day)[minute:].all():
             day, minute = day + 1, 0
@@ -67,7 +67,7 @@ class QuietHours:
 
         Args:
             time_ns: start of the first step (ns since 1970).
-            edges: ends of the steps (s from that time), the first 0, shape (n + 1,).
+            edges: ends of the steps (s from ``time_ns``), beginning with 0, shape (n + 1,).
         """
         first, since_midnight = divmod(time_ns, _DAY_S * _SECOND_NS)
         ends = since_midnight / _SECOND_NS + edges
@@ -78,13 +78,13 @@ class QuietHours:
         return np.minimum(np.diff(pumped) / np.diff(edges), 1.0)
 
     def _day(self, day: int) -> NDArray[np.bool_]:
-        """Return whether each minute of a day in UTC (counted since 1970) is quiet."""
+        """Return a mask of the quiet minutes of a day in UTC (counted since 1970)."""
         return self._by_clock[_clock(day, self._zone)]
 
 
 @functools.lru_cache(_MAX_DAYS)
 def _clock(day: int, zone: tzinfo) -> NDArray[np.intp]:
-    """Return what the local clock shows in every minute of a day in UTC, in minutes of the day."""
+    """Return the local time of every minute of a day in UTC, in minutes of the day."""
     times = (
         datetime.fromtimestamp(day * _DAY_S + 60 * minute, zone) for minute in range(_DAY_MINUTES)
     )
@@ -92,10 +92,10 @@ def _clock(day: int, zone: tzinfo) -> NDArray[np.intp]:
 
 
 def _minutes(interval: str) -> tuple[int, int]:
-    """Return beginning and end of an interval, in minutes of the day.
+    """Return the beginning and the end of an interval, in minutes of the day.
 
     Raises:
-        ValueError: if it is invalid.
+        ValueError: if the interval is invalid.
     """
     match = _INTERVAL.fullmatch(interval)
     if match is None:

@@ -1,7 +1,7 @@
-"""The roof's level sensor and the pumps: exact and instant in the paper, but not on a real site.
+"""Imperfections of the roof's level sensor and of the pumps, which the paper neglects.
 
-The plant stays exact, and so do all sums of a run. Only the roof level that the controller
-receives, and the times at which the pumps follow it, are imperfect.
+The plant and all sums of a run stay exact. Only the roof level that the controller receives, and
+the times at which the pumps follow commands, are imperfect.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class SensorAndPump:
-    """How level sensor and pumps differ from the paper's; by default they do not."""
+    """Imperfections of the level sensor and the pumps; by default, there are none."""
 
     roof_noise: float = entry(
         "standard deviation of the noise of the roof's level sensor, which is independent in each "
@@ -35,11 +35,11 @@ class SensorAndPump:
     )
     noise_seed: int = entry("random seed of the noise", 0, 2**31 - 1, default=0)
     pump_min_on: float = entry(
-        "once on, the pumps stay on for this time, except in frost or if the roof is full or the "
-        "cistern empty", 0.0, 86_400.0, unit="s", default=0.0,
+        "minimum time for which the pumps stay on, except during frost or if the roof is full or "
+        "the cistern is empty", 0.0, 86_400.0, unit="s", default=0.0,
     )
     pump_min_off: float = entry(
-        "once off, the pumps stay off for this time", 0.0, 86_400.0, unit="s", default=0.0
+        "minimum time for which the pumps stay off", 0.0, 86_400.0, unit="s", default=0.0
     )
 
     @property
@@ -53,18 +53,18 @@ class SensorAndPump:
         return self.pump_min_on == 0 and self.pump_min_off == 0
 
     def values(self) -> dict[str, float]:
-        """Return all of :data:`PARAMETERS` with their values."""
+        """Return the values of all :data:`PARAMETERS`, by name."""
         return asdict(self)
 
     def refuse_external_pump(self) -> None:
-        """Reject minimum times if a driver controls the pump, since the driver has its own.
+        """Reject minimum times if a driver controls the pump, which has its own settings.
 
         Raises:
-            ConfigurationError: if there are minimum times.
+            ConfigurationError: if minimum times are set.
         """
         if not self.instant_pump:
             raise ConfigurationError(
-                "must be set in the pump driver if the pump is external",
+                "must be set in the pump driver, because the pump is external",
                 key="minimum on and off times",
             )
 
@@ -74,10 +74,7 @@ PARAMETERS = {parameter.name: parameter for parameter in parameters_of(SensorAnd
 
 
 class RoofSensor:
-    """Reads the level of the roof.
-
-    The noise in a tick depends only on the seed and the tick.
-    """
+    """The level sensor of the roof; its noise in a tick depends only on the seed and the tick."""
 
     def __init__(self, sensor: SensorAndPump) -> None:
         """Set the sensor's noise and offset."""
@@ -96,21 +93,20 @@ class RoofSensor:
 
 
 class Pump:
-    """The pumps behind the switch that protects them.
+    """The pumps, and the switch that protects them.
 
-    Once on, they stay on for ``pump_min_on``; while the command is 0, they run at the last positive
-    command. Once off, they stay off for ``pump_min_off``, whatever the command is. A run begins
-    with pumps that have been off for long enough.
-
-    The switch sees what is delivered, not what is commanded. If Eq. (3a) stops the flow because of
-    the true levels, the on-time ends, however short it was, and an off-time begins, as with a float
-    switch. Otherwise pumps with a full roof would start again each time a drop evaporates. Frost
-    switches them off immediately: it bursts a running pump's pipe, which is worse than a short
-    on-time. So do quiet hours, as on a real pump.
+    After a start, the pumps stay on for at least ``pump_min_on``; while the command is 0, they run
+    at the last positive command. After a stop, they stay off for at least ``pump_min_off``,
+    independent of the command. At the start of a run, the pumps have been off for long enough. The
+    switch monitors the delivered flow instead of the command. If Eq. (3a) stops the flow because of
+    the true levels, the on-time ends even if it is too short, and an off-time begins, as with a
+    float switch. Otherwise, the pumps would start again whenever a drop evaporates from a full
+    roof. Frost switches the pumps off immediately, because a burst pipe is worse than a short
+    on-time. Quiet hours also switch them off immediately, like a real pump.
     """
 
     def __init__(self, pump: SensorAndPump, tau: float) -> None:
-        """Set the minimum times, and the duration of a tick (s); they last whole ticks."""
+        """Set the minimum times, rounded up to whole ticks, and the duration of a tick (s)."""
         self._min_on = math.ceil(pump.pump_min_on / tau - _ROUNDING)
         self._min_off = math.ceil(pump.pump_min_off / tau - _ROUNDING)
         self._on = False
@@ -122,7 +118,7 @@ class Pump:
 
         Args:
             command: command of the controller (share of the maximum flow).
-            may_run: whether pumping is allowed: neither frost nor quiet hours forbid it.
+            may_run: whether pumping is allowed; frost and quiet hours forbid it.
         """
         if not may_run or (not self._on and self._ticks < self._min_off):
             return 0.0

@@ -1,8 +1,8 @@
-"""Many sites together: the parameters of :class:`.site.Site` as arrays with one entry per site.
+"""The parameters of many sites as arrays, with one entry per :class:`.site.Site`.
 
-A function of a site that only computes with its parameters broadcasts over the arrays. A device
-that a site does not have is represented by values without effect, such as a float valve that lets
-in no water, or a low outlet without area at the level of the upper one.
+Functions that only compute with the parameters of a site broadcast over the arrays. A device that a
+site does not have is represented by values without effect, such as a float valve without flow, or a
+low outlet without area at the level of the upper outlet.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _FROM_SITE: dict[str, Callable[[Site], Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Sites:
-    """Parameters of n sites, each of shape (n,); :class:`.site.Site` describes them, with units.
+    """Parameters of n sites, each of shape (n,), as described in :class:`.site.Site`.
 
     Attributes:
-        above_target: how far rain can raise the roof above its target (m3), see :mod:`.soil`.
+        above_target: volume by which rain can exceed the roof's target (m3), see :mod:`.soil`.
         stress_volume: volume on the roof below which plants lack water (m3), see :mod:`.soil`.
-        overdraws: whether a tick of Eq. (4) would drain too much, see :mod:`.soil`.
+        overdraws: whether Eq. (4) would drain too much in a tick, see :mod:`.soil`.
         has_field_capacity: whether the soil is a field-capacity soil.
-        has_short_ticks: see :func:`.plant.has_short_ticks`.
+        has_short_ticks: whether the ticks are short, see :func:`.plant.has_short_ticks`.
     """
 
     a1: Values

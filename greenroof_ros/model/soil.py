@@ -106,7 +106,7 @@ class PaperSoil:
             layer: volume that the drainage layer holds (m3).
             available: what can leave the soil, since it holds or receives it (m3/s).
             arriving: rain and pumped water (m3/s).
-            potential: evapotranspiration from the whole bed (m3/s) of plants that lack no water.
+            potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water.
 
         Returns:
             Drainage and evapotranspiration (m3/s), and whether there was less than was demanded.
@@ -175,7 +175,7 @@ class PaperSoil:
         Args:
             x2: volume on the roof at the beginning (m3).
             rain: mean rain in every step (m/s), shape (n,).
-            potential: evapotranspiration from the whole bed (m3/s) of plants that lack no water,
+            potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water,
                 shape (n,).
             lengths: lengths of the steps (s), shape (n,).
 
@@ -208,7 +208,7 @@ class PaperSoil:
             x2: volume at the beginning of every sample (m3), NaN if unknown, shape (n,).
             rain: precipitation (m/s), shape (n,).
             pump: flow from the cistern (m3/s), shape (n,).
-            potential: evapotranspiration from the whole bed (m3/s) of plants that lack no water,
+            potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water,
                 shape (n,).
             drainage: drainage from the roof (m3/s), shape (n,).
             durations: durations of the samples (s), shape (n,).
@@ -462,7 +462,7 @@ def roof_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potentia
         tau: duration of the tick (s).
         x2: volume that the roof holds (m3).
         arriving: rain and pumped water (m3/s).
-        potential: evapotranspiration from the whole bed (m3/s) of plants that lack no water.
+        potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water.
     """
     evaporated = potential * soil.water_stress(x2)
     return x2 + tau * (arriving - evaporated - soil.drained(x2, arriving, tau))

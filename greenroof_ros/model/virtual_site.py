@@ -1,8 +1,8 @@
-"""A site that is simulated tick by tick: the only place where a tick is computed.
+"""A site that is simulated tick by tick; all simulations use this module to compute a tick.
 
 The run in one process, the plans of the bound and the plant node of the graph all use a
-:class:`VirtualSite`. In every tick, a controller reads its levels and decides, the site acts on the
-command, and moves on to the next tick.
+:class:`VirtualSite`. In every tick, a controller reads the levels and decides on a command, and the
+site executes the command and proceeds to the next tick.
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ from greenroof_ros.model.site import Site
 
 
 class VirtualSite:
-    """Cistern and roof with their level sensors, the pumps, and the metrics of the run.
+    """A cistern and a roof with level sensors, the pumps, and the metrics of the run.
 
     Attributes:
         plant: the true state of cistern and roof.
-        metrics: metrics of the ticks so far, as if the run ended in the present one.
+        metrics: metrics of all previous ticks, as if the run ended in the present tick.
         tick: number of the present tick.
-        frost: 0 if there is no frost in it; anything else, including NaN, is frost. It is set from
-            outside.
-        quiet: whether it is in the site's quiet hours.
+        frost: 0 without frost in the present tick; other values, including NaN, denote frost. The
+            caller sets this attribute.
+        quiet: whether the present tick is in the site's quiet hours.
     """
 
     def __init__(
         self, site: Site, x1: float, x2: float, start_ns: int, sensor_and_pump: SensorAndPump
     ) -> None:
-        """Begin with tick 0.
+        """Start with tick 0.
 
         Args:
             site: parameters of the site.
             x1: initial volume in the cistern (m3).
             x2: initial volume on the roof (m3).
             start_ns: time of tick 0 (ns since 1970).
-            sensor_and_pump: how level sensor and pumps differ from the paper's.
+            sensor_and_pump: imperfections of the level sensor and the pumps.
         """
         self.plant = Plant(site, x1, x2)
         self.metrics = Metrics(site, self.plant, start_ns / 1e9)
@@ -54,7 +54,7 @@ class VirtualSite:
         return self._start_ns + self.tick * self._tick_ns
 
     def observe(self) -> tuple[float, float]:
-        """Return what the level sensors of cistern and roof read in the present tick (m)."""
+        """Return the readings of the level sensors of cistern and roof in the present tick (m)."""
         cistern, roof = self.plant.levels()
         if self._sensor is not None:
             roof = self._sensor.reading(self.tick, roof)
@@ -64,15 +64,15 @@ class VirtualSite:
         self, precipitation: float, evapotranspiration: float, command: float,
         pumped: float | None = None, outlet: float = 1.0,
     ) -> Flows:
-        """Return the flows in the present tick; call it once in every tick.
+        """Return the flows in the present tick; must be called once in every tick.
 
         Args:
             precipitation: rain rate (m/s).
-            evapotranspiration: evapotranspiration from the whole bed (m3/s), of plants that lack no
-                water.
+            evapotranspiration: evapotranspiration from the whole bed (m3/s), of plants with
+                sufficient water.
             command: command to the pumps (share of the maximum flow).
             pumped: flow (m3/s) of pumps that another program drives; None for the site's own pumps.
-            outlet: command to the valve of the low outlet (share to which it is open).
+            outlet: command to the valve of the low outlet (opening, 0 to 1).
         """
         may_run = self.frost == 0 and not self.quiet
         if self._pump is None:
@@ -88,7 +88,7 @@ class VirtualSite:
         return flows
 
     def step(self) -> None:
-        """Move on to the next tick, after :meth:`act`."""
+        """Proceed to the next tick, after :meth:`act`."""
         command, precipitation, evapotranspiration, flows = self._acted
         self.metrics.step(command, precipitation, evapotranspiration, flows)
         self.plant.step(precipitation, flows)

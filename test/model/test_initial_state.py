@@ -21,7 +21,7 @@ def test_what_rain_makes_of_a_full_roof_is_taken() -> None:
 def test_more_than_the_soil_holds_is_noted() -> None:
     """45.7 may be the target in mm: it is accepted, with a note before the results."""
     (note,) = paper_run("--cistern", "60", "--roof", "45.7").notes()
-    assert note.startswith("the run begins with 45.7 m3 on the roof, more than the 34.4 m3")
+    assert note.startswith("the run starts with 45.7 m3 on the roof, more than the 34.4 m3")
     assert paper_run("--cistern", "0", "--roof", "34.4").notes() == []
 
 
@@ -42,10 +42,10 @@ def test_a_sites_own_state_is_what_a_run_begins_in(tmp_path: Path) -> None:
     assert (custom.initial, custom.x1, custom.x2) == ("custom", 60.0, 2.0)
     assert paper_run().initial == "low-low"
     for others, wrong in (
-        (("--initial", "low-low", "--cistern", "60", "--roof", "2"), "has volumes that differ"),
+        (("--initial", "low-low", "--cistern", "60", "--roof", "2"), "differs from the volumes"),
         (("--cistern", "60"), "--roof: is missing; set both cistern and roof"),
     ):
         with pytest.raises(ConfigurationError, match=wrong):
             paper_run(*others)
-    with pytest.raises(ConfigurationError, match="needs initial_cistern and initial_roof in the"):
+    with pytest.raises(ConfigurationError, match="requires initial_cistern and initial_roof in"):
         paper_run("--initial", "site")

@@ -235,7 +235,7 @@ def test_a_pump_that_no_substrate_can_take_is_noted(tmp_path: Path) -> None:
     """4 m3/h on 40 m2 is 100 mm/h."""
     ended = new_site(tmp_path, *GIVEN, "--roof", "40", "--pump-flow", "4000")
     assert ended.returncode == 0
-    assert "note: the pumps can lift 1.11 l/s, 100 mm/h on 40 m2 of roof" in ended.stderr
+    assert "note: the pumps can deliver 1.11 l/s, or 100 mm/h on 40 m2 of roof" in ended.stderr
 
 
 def test_a_target_at_which_plants_lack_water_is_noted(tmp_path: Path) -> None:

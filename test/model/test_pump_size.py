@@ -24,8 +24,8 @@ def test_a_flow_on_a_roof(flow: float) -> None:
         assert notes == []
     else:
         [note] = notes
-        shown = "8 l/s, 720 mm/h on 40 m2" if flow > 2000 else "0.403 l/s, 36 mm/h on 40 m2"
-        assert f"the pumps can lift {shown}" in note and "to take up 36 mm/h; anything" in note
+        shown = "8 l/s, or 720 mm/h on 40 m2" if flow > 2000 else "0.403 l/s, or 36 mm/h on 40 m2"
+        assert f"the pumps can deliver {shown}" in note and "to absorb 36 mm/h; more" in note
 
 
 @pytest.mark.parametrize(("tau", "noted"), [(60.0, False), (62.0, False), (64.0, True)])
@@ -35,7 +35,7 @@ def test_a_tick(tau: float, noted: bool) -> None:
     notes = [*note_pumps(site)]
     assert bool(notes) == noted
     if noted:
-        assert notes[0].startswith("in a tick of 64 s the pumps can lift 10% of the target: ")
+        assert notes[0].startswith("in a tick of 64 s the pumps can deliver 10% of the target")
         assert notes[0].endswith("use ticks of up to 63 s")
 
 
@@ -47,10 +47,10 @@ def test_shipped_sites() -> None:
     assert [*note_pumps(of("site.yaml"))] == []
     for name in ("site_neubrandenburg.yaml", "site_catchment.yaml"):
         [note] = note_pumps(of(name))
-        assert "the pumps can lift 8.42 l/s, 441 mm/h on 68.8 m2 of roof" in note
+        assert "the pumps can deliver 8.42 l/s, or 441 mm/h on 68.8 m2 of roof" in note
     first, second = note_pumps(of("site_valve.yaml", tau=300.0))
     # 300 s of 8.32 l/s are 2.497 m3 of 2.683 m3.
-    assert "8.32 l/s" in first and second.startswith("in a tick of 300 s the pumps can lift 93% ")
+    assert "8.32 l/s" in first and second.startswith("in a tick of 300 s the pumps can deliver 93%")
 
 
 def test_where_they_are_seen() -> None:
