@@ -1,13 +1,12 @@
-"""The metrics of a run, one entry each, for all summaries, tables and reports.
+"""The metrics of a run, which all summaries, tables and reports use.
 
 A metric consists of a function of the samples of a run, which returns a number for every sample,
-and a way to combine these numbers: their sum, the maximum or the last one; hours are counted in
-ticks. A ratio is computed from two sums, and the share of rain retained from hourly sums. The same
-function serves a run in progress, block by block (:class:`BlockMetrics`), and a recorded run
-(:func:`totals_of`).
-
-All sums are sequential Euler sums: a value holds from its sample to the next, and the earlier total
-is added first. So the bits of a sum do not depend on the blocks in which it was computed.
+and of a function that combines these numbers: their sum, their maximum or the last number. Hours
+are counted in ticks. A ratio is computed from two sums, and the share of retained rain from hourly
+sums. The same functions are used for a run in progress, in blocks (:class:`BlockMetrics`), and for
+a recorded run (:func:`totals_of`). All sums are sequential Euler sums: a value holds from its
+sample to the next sample, and the earlier total is added first. Therefore the bits of a sum do not
+depend on the blocks in which it was computed.
 """
 
 from __future__ import annotations
@@ -56,37 +55,39 @@ _DRAINS_H = 6
 _ROUNDING_MM = 1e-6
 
 NEAR_TARGET = 0.05
-"""half width of the band in which a level is near the roof's target, as a share of the target"""
+"""half width of the band around the roof's target in which a level is near the target (share of the
+target)
+"""
 
 Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Samples:
-    """A stretch of a run; every array has shape (n,).
+    """The samples of a part of a run; every array has shape (n,).
 
-    A run ends in the state of its last sample: there, nothing flows and the command is 0. This
-    sample lasts one tick, so that the deviation counts it as in the paper.
+    A run ends in the state of its last sample, in which nothing flows and the command is 0. This
+    sample has the duration of a tick, so that the deviation includes it as in the paper.
 
     Attributes:
-        duration: time from every sample to the next (s).
+        duration: time from every sample to the next sample (s).
         cistern: water volume x1 (m3).
         roof: water volume x2 (m3).
-        command: command of the controller (1); a pump driver carries it out as far as it can.
+        command: command of the controller (1), which a pump driver may execute only in part.
         precipitation: rain rate (m/s).
         outflow: flow from the cistern to the sewer (m3/s).
         pump: flow from the cistern to the roof (m3/s).
         drainage: drainage from the roof (m3/s).
-        evapotranspiration: evapotranspiration from the roof, no more than what it held (m3/s).
-        layer: water volume in the drainage layer of field-capacity soil (m3); 0 for other soils.
+        evapotranspiration: evapotranspiration from the roof, limited to the available water (m3/s).
+        layer: water volume in the drainage layer of a field-capacity soil (m3); 0 for other soils.
         potential: evapotranspiration of plants with sufficient water (m3/s).
-        time: start of every sample, since the run's start (s).
+        time: start of every sample, relative to the start of the run (s).
         start: start of the run (s since 1970).
-        mains: flow from the mains into the cistern (m3/s); 0 if there is no valve.
-        low_outlet: the part of the outflow through the low outlet (m3/s); None if unknown.
-        limited: 1 if a tank held less than was demanded, otherwise 0; None if unknown.
-        discharge_known: whether outflow and drainage are known, rather than recorded by nobody.
-        pumping_before: whether the pumps ran in the sample before the first.
+        mains: flow of mains water into the cistern (m3/s); 0 without a mains valve.
+        low_outlet: part of the outflow through the low outlet (m3/s); None if unknown.
+        limited: 1 if a tank contained less water than was demanded, otherwise 0; None if unknown.
+        discharge_known: whether outflow and drainage were recorded.
+        pumping_before: whether the pumps were running before the first sample.
         earlier_starts: times of pump starts in the hour before the first sample (s, negative).
     """
 
@@ -137,16 +138,16 @@ def _sums(before: Values | float, values: Values) -> Values:
 
 
 class _Sums(NamedTuple):
-    """Sums by minute, hour, day or week, each a row of some arrays."""
+    """Sums by minute, hour, day or week; each row of the arrays is a different sum."""
 
     earlier: tuple[Values, ...]
-    """sums to which no further sample belongs; they are not copied any more"""
+    """final sums, to which no later sample belongs, and which are not copied again"""
     first: int
-    """index of the first of the others"""
+    """index of the first sum in ``open``"""
     open: Values
 
     def whole(self) -> Values:
-        """Return all of them, shape (m, n)."""
+        """Return all sums, shape (m, n)."""
         return np.concatenate((*self.earlier, self.open), axis=1)
 
 
@@ -155,7 +156,7 @@ _MANY = 4096
 
 
 def _sums_by(before: _Sums | float, values: Values) -> _Sums:
-    """Add up all rows except the first, which has the minute, hour, day or week of every sample."""
+    """Add up all rows except the first, which contains the minute, hour, day or week of samples."""
     places = values[0].astype(np.intp)
     if not isinstance(before, _Sums):
         before = _Sums((), 0, np.empty((len(values) - 1, 0)))
@@ -172,7 +173,7 @@ def _sums_by(before: _Sums | float, values: Values) -> _Sums:
 
 
 def _whole(total: Any) -> Any:
-    """Return a combined number as a metric needs it."""
+    """Return a combined number in the form that metrics use."""
     return total.whole() if isinstance(total, _Sums) else total
 
 
@@ -192,26 +193,26 @@ def _ratio(site: Site, sums: Values) -> float | None:
 
 
 def _rolling(values: Values, hours: int) -> Values:
-    """Return the sum of every value and the values before it, ``hours`` values in total."""
+    """Return the sum of every value and of the ``hours`` - 1 values before it."""
     padded = np.concatenate((np.zeros(hours - 1), values))
     return np.asarray(sum(padded[k : k + len(values)] for k in range(hours)))
 
 
 def _retained(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) -> float | None:
-    """Return the share of the rain on the roof that did not drain from it in the same hours (1).
+    """Return the share of the rain on the roof that did not drain in the same hours (1).
 
-    The drainage of an hour is split between rain and pumped water in the ratio in which they came
-    in the six hours that end with it. Rain, and its part of the drainage, count in every hour that
-    belongs to a stretch of ``hours`` with more than ``above``.
+    The drainage of an hour is attributed to rain and pumped water in proportion to their amounts in
+    the six hours that end with this hour. Rain and its part of the drainage count in every hour
+    that belongs to a period of ``hours`` hours with more rain than ``above``.
 
     Args:
         site: site with the area of the roof.
         by_hour: rain on the roof, pumped water and drained water (m3), shape (3, n).
-        above: depth of rain (mm).
-        hours: length of a stretch (h).
+        above: depth of rain in a period (mm).
+        hours: length of a period (h).
 
     Returns:
-        A share from 0 to 1; None if there was no such rain.
+        A share from 0 to 1; None without such rain.
     """
     rain, pumped, drained = by_hour
     rained, watered = _rolling(rain, _DRAINS_H), _rolling(pumped, _DRAINS_H)
@@ -228,15 +229,17 @@ class Metric:
 
     Attributes:
         name: key in ``summary.json``, and column in ``results.csv``.
-        unit: unit for people; 1 for a plain number.
+        unit: unit in tables; 1 for a dimensionless number.
         label: name in tables.
-        meaning: meaning in a few words.
-        function: returns a value for every sample; None if the samples do not have it.
-        combine: combines the earlier number, 0 at first, with the values of further samples.
-        form: format of its number in tables.
-        max: a larger value is shown as a warning.
-        finish: computes the metric from the combined number (a sum of ticks is exact, a sum of
-            hours is not); None if the run has no such thing.
+        meaning: short description.
+        function: function that returns a value for every sample, or None if the samples lack the
+            data.
+        combine: function that combines the running number, initially 0, with the values of more
+            samples.
+        form: format of the number in tables.
+        max: maximum value; larger values are shown as warnings.
+        finish: function that computes the metric from the combined number, or returns None if the
+            metric is undefined for the run. Sums of ticks are exact, sums of hours are not.
     """
 
     name: str
@@ -251,7 +254,7 @@ class Metric:
 
     @property
     def description(self) -> str:
-        """Unit and meaning, as a table shows them next to the number."""
+        """Unit and meaning, which tables show next to the number."""
         return self.meaning if self.unit == "1" else f"{self.unit}, {self.meaning}"
 
 
@@ -259,10 +262,11 @@ class Metric:
 
 
 def _running_share(site: Site, samples: Samples) -> Values:
-    """Return the share of every sample in which the pumps run (1).
+    """Return the share of every sample during which the pumps run (1).
 
-    They count as running above 1 % of their maximum flow, or of the commanded flow. In a tick that
-    is not short, a flow is a mean if the pumps would pass the target or the suction level.
+    The pumps count as running above 1 % of their maximum flow, or of the commanded flow. In a tick
+    that is not short, the flow is a mean if the pumps would exceed the target or empty the cistern
+    to the suction level.
     """
     flow, tau = samples.pump, site.tau
     head = samples.cistern / site.a1 + site.c_hat - site.d
@@ -283,14 +287,14 @@ def _running_share(site: Site, samples: Samples) -> Values:
 def _by_interval(
     site: Site, samples: Samples, seconds: float, *amounts: Values
 ) -> Values:
-    """Return the interval of every sample, counted from the run's start, and its amounts.
+    """Return the index of every sample's interval in the run, and the amounts of the sample.
 
-    A tick belongs to the interval that contains its middle, as its time is rounded. A sample of a
-    recorded run can last longer: then it is divided among the intervals that it spans.
+    A tick belongs to the interval that contains its middle, because times are rounded. A longer
+    sample of a recorded run is divided among the intervals that it covers.
 
     Args:
         site: site with the duration of a tick.
-        samples: samples with their times.
+        samples: samples with their start times.
         seconds: duration of an interval (s).
         amounts: amounts of every sample, shape (n,).
     """
@@ -317,7 +321,7 @@ def _discharge(site: Site, samples: Samples) -> Values | None:
 
 
 def _storm_water(site: Site, samples: Samples) -> Values | None:
-    """Return every sample's interval, with its rain (m) and its discharge to the sewer (m3)."""
+    """Return the interval, the rain (m) and the discharge to the sewer (m3) of every sample."""
     discharge = _discharge(site, samples)
     if discharge is None:
         return None
@@ -326,7 +330,7 @@ def _storm_water(site: Site, samples: Samples) -> Values | None:
 
 
 def _intervals_of(site: Site, sums: Values) -> Intervals:
-    """Return the storm water of a run, from the sums of :func:`_storm_water`."""
+    """Return the storm water of a run from the sums of :func:`_storm_water`."""
     return Intervals(interval_seconds(site), *sums)
 
 
@@ -336,17 +340,17 @@ def _wet_discharge(site: Site, sums: Values) -> float:
 
 
 def _peak(site: Site, sums: Values, minutes: float) -> float:
-    """Return the peak of the discharge (L/s)."""
+    """Return the peak discharge (L/s)."""
     return 1000 * find_peak(_intervals_of(site, sums), minutes)
 
 
 def _peak_depth(site: Site, sums: Values, minutes: float) -> float:
-    """Return the peak of the discharge over the connected area (mm/h)."""
+    """Return the peak discharge per connected area (mm/h)."""
     return _peak(site, sums, minutes) * _HOUR_S / connected_area(site)
 
 
 def _overflow(site: Site, samples: Samples) -> Values | None:
-    """Return every sample's calendar day, and what left through the upper outlet (m3)."""
+    """Return the calendar day of every sample, and the flow through the upper outlet (m3)."""
     if samples.low_outlet is None or not samples.discharge_known:
         return None
     return np.stack((
@@ -365,7 +369,7 @@ def find_calendar_days(site: Site, start: float, times: Values) -> Values:
     Args:
         site: site with the duration of a tick.
         start: start of the run (s since 1970).
-        times: times at which the ticks begin (s since the run's start), shape (n,).
+        times: start times of the ticks (s since the start of the run), shape (n,).
     """
     middles = start + times + site.tau / 2
     begins, first, last = (
@@ -380,7 +384,7 @@ def find_calendar_days(site: Site, start: float, times: Values) -> Values:
 
 
 def _rain_and_discharge(site: Site, samples: Samples) -> Values | None:
-    """Return discharge to the sewer, and rain on the connected area, in every sample (m3)."""
+    """Return the discharge to the sewer and the rain on the connected area in samples (m3)."""
     discharge = _discharge(site, samples)
     if discharge is None:
         return None
@@ -390,7 +394,7 @@ def _rain_and_discharge(site: Site, samples: Samples) -> Values | None:
 
 
 def _share_without(site: Site, sums: Values) -> float | None:
-    """Return the share of the second sum that the first does not make up (1), at least 0."""
+    """Return 1 minus the ratio of the first sum to the second sum, at least 0."""
     return max(0.0, float(1 - sums[0] / sums[1])) if sums[1] else None
 
 
@@ -400,13 +404,13 @@ def _pump_starts(site: Site, samples: Samples) -> Values:
 
 
 def _start_times(site: Site, samples: Samples) -> Values:
-    """Return when the pumps started (s, 0 at the first sample), the earlier starts first."""
+    """Return the times of pump starts (s; 0 at the first sample), beginning with earlier starts."""
     times = np.cumsum(samples.duration) - samples.duration
     return np.concatenate((samples.earlier_starts, times[_pump_starts(site, samples) > 0]))
 
 
 def _starts_in_hour(site: Site, samples: Samples) -> Values:
-    """Return, for every start, the number of starts in the hour that ends with it; 0 elsewhere."""
+    """Return the number of starts in the hour before each start, including it; 0 elsewhere."""
     times = _start_times(site, samples)
     # Half a tick less than an hour: the times are rounded sums.
     first = np.searchsorted(times, times - _HOUR_S + site.tau / 2)
@@ -437,12 +441,12 @@ def _volume(flow: str) -> Callable[[Site, Samples], Values]:
 
 
 def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, Samples], Values]:
-    """Return a function that returns the ticks in which a condition holds."""
+    """Return a function that returns the number of ticks in which a condition holds."""
     return lambda site, samples: samples.duration / site.tau * condition(site, samples)
 
 
 def _roof_water(site: Site, samples: Samples) -> Values:
-    """Return every sample's hour of the run, and its rain, pumped and drained water (m3)."""
+    """Return the hour of every sample, and its rain, pumped water and drained water (m3)."""
     return _by_interval(
         site, samples, _HOUR_S, samples.duration * samples.precipitation * site.a2,
         samples.duration * samples.pump, samples.duration * samples.drainage,
@@ -452,7 +456,7 @@ def _roof_water(site: Site, samples: Samples) -> Values:
 METRICS = (
     Metric(
         "total_deviation_m3", "m3", "total deviation",
-        "distance of the water on the roof from its target, summed over the time steps",
+        "absolute deviation of the water on the roof from its target, summed over the time steps",
         _deviation, form=".2f",
     ),
     Metric(
@@ -465,7 +469,7 @@ METRICS = (
     ),
     Metric(
         "mean_deviation_mm", "mm", "mean deviation",
-        "mean distance of the water on the roof from its target, as a depth",
+        "mean absolute deviation of the water on the roof from its target, as a depth",
         lambda site, samples: np.stack((_deviation(site, samples), samples.duration / site.tau)),
         _sums, ".2f", finish=lambda site, sums: 1000 * float(sums[0] / sums[1]) / site.a2,
     ),
@@ -480,7 +484,7 @@ METRICS = (
     ),
     Metric(
         "evapotranspiration_ratio", "1", "evapotranspiration ratio",
-        "actual divided by potential evapotranspiration",
+        "actual evapotranspiration divided by potential evapotranspiration",
         lambda site, samples: (
             samples.duration * np.stack((samples.evapotranspiration, samples.potential))
         ),
@@ -492,40 +496,44 @@ METRICS = (
     ),
     Metric(
         "rain_kept_share_hour", "1", "rain kept in hours above 20 mm",
-        "share of the rain kept within the hour, in hours with more than 20 mm of rain",
+        "share of the rain that did not drain in the same hour, in hours with more than 20 mm of "
+        "rain",
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=20.0),
     ),
     Metric(
         "rain_kept_share_day", "1", "rain kept in 24 h above 10 mm",
-        "share of the rain kept within 24 hours, in any 24 hours with more than 10 mm of rain",
+        "share of the rain that did not drain within 24 hours, in all periods of 24 hours with "
+        "more than 10 mm of rain",
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=10.0, hours=24),
     ),
     Metric(
-        "mains_m3",
-        "m3", "mains water used", "mains water that flowed into the cistern, if there is a top-up",
+        "mains_m3", "m3", "mains water used",
+        "mains water that flowed into the cistern, if the site has a mains supply",
         lambda site, samples: (
             None if site.mains_level is None else samples.duration * samples.mains
         ),
     ),
     Metric(
         "demand_met_share", "1", "irrigation without mains water",
-        "share of the pumped water that was not replaced from the mains, if there is a top-up",
+        "share of the pumped water that was not replaced by mains water, if the site has a mains "
+        "supply",
         lambda site, samples: None if site.mains_level is None else (
             samples.duration * np.stack((samples.mains, samples.pump))
         ),
         _sums, ".1%", finish=_share_without,
     ),
     Metric(
-        "final_cistern_m3", "m3", "cistern at the end", "volume in the cistern at the end",
+        "final_cistern_m3",
+        "m3", "cistern at the end", "water volume in the cistern at the end of the run",
         lambda site, samples: samples.cistern, _last, ".6g",
     ),
     Metric(
-        "final_roof_m3", "m3", "roof at the end", "volume on the roof at the end",
+        "final_roof_m3", "m3", "roof at the end", "water volume on the roof at the end of the run",
         lambda site, samples: samples.roof, _last, ".6g",
     ),
     Metric(
         "final_layer_m3", "m3", "drainage layer at the end",
-        "volume in the drainage layer at the end, for a field-capacity soil",
+        "water volume in the drainage layer at the end of the run, for a field-capacity soil",
         lambda site, samples: None if site.drainage_storage is None else samples.layer,
         _last, ".6g",
     ),
@@ -539,12 +547,13 @@ METRICS = (
     Metric("drainage_m3", "m3", "drainage", "water that drained off the roof", _volume("drainage")),
     Metric(
         "discharge_m3", "m3", "discharge",
-        "water to the sewer: the outflow, and the drainage that does not flow into the cistern",
+        "water that reached the sewer: the outflow, and the drainage that did not flow into the "
+        "cistern",
         _discharge,
     ),
     Metric(
         "wet_discharge_m3", "m3", "discharge in wet weather",
-        "water to the sewer while it rains, and for wet_after hours after the rain",
+        "water that reached the sewer during rain, and within wet_after hours after rain",
         _storm_water, _sums_by,
         finish=_wet_discharge,
     ),
@@ -567,7 +576,7 @@ METRICS = (
     ),
     Metric(
         "overflow_m3",
-        "m3", "overflow", "water that left through the upper outlet of the cistern",
+        "m3", "overflow", "water that left the cistern through its upper outlet",
         _overflow, _sums_by,
         finish=lambda site, days: _sum(0.0, days[0]),
     ),
@@ -580,26 +589,27 @@ METRICS = (
     ),
     Metric(
         "retention_share", "1", "retention",
-        "share of the rain on roof and catchment that did not reach the sewer",
+        "share of the rain on the roof and the catchment that did not reach the sewer",
         _rain_and_discharge, _sums, ".1%", finish=_share_without,
     ),
     Metric(
-        "rain_m3", "m3", "rain", "rain into the cistern and on the roof",
+        "rain_m3", "m3", "rain", "rain that flowed into the cistern or fell on the roof",
         lambda site, samples: (
             samples.duration * samples.precipitation * (site.effective_catchment + site.a2)
         ),
     ),
     Metric(
-        "rain_cistern_m3", "m3", "rain into the cistern", "rain that flowed in from the catchment",
+        "rain_cistern_m3",
+        "m3", "rain into the cistern", "rain that flowed into the cistern from the catchment",
         lambda site, samples: samples.duration * samples.precipitation * site.effective_catchment,
     ),
     Metric(
-        "rain_roof_m3", "m3", "rain on the roof", "rain on the whole bed",
+        "rain_roof_m3", "m3", "rain on the roof", "rain that fell on the whole roof",
         lambda site, samples: samples.duration * samples.precipitation * site.a2,
     ),
     Metric(
         "evapotranspiration_m3", "m3", "evapotranspiration",
-        "water that soil and plants lost to the air",
+        "water that evaporated from the soil and the plants",
         _volume("evapotranspiration"),
     ),
     Metric(
@@ -612,21 +622,22 @@ METRICS = (
     ),
     Metric(
         "limited_steps", "1", "limited ticks",
-        "time steps in which a tank held less water than was demanded",
+        "time steps in which a tank contained less water than was demanded",
         lambda site, samples: samples.limited, _count, "d", max=0,
     ),
     Metric(
-        "pump_starts", "1", "pump starts", f"how many times the flow rose {_RUNS}",
+        "pump_starts", "1", "pump starts", f"number of times that the flow rose {_RUNS}",
         _pump_starts, _count, "d",
     ),
     Metric(
         "busiest_hour_starts",
-        "1", "starts in an hour", "highest number of pump starts in 60 minutes",
+        "1", "starts in an hour", "maximum number of pump starts in 60 minutes",
         _starts_in_hour, lambda before, values: int(_maximum(before, values)), "d",
     ),
     Metric(
         "excess_starts", "1", "too many starts",
-        "pump starts beyond starts_per_hour of the site, counted over the hour before each start",
+        "number of pump starts in excess of the site's starts_per_hour, counted over the hour "
+        "before each start",
         _excess_starts, _count, "d", max=0,
     ),
     Metric(
@@ -635,12 +646,13 @@ METRICS = (
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",
-        "energy that the water receives: density, gravity, flow and head, over time",
+        "energy that the pumps add to the water: the product of density, gravity, flow and head, "
+        "integrated over time",
         _hydraulic_energy,
     ),
     Metric(
         "electric_energy_kwh", "kWh", "electric energy",
-        "electric energy: hydraulic energy divided by pump_efficiency",
+        "electric energy of the pumps: hydraulic energy divided by pump_efficiency",
         lambda site, samples: _hydraulic_energy(site, samples) / site.pump_efficiency,
     ),
 )
@@ -649,12 +661,12 @@ METRICS = (
 def totals_of(
     site: Site, samples: Samples, before: Mapping[str, Any] | None = None
 ) -> dict[str, float]:
-    """Return all metrics of a whole run by name, without those that its samples do not have.
+    """Return the metrics of a whole run by name, except metrics for which the samples lack data.
 
     Args:
         site: parameters of the site.
         samples: at least one sample.
-        before: combined numbers of the samples before these.
+        before: combined numbers of all earlier samples.
     """
     totals = _add(before or {}, site, samples)
     values = (
@@ -667,9 +679,9 @@ def totals_of(
 def events_of(
     site: Site, samples: Samples, before: Mapping[str, Any] | None = None
 ) -> list[Event]:
-    """Return the rain events of a whole run; none if its discharge is unknown.
+    """Return the rain events of a whole run; an empty list if the discharge is unknown.
 
-    The arguments are as for :func:`totals_of`.
+    The arguments are those of :func:`totals_of`.
     """
     totals = _add(before or {}, site, samples)
     if "wet_discharge_m3" not in totals:
@@ -678,7 +690,7 @@ def events_of(
 
 
 def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, Any]:
-    """Return the combined numbers of a run with further samples; ``totals`` is empty at first."""
+    """Add samples to the combined numbers of a run; ``totals`` is initially empty."""
     result: dict[str, Any] = {}
     combined: dict[Any, Any] = {}  # several metrics can share a number
     for metric in METRICS:
@@ -692,23 +704,23 @@ def _add(totals: Mapping[str, Any], site: Site, samples: Samples) -> dict[str, A
 
 
 TICK = ("cistern", "roof", "layer", "command", "precipitation", "potential", *Flows._fields)
-"""the values of a tick, by their names in :class:`Samples`: the state, then what happens until the
-next tick"""
+"""names in :class:`Samples` of the values of a tick: the state, and the flows until the next tick
+"""
 BLOCK = 4096
-"""ticks that are added up together, in less than half the time that single ticks take"""
+"""number of ticks that are added up together, which takes less than half the time"""
 
 _pack_tick = struct.Struct(f"{len(TICK)}d").pack
 _BLOCK_BYTES = BLOCK * 8 * len(TICK)
 
 
 class BlockMetrics:
-    """The metrics of a run in progress, block by block of its ticks.
+    """The metrics of a run in progress, to which blocks of ticks are added.
 
-    A run ends in a state that is passed as the values of a last tick, in which nothing happens.
+    The final state of a run is passed as the values of a last tick without flows.
     """
 
     def __init__(self, site: Site, start: float = 0.0) -> None:
-        """Begin with pumps stopped.
+        """Start with stopped pumps.
 
         Args:
             site: parameters of the site.
@@ -722,7 +734,7 @@ class BlockMetrics:
         self._starts = np.empty(0)
 
     def add(self, ticks: Values) -> None:
-        """Add a block.
+        """Add a block of ticks.
 
         Args:
             ticks: values of at least one tick, shape (:data:`TICK`, n).
@@ -736,28 +748,29 @@ class BlockMetrics:
         self._starts = starts[starts > -_HOUR_S]
 
     def results(self, end: Values) -> dict[str, float]:
-        """Return every metric by name, if the run ends in a state, shape (:data:`TICK`, 1)."""
+        """Return all metrics by name for a run with a final state, shape (:data:`TICK`, 1)."""
         return totals_of(self._site, self._end(end), self._totals)
 
     def weekly_deviations(self, end: Values) -> list[float]:
-        """Return the total deviation in every week of the run (m3), summed over its ticks.
+        """Return the total deviation in every week of the run (m3), summed over the ticks.
 
-        A bad fortnight does not show in a season's sum. The last week can be short; it includes the
-        very last tick, so that the weeks add up to the total.
+        A bad fortnight is not visible in the sum of a season. The last week can be shorter; it
+        includes the last tick, so that the weeks add up to the total.
 
         Args:
-            end: as for :meth:`results`.
+            end: final state of the run, as for :meth:`results`.
         """
         return [float(week) for week in self._weekly(self._end(end)).whole()[0]]
 
     def events(self, end: Values) -> list[Event]:
-        """Return the rain events, if the run ends in a state as for :meth:`results`."""
+        """Return the rain events of a run with the given final state, as for :meth:`results`."""
         return events_of(self._site, self._end(end), self._totals)
 
     def _end(self, state: Values) -> Samples:
-        """Return the state in which the run ends.
+        """Return the samples of the final state of the run.
 
-        It counts in the hour and week of the tick before it, and does not begin a new one.
+        The final state belongs to the hour and week of the previous tick, and does not begin a new
+        hour or week.
         """
         return self._samples(state, max(0, self._done - 1))
 
@@ -771,25 +784,25 @@ class BlockMetrics:
         )
 
     def _weekly(self, samples: Samples) -> _Sums:
-        """Return the deviation in every week, including further samples."""
+        """Return the deviation in every week, including the samples passed."""
         week = (samples.time + self._site.tau / 2) // _WEEK_S
         return _sums_by(self._weeks, np.stack((week, _deviation(self._site, samples))))
 
 
 def end_state(cistern: float, roof: float, layer: float) -> Values:
-    """Return the values of a tick in which nothing happens, shape (:data:`TICK`, 1)."""
+    """Return the values of a tick without flows, shape (:data:`TICK`, 1)."""
     return np.array([[cistern], [roof], [layer], *[[0.0]] * (len(TICK) - 3)])
 
 
 class Metrics:
-    """The metrics of a run in progress, tick by tick; ``metrics["pumped_m3"]`` is one of them."""
+    """The metrics of a run in progress, by name, as in ``metrics["pumped_m3"]``."""
 
     def __init__(self, site: Site, plant: Plant, start: float = 0.0) -> None:
-        """Start with pumps stopped.
+        """Begin with stopped pumps.
 
         Args:
             site: parameters of the site.
-            plant: cistern and roof, always in the state of the present tick.
+            plant: cistern and roof, in the state of the present tick.
             start: start of the run (s since 1970).
         """
         self._plant, self._blocks = plant, BlockMetrics(site, start)
@@ -798,7 +811,7 @@ class Metrics:
     def step(
         self, command: float, precipitation: float, potential: float, flows: Flows
     ) -> None:
-        """Add what happens from the present tick to the next, for every tick 0..N-1.
+        """Add the present tick; must be called for every tick 0..N-1.
 
         Args:
             command: command of the controller (1).
@@ -814,11 +827,11 @@ class Metrics:
             self._add_ticks()
 
     def results(self) -> dict[str, float]:
-        """Return every metric by its name, as if the run ended in the present tick."""
+        """Return all metrics by name, as if the run ended in the present tick."""
         return self._blocks.results(self._end())
 
     def weekly_deviations(self) -> list[float]:
-        """Return the total deviation in every week (m3), as if the run ended in this tick."""
+        """Return the total deviation of every week (m3), as if the run ended in this tick."""
         return self._blocks.weekly_deviations(self._end())
 
     def events(self) -> list[Event]:
@@ -826,11 +839,11 @@ class Metrics:
         return self._blocks.events(self._end())
 
     def __getitem__(self, name: str) -> float:
-        """Return the metric of that name."""
+        """Return the metric with the given name."""
         return self.results()[name]
 
     def _end(self) -> Values:
-        """Add up all ticks, and return the state in which the run ends."""
+        """Add up all ticks, and return the final state of the run."""
         if self._ticks:
             self._add_ticks()
         return end_state(self._plant.x1, self._plant.x2, self._plant.layer)

@@ -1,11 +1,10 @@
-"""The smooth plant, Eqs. (5)-(9), and its linear model, Eq. (10); used only for linearisation.
+"""The smooth plant, Eqs.
 
-Each equation is a function: :func:`f` is Eq. (5), :func:`psi` (6), :func:`q_out` (7),
-:func:`q_pump` (8) and :func:`q_drain` (9). The last four also return the derivatives that Eq. (10)
-needs.
-
-Field-capacity soil replaces Eq. (9) as it is: it is continuous, and smooth except at the wilting
-point, the onset of stress and field capacity.
+(5)-(9), and its linear model, Eq. (10), used only for linearisation. Each equation has its own
+function: :func:`f` for Eq. (5), :func:`psi` (6), :func:`q_out` (7), :func:`q_pump` (8) and
+:func:`q_drain` (9). The last four functions also return the derivatives that Eq. (10) requires. A
+field-capacity soil replaces Eq. (9) without smoothing, because it is continuous, and smooth except
+at the wilting point, the onset of stress and field capacity.
 """
 from __future__ import annotations
 
@@ -20,7 +19,7 @@ from greenroof_ros.model.soil import SoilSlopes, soil_of
 def f(
     site: Site, x1: float, w_r: float, w_e: float, out: float, pumped: float, soil: SoilSlopes
 ) -> tuple[float, float]:
-    """f^epsilon: how fast the volumes in the cistern and on the roof change (m3/s), Eq. (5).
+    """Return f^epsilon: the rates of change of the two volumes (m3/s), Eq. (5).
 
     Args:
         site: parameters of the site (Table I).
@@ -36,7 +35,7 @@ def f(
 
 
 def psi(y: float, epsilon: float) -> tuple[float, float]:
-    """psi^epsilon: a smooth square root, and its slope, Eq. (6); Duan and Lian (2016, Eq. 3)."""
+    """Return psi^epsilon: a smooth root, and its slope, Eq. (6); Duan and Lian (2016, Eq. 3)."""
     if y > epsilon:
         root = math.sqrt(y)
         return root, 0.5 / root
@@ -47,9 +46,9 @@ def psi(y: float, epsilon: float) -> tuple[float, float]:
 
 
 def q_out(site: Site, x1: float) -> tuple[float, float]:
-    """q_out^epsilon: the flow to the sewer (m3/s), and its slope with x1 (1/s), Eq. (7).
+    """Return q_out^epsilon: the flow to the sewer (m3/s), and its slope with x1 (1/s), Eq.
 
-    A valve counts as closed.
+    (7). A low outlet with a valve counts as closed.
     """
     root, slope = psi(x1 / site.a1 - site.z_o, site.epsilon)
     flow, flow_1 = site.c_out * root, site.c_out * slope / site.a1
@@ -61,9 +60,9 @@ def q_out(site: Site, x1: float) -> tuple[float, float]:
 
 
 def q_pump(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, float, float]:
-    """q_pump^epsilon: the flow that the pumps lift at a command u (m3/s), Eq. (8).
+    """Return q_pump^epsilon: the flow of the pumps at a command u (m3/s), and its slopes, Eq.
 
-    Its slopes with x1 and x2 (1/s) and with u (m3/s) follow.
+    (8). The slopes are those with x1 and x2 (1/s) and with u (m3/s).
     """
     epsilon = site.epsilon
     root, slope = psi(x1 / site.a1 + site.c_hat - site.d, epsilon)
@@ -78,14 +77,14 @@ def q_pump(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, fl
 
 
 def q_drain(site: Site, x2: float) -> tuple[float, float]:
-    """q_drain^epsilon: the drainage (m3/s), and its slope with x2 (1/s), Eq. (9)."""
+    """Return q_drain^epsilon: the drainage (m3/s), and its slope with x2 (1/s), Eq. (9)."""
     sigma_3 = sigma(x2 - site.z_cap, site.epsilon)
     flow = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil * sigma_3
     return flow, site.K / site.z_soil * sigma_3 + flow * (1 - sigma_3) / site.epsilon
 
 
 def sigma(y: float, epsilon: float) -> float:
-    """1 / (1 + exp(-y / epsilon)), without overflow: 1 above 0 and 0 below, Eqs. (8) and (9)."""
+    """Return 1 / (1 + exp(-y / epsilon)) without overflow: a smooth step, Eqs. (8) and (9)."""
     if y >= 0:
         return 1 / (1 + math.exp(-y / epsilon))
     growth = math.exp(y / epsilon)
@@ -93,9 +92,9 @@ def sigma(y: float, epsilon: float) -> float:
 
 
 class Linearisation(NamedTuple):
-    """x' ~ A x~ + B u~ + C w~ + b about an operating point, Eq. (10).
+    """The linear model x' ~ A x~ + B u~ + C w~ + b at an operating point, Eq.
 
-    The paper prints C_p as 2x1; with two disturbances w = (w_r, w_e) it is 2x2.
+    (10). The paper prints C_p as 2x1, but with two disturbances w = (w_r, w_e) it is 2x2.
     """
 
     A: tuple[tuple[float, float], tuple[float, float]]
@@ -105,7 +104,7 @@ class Linearisation(NamedTuple):
     C: tuple[tuple[float, float], tuple[float, float]]
     """tau df/dw, shape (2, 2); columns w_r (m2 s) and w_e (s)"""
     b: tuple[float, float]
-    """tau f, shape (2,), m3: the change of state in a tick at the operating point"""
+    """tau f, shape (2,), m3: the change of the state in a tick at the operating point"""
 
 
 def linearise(

@@ -1,28 +1,29 @@
-"""Storm water: what reaches the sewer, during and after rain, event by event.
+"""Storm water that reaches the sewer during and after rain, and its rain events.
 
-All figures come from sums over intervals of a minute, or of whole ticks that last longer. Within an
-interval, rain and discharge are constant. What flows before and after a run is not known, and
-counts as 0.
+All results are computed from sums over intervals of a minute, or of whole ticks if ticks are
+longer. Within an interval, rain and discharge are taken as constant. Flows before and after a run
+are unknown, and count as 0.
 
-**Peaks** are the maximum of the moving mean. Its window may begin at any time: fixed intervals of
-five minutes would miss an eighth of a storm's peak on average (Weiss 1964, Ratio of true to
-fixed-interval maximum rainfall, Journal of the Hydraulics Division 90(1), 77-82: 1.14).
+**Peaks** are maxima of the moving mean, whose window may begin at any time. Fixed intervals of five
+minutes would underestimate the peak of a storm by an eighth on average (Weiss 1964, Ratio of true
+to fixed-interval maximum rainfall, Journal of the Hydraulics Division 90(1), 77-82: 1.14).
 
-**Wet weather** is any time with rain, if 0.1 mm falls within 60 minutes around it, and the site's
-``wet_after`` following it: the sewer still carries storm water then. What is released later meets a
-sewer with room.
+**Wet weather** is any time with rain, if at least 0.1 mm falls within 60 minutes around this time,
+and also the period ``wet_after`` after the rain, during which the sewer still carries storm water.
+Water that is released later reaches a sewer with free capacity.
 
-**The reference** is the same area without roof and cistern, from which all rain runs off
-immediately: the roof's whole area, and the catchment's times its runoff coefficient, like A_u in
-DWA-A 117 and DWA-A 138. So its runoff in mm/h is the rain, as in Johannessen, Muthanna and
-Braskerud (2018, Water 10, 671), who compare the five-minute peaks of rain and runoff.
+**The reference** is the same area without a green roof and a cistern, from which all rain runs off
+immediately: the whole area of the roof, and the area of the catchment times its runoff coefficient,
+like A_u in DWA-A 117 and DWA-A 138. Therefore the runoff of the reference in mm/h equals the rain,
+as in Johannessen, Muthanna and Braskerud (2018, Water 10, 671), who compare the five-minute peaks
+of rain and runoff.
 
-**Events** are separated by the site's ``event_separation`` without rain, which is six hours by
-default, as usual for green roofs and in SWMM's statistics, where it is the separation time (Rossman
-2015, SWMM User's Manual Version 5.1, EPA-600/R-14/413b, Statistics Report). What reaches the sewer
-before these hours are over belongs to the event. Volume and peak that are compared with the
-reference are those in wet weather: a valve that releases water some hours after the rain has done
-what it is for.
+**Events** are separated by a period ``event_separation`` without rain. The default is six hours,
+which is usual for green roofs and for the separation time in SWMM's statistics (Rossman 2015, SWMM
+User's Manual Version 5.1, EPA-600/R-14/413b, Statistics Report). Water that reaches the sewer
+before the end of this period belongs to the event. The volume and the peak in wet weather are
+compared with the reference, because the purpose of a valve is to release water some hours after
+rain.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from greenroof_ros.model.site import Site
 Values = NDArray[np.float64]
 
 MIN_DEPTH = 1e-4
-"""depth (m) below which a rain gauge shows nothing, 0.1 mm: neither event nor overflow"""
+"""minimum depth of a rain event or an overflow (m): 0.1 mm, the resolution of a rain gauge"""
 WET_RAIN = MIN_DEPTH / 3600
 """minimum rate of rain in wet weather (m/s): 0.1 mm in an hour"""
 
@@ -64,21 +65,22 @@ class Intervals(NamedTuple):
 
 
 class Event(NamedTuple):
-    """A rain event, and how much of it reached the sewer.
+    """A rain event, and its discharge to the sewer.
 
     Attributes:
-        start_h: time of the first rain, since the start of the run (h).
-        hours: time from the first rain to the last (h).
+        start_h: time of the first rain, relative to the start of the run (h).
+        hours: time from the first rain to the last rain (h).
         rain_mm: depth of the rain.
-        max_rain_5min_mm_h: mean of the wettest five minutes, which is the peak of the reference.
-        max_rain_60min_mm_h: mean of the wettest 60 minutes.
-        discharge_m3: water that reached the sewer before the dry hours after the rain had ended.
-        wet_discharge_m3: the part of it that reached the sewer in wet weather.
-        peak_l_s: highest mean of that part over five minutes.
-        peak_mm_h: the same, divided by the connected area.
-        volume_reduction: share of the reference's volume that did not flow in wet weather (1).
-        peak_reduction: share by which the peak was lower than the reference's (1).
-        peak_delay_min: how much later than the reference's peak it began; None without discharge.
+        max_rain_5min_mm_h: mean rain of the wettest five minutes, which is the peak of the
+            reference.
+        max_rain_60min_mm_h: mean rain of the wettest 60 minutes.
+        discharge_m3: water that reached the sewer before the end of the dry hours after the rain.
+        wet_discharge_m3: part of the discharge that reached the sewer in wet weather.
+        peak_l_s: maximum mean of the discharge in wet weather over five minutes.
+        peak_mm_h: the peak ``peak_l_s`` divided by the connected area.
+        volume_reduction: relative reduction of the volume in wet weather below the reference (1).
+        peak_reduction: relative reduction of the peak below the peak of the reference (1).
+        peak_delay_min: delay of the peak relative to the reference's peak; None without discharge.
         complete: whether the run covers the whole event, including the dry hours after it.
     """
 
@@ -98,20 +100,20 @@ class Event(NamedTuple):
 
 
 def interval_seconds(site: Site) -> float:
-    """Return the duration of an interval (s): a minute, up to a whole number of ticks."""
+    """Return the duration of an interval (s): a minute, rounded up to a whole number of ticks."""
     return site.tau * math.ceil(_INTERVAL_S / site.tau - 1e-9)
 
 
 def connected_area(site: Site) -> float:
-    """Return the area whose rain would reach the sewer without roof and cistern (m2)."""
+    """Return the area whose rain would reach the sewer without a green roof and a cistern (m2)."""
     return site.effective_catchment + site.a2
 
 
 def find_wet_weather(wet_after: float, intervals: Intervals) -> NDArray[np.bool_]:
-    """Return which intervals are in wet weather, shape (n,).
+    """Return a mask of the intervals in wet weather, shape (n,).
 
     Args:
-        wet_after: wet_after of the site (h).
+        wet_after: parameter ``wet_after`` of the site (h).
         intervals: intervals of the run.
     """
     seconds, rain = intervals.seconds, intervals.rain
@@ -127,12 +129,12 @@ def find_wet_weather(wet_after: float, intervals: Intervals) -> NDArray[np.bool_
 
 
 def find_peak(intervals: Intervals, minutes: float) -> float:
-    """Return the maximum mean of the discharge over some minutes (m3/s)."""
+    """Return the maximum mean discharge over a number of minutes (m3/s)."""
     return _find_maximum(intervals.discharge, intervals.seconds, minutes)[0]
 
 
 def _find_maximum(values: Values, seconds: float, minutes: float) -> tuple[float, float]:
-    """Return the maximum of the moving mean, per second, and when its first window begins (s).
+    """Return the maximum of the moving mean (per second), and the start of its first window (s).
 
     Args:
         values: sums over intervals.
@@ -149,7 +151,7 @@ def _find_maximum(values: Values, seconds: float, minutes: float) -> tuple[float
 
 
 def find_events(site: Site, intervals: Intervals) -> list[Event]:
-    """Return the events of a run in order of time; traces below 0.1 mm do not count as events."""
+    """Return the rain events of a run in chronological order, except traces below 0.1 mm."""
     seconds, rain, area = intervals.seconds, intervals.rain, connected_area(site)
     dry = max(1, round(site.event_separation * _HOUR_S / seconds))
     rains = np.flatnonzero(rain > 0)
