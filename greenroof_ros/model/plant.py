@@ -1,9 +1,10 @@
-"""The plant: Eqs. (1)-(4) of the paper, integrated tick by tick.
+"""The plant, Eqs.
 
-In a short tick, as in Table I, this is Euler's method, as in the paper. In a longer one, outlets,
-pumps and mains act within the tick: each stops at its level (:func:`has_short_ticks`). Eq. (4) is
-in :mod:`greenroof_ros.model.soil`, together with the field-capacity soil, which can have a third
-state: the water in its drainage layer.
+(1)-(4) of the paper, integrated tick by tick. Short ticks, as in Table I, are integrated with
+Euler's method, as in the paper. In longer ticks (see :func:`has_short_ticks`), the flows of
+outlets, pumps and mains can stop within the tick, when they reach their levels. Eq. (4) is in
+:mod:`greenroof_ros.model.soil`, together with the field-capacity soil, which can have a third
+state, the water in its drainage layer.
 """
 
 from __future__ import annotations
@@ -27,34 +28,37 @@ _new = tuple.__new__
 _SHORT_HEAD = 1e-4
 
 SHORT_SHARE = 0.01
-"""maximum share of the roof's target that pumps at full flow move in a short tick"""
+"""maximum share of the roof's target that pumps at full flow can deliver in a short tick"""
 
 MAX_STEP_S = 10.0
-"""steps in which the cistern is computed in a longer tick (s)"""
+"""maximum length of the steps into which a longer tick is divided for the cistern (s)"""
 
 ABOVE_SUCTION = 1e-9
-"""share of the suction level at which a cistern that is pumped down ends above it, never below"""
+"""margin above the suction level at which pumping ends, as a share of this level"""
 
 RUNNING_SHARE = 0.01
 """share of their maximum flow above which the pumps count as running"""
 
 MIN_RUN_S = 1.0
-"""minimum time for which the pumps run in a tick that is not short (s), the paper's tick"""
+"""minimum time for which the pumps run in a tick that is not short (s): the paper's tick"""
 
 
 def overflow(site: Site, x1: float) -> float:
-    """q_out (m3/s): what leaves a cistern holding x1 (m3) through its upper outlet, Eq. (2)."""
+    """Return q_out (m3/s): the flow through the upper outlet of a cistern with x1 (m3), Eq. (2)."""
     head = x1 / site.a1 - site.z_o
     return site.c_out * math.sqrt(head) if head > 0 else 0.0
 
 
 def outlet_flow(site: Site, x1: float) -> float:
-    """Flow from a cistern holding x1 (m3) to the sewer through both outlets, open (m3/s)."""
+    """Return the flow (m3/s) through both open outlets of a cistern with x1 (m3)."""
     return overflow(site, x1) + low_outlet_flow(site, x1)
 
 
 def low_outlet_flow(site: Site, x1: float) -> float:
-    """Flow (m3/s) through the open low outlet of a cistern with x1 (m3): Eq. (2) at its level."""
+    """Return the flow (m3/s) through the open low outlet of a cistern with x1 (m3), as in Eq.
+
+    (2).
+    """
     if site.low_outlet_level is None:
         return 0.0
     head = x1 / site.a1 - site.low_outlet_level
@@ -62,15 +66,16 @@ def low_outlet_flow(site: Site, x1: float) -> float:
 
 
 def find_outlet_radius(site: Site, base: float, head: float, seconds: float) -> float:
-    """Return the radius of an outlet (m) that takes a certain time to drain a cistern to its level.
+    """Return the radius of an outlet (m) that drains a cistern to its level in a given time.
 
-    The root of the head falls linearly in time, from Eq. (2): this takes 2 a1 sqrt(head) / c.
+    According to Eq. (2), the square root of the head decreases linearly with time, so draining
+    takes 2 a1 sqrt(head) / c.
 
     Args:
         site: site with the discharge coefficient and the acceleration due to gravity.
         base: base area of the cistern (m2).
         head: head of the full cistern above the outlet (m).
-        seconds: time until it is drained (s).
+        seconds: time until the cistern is drained to the outlet's level (s).
     """
     coefficient = 2 * base * math.sqrt(head) / seconds
     return math.sqrt(coefficient / (site.c_d * math.pi * math.sqrt(2 * site.g)))
@@ -79,9 +84,9 @@ def find_outlet_radius(site: Site, base: float, head: float, seconds: float) -> 
 def has_short_ticks(site: Site) -> bool:
     """Return whether Euler's method is precise enough within a tick, as in Table I.
 
-    In a short tick, pumps at full flow move no more than 1 % of the roof's target, and an outlet
-    takes no more than the water up to 0.1 mm above it: with Euler's method, it takes more than is
-    above it if the head is below (tau c / a1)^2, with the c of Eq. (2).
+    In a short tick, pumps at full flow deliver at most 1 % of the roof's target, and an outlet can
+    only drain too much if the water is less than 0.1 mm above it: with Euler's method, an outlet
+    drains more than the water above it if the head is below (tau c / a1)^2, with c as in Eq. (2).
     """
     pumped = site.tau * maximum_pump_flow(site, site.a1 * site.z_o)
     overdrawn = (site.tau * max(site.c_out, site.c_low) / site.a1) ** 2
@@ -89,14 +94,14 @@ def has_short_ticks(site: Site) -> bool:
 
 
 def mains_flow(site: Site, x1: float, drawn: float, seconds: float) -> float:
-    """Return the mean flow of the mains in a step (m3/s) through a float valve; 0 without a valve.
+    """Return the mean flow of mains water in a step (m3/s); 0 without a float valve.
 
-    Below its level, the valve is open; at its level, it replaces what is drawn, up to
+    Below its level, the valve is open; at its level, it replaces the drawn water, up to
     ``mains_flow``.
 
     Args:
         site: parameters of the site.
-        x1: volume in the cistern at the beginning (m3).
+        x1: volume in the cistern at the start of the step (m3).
         drawn: pumped and drained water, minus the rain that flows into the cistern (m3/s), constant
             in the step.
         seconds: duration of the step (s).
@@ -112,9 +117,10 @@ def mains_flow(site: Site, x1: float, drawn: float, seconds: float) -> float:
 
 
 def maximum_pump_flow(site: Site, x1: float) -> float:
-    """The pumps' flow (m3/s) at command 1 from a cistern holding x1 (m3), Eq. (3e).
+    """Return the pumps' flow (m3/s) at command 1 from a cistern with x1 (m3), Eq.
 
-    It is 0 if the pumps cannot lift water to the roof; they must not run at such a level anyway.
+    (3e). The flow is 0 if the pumps cannot lift water to the roof; they must not run at such a
+    level.
     """
     head = x1 / site.a1 + site.c_hat - site.d
     return site.b * math.sqrt(head) if head > 0 else 0.0
@@ -123,14 +129,14 @@ def maximum_pump_flow(site: Site, x1: float) -> float:
 def pumps_run(site: Site, flow: Any) -> Any:
     """Return whether the pumps run at a flow (m3/s, any shape): above 1 % of their maximum flow.
 
-    The maximum is the flow from a cistern filled up to its outlet. A smaller flow is the end of a
-    lag, which never quite reaches 0, or the noise of a meter.
+    The maximum flow is that from a cistern filled to its outlet. Flows below this limit are caused
+    by a lag that never quite reaches 0, or by the noise of a meter.
     """
     return flow > RUNNING_SHARE * maximum_pump_flow(site, site.a1 * site.z_o)
 
 
 def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
-    """q_pump (m3/s) at volumes x1, x2 (m3) and a command (share of the maximum flow), Eq. (3a)."""
+    """Return q_pump (m3/s) for volumes (m3) and a command (share of the maximum flow), Eq. (3a)."""
     if x2 / site.a2 >= site.z_veg or x1 / site.a1 < site.suction_level:
         return 0.0
     return command * maximum_pump_flow(site, x1)
@@ -139,7 +145,7 @@ def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
 def command_to(
     site: Site, soil: Soil, x1: float, x2: float, target: float, rain: float, potential: float
 ) -> float:
-    """Return the command that brings a roof from x2 to a volume in a tick; 0 if none does.
+    """Return the command that changes the volume on a roof to a target in a tick; 0 if impossible.
 
     Args:
         site: parameters of the site.
@@ -159,38 +165,38 @@ def command_to(
 
 
 def head_loss(site: Site, x1: Values, flow: Values) -> Values:
-    """L (m): the head needed by flows (m3/s) from a cistern holding x1 (m3), Eq. (3c)."""
+    """Return L (m): the head that flows (m3/s) from a cistern with x1 (m3) require, Eq. (3c)."""
     # float_power yields the bits of a number's square; numpy's square does not.
     return site.pipe_resistance * np.float_power(flow, 2) + site.d - x1 / site.a1
 
 
 class Flows(NamedTuple):
-    """The flows during one tick (m3/s), limited to what each tank holds."""
+    """The flows during one tick (m3/s), limited to the water in each tank."""
 
     outflow: float
-    """from the cistern to the sewer"""
+    """flow from the cistern to the sewer"""
     pump: float
-    """from the cistern to the roof"""
+    """flow from the cistern to the roof"""
     drainage: float
     """drainage from the roof"""
     evapotranspiration: float
     """evapotranspiration from the roof"""
     limited: bool
-    """whether a tank held less than was demanded"""
+    """whether a tank contained less water than was demanded"""
     mains: float
-    """from the mains into the cistern"""
+    """flow of mains water into the cistern"""
     low_outlet: float = 0.0
-    """the part of the outflow that leaves through the low outlet"""
+    """part of the outflow that leaves through the low outlet"""
 
 
 class Plant:
-    """Cistern and roof, computed tick by tick.
+    """A cistern and a roof, computed tick by tick.
 
     Attributes:
         x1: water volume in the cistern (m3).
-        x2: water volume on the green roof (m3); with field-capacity soil, in its substrate.
-        layer: water volume in the drainage layer of field-capacity soil (m3), at first the site's
-            ``initial_layer``; always 0 for the paper's soil.
+        x2: water volume on the green roof (m3); for a field-capacity soil, in its substrate.
+        layer: water volume in the drainage layer of a field-capacity soil (m3), initially the
+            site's ``initial_layer``; always 0 for the paper's soil.
     """
 
     def __init__(self, site: Site, x1: float, x2: float) -> None:
@@ -209,9 +215,9 @@ class Plant:
         self.layer = site.initial_layer
 
     def levels(self) -> tuple[float, float]:
-        """Water depth in the cistern and on the roof (m), as sensors would measure them.
+        """Return the levels of cistern and roof (m), as sensors would measure them.
 
-        The roof's sensor is in the substrate; it does not see the drainage layer.
+        The roof's sensor is in the substrate, and does not detect water in the drainage layer.
         """
         return self.x1 / self._a1, self.x2 / self._a2
 
@@ -221,8 +227,8 @@ class Plant:
     ) -> Flows:
         """Return the flows during the present tick.
 
-        If the paper's model would empty a tank below zero, everything that leaves it is scaled down
-        to what it holds plus what enters it.
+        If the paper's model would drain more water from a tank than it contains and receives, all
+        flows from this tank are scaled down to this amount.
 
         Args:
             precipitation: rain rate (m/s).
@@ -274,11 +280,11 @@ class Plant:
         return _new(Flows, (outflow, pump, drainage, evapotranspiration, limited, mains, low))
 
     def _fits(self, outlet: float) -> float:
-        """Return the volume in the cistern above which water leaves for the sewer (m3)."""
+        """Return the volume in the cistern above which water flows to the sewer (m3)."""
         return self._a1 * (self._site.min_outlet_level if outlet else self._site.z_o)
 
     def _find_missing(self, rain: float, evapotranspiration: float) -> tuple[float, float]:
-        """Return the volume to be pumped until the roof is at its target in a long tick.
+        """Return the volume that must be pumped to fill the roof to its target in a long tick.
 
         Args:
             rain: rain on the roof (m3/s).
@@ -286,7 +292,7 @@ class Plant:
                 water.
 
         Returns:
-            A volume (m3), and the rate at which it falls because of rain (m3/s).
+            The volume (m3), and the rate at which rain reduces it (m3/s).
         """
         target = self._a2 * self._site.z_veg
         evaporated = evapotranspiration * self._soil.water_stress(self.x2)
@@ -300,10 +306,10 @@ class Plant:
         self, collected: float, command: float, pumped: float | None, outlet: float,
         missing: float, rise: float,
     ) -> tuple[float, float, float, float, list[float], bool]:
-        """Return what leaves the cistern and flows into it in a long tick.
+        """Return the flows out of the cistern and into it in a long tick.
 
-        If something changes quickly, this is done in steps of up to 10 s. In each of them, pumps
-        and mains stop at their levels; then the outlets take their part.
+        If a flow changes quickly, the tick is divided into steps of up to 10 s. In each step, pumps
+        and mains stop at their levels, and then the outflow is computed.
 
         Args:
             collected: rain that flows into the cistern (m3/s).
@@ -311,12 +317,12 @@ class Plant:
             pumped: flow to the roof (m3/s), if another program drives the pumps.
             outlet: opening of the low outlet's valve, 0 to 1 (1).
             missing: volume that must be pumped to fill the roof to its target (m3).
-            rise: rate at which that falls because of rain (m3/s).
+            rise: rate at which rain reduces ``missing`` (m3/s).
 
         Returns:
-            Outflow, its part through the low outlet, pumped water and mains water (m3/s), what is
-            pumped in every step (m3), and whether the cistern held less than another program
-            pumped.
+            Outflow, its part through the low outlet, pumped water and mains water (m3/s), the
+            volume pumped in every step (m3), and whether the cistern contained less water than
+            another program pumped.
         """
         site, x1, tau = self._site, self.x1, self._tau
         lowest, min_run = self._a1 * site.suction_level * (1 + ABOVE_SUCTION), MIN_RUN_S
@@ -361,12 +367,13 @@ class Plant:
     ) -> tuple[float, float, float]:
         """Return outflow, its part through the low outlet, and mains water in a long tick (m3/s).
 
-        The roof's drainage depends on what is pumped, and so is known only after the pumps have
-        run; what flows into the cistern can leave it in the same tick.
+        The roof's drainage depends on the pumped water, so it is known only after the pumps have
+        run; water that drains into the cistern can leave it in the same tick.
 
         Args:
             arriving: rain and drainage that flow in (m3/s).
-            volumes: what :meth:`_step_cistern` pumps in every step, or in the tick (m3).
+            volumes: volumes that :meth:`_step_cistern` pumps in every step, or in the whole tick
+                (m3).
             outlet: opening of the low outlet's valve, 0 to 1 (1).
         """
         x1, tau = self.x1, self._tau
@@ -386,17 +393,18 @@ class Plant:
         return out / tau, let_out / tau, let_in / tau
 
     def _let_out(self, x1: float, outlet: float, seconds: float) -> tuple[float, float]:
-        """Return the volumes that the upper and the low outlet take in a step (m3).
+        """Return the volumes that leave through the upper and the low outlet in a step (m3).
 
-        The backward Euler method is used, so that they take no more than what is above them. The
-        head after a step, s^2, solves a quadratic equation,
+        The backward Euler method is used, so that an outlet does not drain more than the water
+        above it. The head after a step, s^2, solves a quadratic equation,
 
             a1 s^2 + c t s = volume above the outlet without its flow.
 
-        The upper outlet comes first: while it flows, the lower one's head hardly changes.
+        The upper outlet is computed first: while water flows through it, the head of the low outlet
+        hardly changes.
 
         Args:
-            x1: volume in the cistern without their flow (m3).
+            x1: volume in the cistern without the flow through the outlets (m3).
             outlet: opening of the low outlet's valve, 0 to 1 (1).
             seconds: duration of the step (s).
         """
@@ -414,11 +422,11 @@ class Plant:
         return upper, low
 
     def step(self, precipitation: float, flows: Flows) -> None:
-        """Move on by one tick, Eq. (1).
+        """Proceed by one tick, Eq. (1).
 
         Args:
             precipitation: rain rate (m/s), the same as passed to :meth:`flows`.
-            flows: what :meth:`flows` returned for the present tick.
+            flows: flows that :meth:`flows` returned for the present tick.
         """
         outflow, pump, drained, evapotranspiration, _, mains, _ = flows
         tau = self._tau

@@ -1,14 +1,12 @@
-"""The plants of many sites under on/off control: the tick of :mod:`.plant` on arrays.
+"""The plants of many sites under on/off control, computed on arrays as in :mod:`.plant`.
 
-Every volume and flow equals that of :class:`.plant.Plant` from the same state, except for rounding
-(a relative error of at most 1e-10). Where a threshold decides, rounding can reverse the decision: a
-roof that the pump has just filled to its target is slightly above or below it. Its next dose then
-begins a tick earlier or later, so sums over a run differ by at most the evaporation of a tick.
-
-In most ticks, most sites are calm: the water level is below every open outlet, and either on/off
-control does not pump, or the pump lifts the whole missing volume in the first step of a long tick.
-These flows can be computed without steps. Only the other sites are computed in steps, as a subset
-of the rows.
+Every volume and flow equals that of :class:`.plant.Plant` for the same state, except for rounding
+(a relative error of at most 1e-10). Rounding can reverse decisions at a threshold: a roof that the
+pump has just filled to its target is slightly above or below the target. The next dose then begins
+one tick earlier or later, so sums over a run differ by at most the evaporation of one tick. In most
+ticks, most sites are calm: the water level is below all open outlets, and the pump is either off,
+or delivers the whole missing volume in the first step of a long tick. The flows of these sites are
+computed without steps. Only the other sites are computed in steps, as a subset of the rows.
 """
 
 from __future__ import annotations
@@ -43,33 +41,34 @@ class Moved(NamedTuple):
     drainage: Values
     evapotranspiration: Values
     limited: Values
-    """1 if a tank held less than was demanded, otherwise 0"""
+    """1 if a tank contained less water than was demanded, otherwise 0"""
     mains: Values
     low_outlet: Values
 
 
 class _Pumping(NamedTuple):
-    """Where pumps may run in a tick."""
+    """The sites at which pumps may run in a tick."""
 
     rows: Rows
     missing: Values
-    """volume to be pumped until the roofs are at their targets (m3), infinite in a short tick; 0
-    where the pump does not run"""
+    """volume that must be pumped to fill each roof to its target (m3), infinite in a short tick; 0
+    if the pump does not run
+    """
     rise: Values | float = 0.0
     """rate at which rain reduces ``missing`` (m3/s)"""
 
 
 class Plants:
-    """Cisterns and roofs of sites, stepped together; the attributes are those of one plant.
+    """The cisterns and roofs of many sites, with the attributes of a single plant as arrays.
 
     Attributes:
         x1: volume in each cistern (m3).
         x2: volume on each roof (m3).
         layer: volume in each drainage layer (m3).
         moved: volumes that flowed in the last tick.
-        all_moved: the same in one array, shape (7, n).
-        flowed: whether anything other than drainage, evapotranspiration and pumped water flowed in
-            the last tick.
+        all_moved: the volumes of ``moved`` in one array, shape (7, n).
+        flowed: whether any flow in the last tick was other than drainage, evapotranspiration and
+            pumped water.
     """
 
     def __init__(
@@ -78,12 +77,12 @@ class Plants:
         """Set the initial volumes.
 
         Args:
-            sites: all with the same tau; all with short ticks or none; all with field-capacity soil
-                or none.
+            sites: sites with the same tau. Either all or none have short ticks, and either all or
+                none have a field-capacity soil.
             x1: volume in each cistern (m3).
             x2: volume on each roof (m3).
-            fraction: of on/off control, the command when pumping (share of the maximum flow).
-            level: share of the target that on/off control fills each roof to (1).
+            fraction: command of on/off control while it pumps (share of the maximum flow).
+            level: share of the target to which on/off control fills each roof (1).
         """
         self.sites, self._tau = sites, float(sites.tau[0])
         self.x1, self.x2, self.layer = x1.copy(), x2.copy(), sites.initial_layer.copy()
@@ -111,11 +110,11 @@ class Plants:
             self._min_lifted.fill(0.0)
 
     def set_weather(self, rain: Values, potential: Values) -> None:
-        """Set the weather of the current tick and of those that follow.
+        """Set the weather of the current tick and of later ticks.
 
         Args:
             rain: rain on each site (m/s).
-            potential: evapotranspiration off each bed (m3/s), of plants with sufficient water.
+            potential: evapotranspiration from each bed (m3/s) of plants with sufficient water.
         """
         sites, tau = self.sites, self._tau
         self._raining, self._on_roof = bool(rain.any()), rain * sites.a2
@@ -127,11 +126,11 @@ class Plants:
         self._pumps_below = (1 + _ROUNDING) * np.minimum(highest - least, sites.a2 * self._dry)
 
     def tick(self, outlet: Values, allowed: Flags | None = None) -> Moved:
-        """Return the water that moves during the current tick, and move on to the next tick.
+        """Return the volumes that flow during the current tick, and proceed to the next tick.
 
         Args:
             outlet: opening of each low outlet, 0 to 1 (1).
-            allowed: whether the pumps of each site may run; None if all may run.
+            allowed: mask of the sites whose pumps may run; None if all pumps may run.
         """
         moved, soils = self.moved, self._soils
         (self.all_moved if self.flowed else moved.pump).fill(0.0)
@@ -160,9 +159,10 @@ class Plants:
     # --- pumps ------------------------------------------------------------------------------
 
     def _find_pumping(self, allowed: Flags | None) -> _Pumping | None:
-        """Return where pumps may run in the tick and how much is missing, or None if none may.
+        """Return the sites at which pumps may run, and the missing volumes; None without sites.
 
-        On/off control, Eq. (12), pumps while the roof is too dry and the cistern holds enough.
+        On/off control, Eq. (12), pumps while the roof is too dry and the cistern contains enough
+        water.
         """
         below = self.x2 <= self._pumps_below
         if allowed is not None:
@@ -193,7 +193,7 @@ class Plants:
     # --- cisterns ---------------------------------------------------------------------------
 
     def _step_short(self, pumping: _Pumping | None, outlet: Values) -> Values:
-        """Write the flows of cisterns in a short tick, and return their volumes after it (m3)."""
+        """Write the flows of cisterns in a short tick, and return their final volumes (m3)."""
         cisterns, x1 = self._cisterns, self.x1
         flow = np.zeros_like(x1)
         if pumping is not None:
@@ -205,7 +205,7 @@ class Plants:
         return self._write(_ALL, flows)
 
     def _write(self, rows: Rows, flows: CisternFlows) -> Values:
-        """Write the flows of some cisterns, and return their volumes afterwards (m3)."""
+        """Write the flows of some cisterns, and return their final volumes (m3)."""
         moved, pump = self.moved, flows.volumes.sum(axis=0)
         moved.pump[rows], moved.mains[rows] = pump, flows.mains
         moved.outflow[rows], moved.low_outlet[rows] = flows.outflow, flows.low_outlet
@@ -216,7 +216,7 @@ class Plants:
     def _step_rows(
         self, rows: Rows, pumping: _Pumping | None, outlet: Values
     ) -> CisternFlows:
-        """Return the flows of some cisterns in a long tick, in steps."""
+        """Return the flows of some cisterns in a long tick, computed in steps."""
         cisterns = self._cisterns.take(rows)
         missing, rise = np.zeros((2, len(self.sites)))
         if pumping is not None:
@@ -229,12 +229,12 @@ class Plants:
     def _step_all(
         self, pumping: _Pumping | None, outlet: Values
     ) -> tuple[Values, CisternFlows]:
-        """Write the flows of cisterns in a long tick; return their volumes (m3) and the flows."""
+        """Write flows of cisterns in a long tick; return the final volumes (m3) and the flows."""
         flows = self._step_rows(_ALL, pumping, outlet)
         return self._write(_ALL, flows), flows
 
     def _step_wet(self, pumping: _Pumping | None, outlet: Values) -> Values:
-        """Write the flows of cisterns in a long tick with rain, and return their volumes (m3)."""
+        """Write flows of cisterns in a long tick with rain; return their final volumes (m3)."""
         filled = self._cisterns.filled
         after = self.x1 + self._tau * self._collected
         stepped = (after > self._find_calm(outlet)) | (self.x1 < filled)
@@ -244,7 +244,7 @@ class Plants:
         return after
 
     def _step_dry(self, pumping: _Pumping | None, outlet: Values) -> Values:
-        """Write the flows of cisterns in a long tick without rain; return their volumes (m3)."""
+        """Write flows of cisterns in a long tick without rain; return their final volumes (m3)."""
         cisterns, moved = self._cisterns, self.moved
         flowing = self.x1 > self._find_calm(outlet)
         stepped = self.x1 > self._low_only
@@ -264,7 +264,7 @@ class Plants:
         return after
 
     def _lift(self, pumping: _Pumping, flowing: Flags, stepped: Flags) -> None:
-        """Write the volume pumped in the first step of a dry tick, and mark rows with steps."""
+        """Write the volume pumped in the first step of a dry tick; mark rows that need steps."""
         rows, missing, tau, seconds = *pumping[:2], self._tau, self._tau / self._steps
         cisterns, x1 = self._cisterns.take(rows), self.x1[rows]
         flow = cisterns.pump_flow(x1)
@@ -286,7 +286,7 @@ class Plants:
         self.moved.pump[rows] = lifted
 
     def _find_calm(self, outlet: Values) -> Values:
-        """Return the volume (m3) up to which no water leaves each cistern for the sewer."""
+        """Return the volume (m3) up to which no water flows from each cistern to the sewer."""
         if outlet is not self._outlet:
             cisterns, held = self._cisterns, self._cisterns.hold(outlet)
             # Mains that fill beyond an outlet: it always flows.
@@ -297,7 +297,7 @@ class Plants:
         return self._calm
 
     def _drain_some(self, flowing: Flags, outlet: Values, after: Values) -> None:
-        """Empty cisterns through low outlets where nothing else flows after the first step."""
+        """Drain cisterns in which only the low outlet flows after the first step."""
         rows = flowing.nonzero()[0]
         if not len(rows):
             return
@@ -312,13 +312,13 @@ class Plants:
     def _step_some(
         self, stepped: Flags, pumping: _Pumping | None, outlet: Values, after: Values
     ) -> None:
-        """Step some cisterns through a long tick, and write their volumes after it (m3)."""
+        """Compute some cisterns in the steps of a long tick; write their final volumes (m3)."""
         rows = stepped.nonzero()[0]
         if len(rows):
             after[rows] = self._write(rows, self._step_rows(rows, pumping, outlet))
 
     def _let_out_drainage(self, flows: CisternFlows, outlet: Values, after: Values) -> None:
-        """Compute again what flows out and in where drainage flows into the cistern, too."""
+        """Compute outflow and inflow again for cisterns that receive drainage."""
         tau, cisterns, moved, kept = (
             self._tau, self._cisterns, self.moved, self.sites.drainage_to_cistern
         )
@@ -339,7 +339,7 @@ class Plants:
     # --- roofs ------------------------------------------------------------------------------
 
     def _step_settled(self, pumping: _Pumping | None) -> None:
-        """Move roofs on to the next tick where it does not rain; only what is pumped percolates."""
+        """Proceed to the next tick for roofs without rain; only pumped water percolates."""
         moved, layer, x2 = self.moved, self.layer, self.x2
         if pumping is not None:
             rows, pump = pumping.rows, moved.pump[pumping.rows]
@@ -354,7 +354,7 @@ class Plants:
             moved.drainage[rows], layer[rows] = drained, remaining
 
     def _empty_layers(self) -> None:
-        """Empty the drainage layers that no water reaches."""
+        """Drain the drainage layers that receive no water."""
         layer, drainage = self.layer, self.moved.drainage
         if not self._layers:
             drainage.fill(0.0)
@@ -367,7 +367,7 @@ class Plants:
         self.layer, self._work[1] = remaining, layer
 
     def _step_roof(self) -> None:
-        """Move roofs on to the next tick, in any weather."""
+        """Proceed to the next tick for roofs in any weather."""
         moved, x2 = self.moved, self.x2
         arrived = self._tau * self._on_roof + moved.pump
         percolated, evaporated, limited = self._soils.lose(moved.evapotranspiration, arrived)
@@ -379,11 +379,11 @@ class Plants:
         np.maximum(x2 + arrived - percolated - evaporated, 0.0, out=x2)
 
     def _drain_layer(self, percolated: Values, rows: Rows) -> tuple[Values | float, Values]:
-        """Return what remains in some drainage layers and what drains (m3); see :mod:`.soil`.
+        """Return the remaining and the drained volumes of drainage layers (m3); see :mod:`.soil`.
 
         Args:
             percolated: volume that leaves the substrates (m3).
-            rows: which roofs.
+            rows: selection of the roofs.
         """
         if not self._layers:
             return 0.0, percolated

@@ -1,6 +1,7 @@
-"""The soil of a roof: the paper's, Eq. (4), or field-capacity soil, with the same methods.
+"""The soils of a roof, with the same methods: the paper's, Eq.
 
-:func:`soil_of` returns the soil of a site; :class:`PaperSoil` documents what each method returns.
+(4), and a field-capacity soil. :func:`soil_of` returns the soil of a site; :class:`PaperSoil`
+documents the methods.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ Drainage = Callable[[Site, float], tuple[float, float]]  # at a volume, and its 
 # Rain raises the water on the paper's roof by no more than this above its target (m).
 _ABOVE_M = 0.15
 ALMOST_FULL = 1 - 1e-9
-"""share of TAW that is treated as full, since only an infinite volume would fill the soil to field
-capacity"""
+"""share of TAW that counts as full, because only an infinite volume would fill the soil to field
+capacity
+"""
 # Eq. (4) with Euler's method takes no more than this (m) in a tick from a soil at its capacity.
 _MAX_OVERDRAWN_M = 1e-4
 # predict_lasting_share adds at least this share of the water that plants can take (1): smaller
@@ -34,29 +36,29 @@ _MIN_LASTING = 1e-3
 
 
 class SoilSlopes(NamedTuple):
-    """What the soil does with water at a volume x2, and the derivatives with x2 (1/m3 of each)."""
+    """The response of the soil to water at a volume x2, and its derivatives with x2 (per m3)."""
 
     retained: float
-    """share of the arriving water that stays (1)"""
+    """share of the arriving water that stays in the soil (1)"""
     retained_2: float
     stress: float
-    """share of the potential evapotranspiration that it yields (1)"""
+    """share of the potential evapotranspiration that the soil yields (1)"""
     stress_2: float
     drained: float
-    """drainage besides the share of the arriving water that does not stay (m3/s)"""
+    """drainage in addition to the arriving water that does not stay (m3/s)"""
     drained_2: float
 
 
 class PaperSoil:
-    """Table I's soil: it keeps all water below its capacity, and drains above it by Eq. (4).
+    """The soil of Table I, which drains only above its capacity, according to Eq. (4).
 
     Attributes:
-        has_field_capacity: whether it is field-capacity soil.
-        above_target: how far rain can raise it above its target (m3).
+        has_field_capacity: whether the soil is a field-capacity soil. above_target: volume by which
+            rain can exceed the target (m3).
         retains_all_below: volume below which all arriving water stays, and evaporation is limited
-            only by the water that is there (m3); 0 if there is no such volume.
-        overdraws: whether a tick of Eq. (4) would take much more than is above the capacity.
-        excess: what water above its capacity does, in words.
+            only by the available water (m3); 0 without such a volume.
+        overdraws: whether Eq. (4) would drain much more than the water above the capacity in a
+            tick. excess: predicate for sentences about the water above the capacity.
         stress_volume: volume below which :meth:`water_stress` is less than 1 (m3).
     """
 
@@ -70,10 +72,10 @@ class PaperSoil:
         self.overdraws = 2 * site.K * site.tau > _MAX_OVERDRAWN_M
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
-        """Return the drainage from the soil in a tick, if it holds that much (m3/s), Eq. (4).
+        """Return the drainage from the soil in a tick (m3/s), Eq.
 
-        It is no more than what is above the capacity and what arrives, if a tick of Eq. (4) would
-        take much more from a soil that is just full.
+        (4), if the soil holds enough water. If Eq. (4) would drain much more from a full soil in a
+        tick, the drainage is limited to the arriving water and the water above the capacity.
 
         Args:
             x2: volume that the soil holds (m3).
@@ -87,7 +89,7 @@ class PaperSoil:
         return min(drainage, above / seconds + arriving) if self.overdraws else drainage
 
     def retained_share(self, x2: float) -> float:
-        """Return the share of the arriving water that stays (1) in a soil holding x2 (m3)."""
+        """Return the share of the arriving water that stays (1) in a soil with x2 (m3)."""
         return 1.0
 
     def water_stress(self, x2: float) -> float:
@@ -97,19 +99,20 @@ class PaperSoil:
     def tick(
         self, x2: float, layer: float, available: float, arriving: float, potential: float
     ) -> Losses:
-        """Return the flows that leave the roof in a tick, at most what it holds and receives.
+        """Return the flows that leave the roof in a tick, limited to the available water.
 
-        If that is less than Eqs. (1) and (4) demand, both losses are scaled down to it.
+        If less water is available than Eqs. (1) and (4) demand, both flows are scaled down.
 
         Args:
             x2: volume that the soil holds (m3).
             layer: volume that the drainage layer holds (m3).
-            available: what can leave the soil, since it holds or receives it (m3/s).
+            available: water that the soil holds or receives (m3/s).
             arriving: rain and pumped water (m3/s).
             potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water.
 
         Returns:
-            Drainage and evapotranspiration (m3/s), and whether there was less than was demanded.
+            Drainage and evapotranspiration (m3/s), and whether less water was available than was
+            demanded.
         """
         drainage = self.drained(x2, arriving, self._site.tau)
         demand = potential + drainage
@@ -119,18 +122,18 @@ class PaperSoil:
         return drainage, potential, False
 
     def max_fall_rate(self, level: float) -> float:
-        """Return the fastest rate at which drainage lowers a level (m), in m/s.
+        """Return the maximum rate at which drainage lowers a level (m), in m/s.
 
-        It is Eq. (4), even below the capacity.
+        The rate is that of Eq. (4), even below the capacity.
         """
         return self._site.K * (level + self._site.z_soil) / self._site.z_soil
 
     def linearise(self, x2: float, q_drain: Drainage) -> SoilSlopes:
-        """Return what a linear model around x2 (m3) needs.
+        """Return the slopes for a linear model at x2 (m3).
 
         Args:
             x2: volume that the soil holds (m3).
-            q_drain: Eq. (9) and its slope, instead of Eq. (4), where drainage starts with a jump.
+            q_drain: function for Eq. (9) and its slope, which replaces the discontinuous Eq. (4).
         """
         return SoilSlopes(1.0, 0.0, 1.0, 0.0, *q_drain(self._site, x2))
 
@@ -138,15 +141,15 @@ class PaperSoil:
         self, x2: Values, arriving: Values | float, potential: Values | float,
         seconds: Values | float,
     ) -> Values:
-        """Return the volume on the roof after a step of any length (m3), in which rain comes first.
+        """Return the volume on the roof after a step of any length (m3).
 
-        Water above the capacity drains at the end of the step.
+        Rain falls at the start of the step, and water above the capacity drains at its end.
 
         Args:
-            x2: volume that it holds before (m3).
+            x2: volume on the roof before the step (m3).
             arriving: rain and pumped water in the step (m3); its shape must broadcast with x2,
                 potential and seconds.
-            potential: what would evaporate from plants that lack no water (m3).
+            potential: evapotranspiration of plants with sufficient water (m3).
             seconds: length of the step (s).
         """
         site = self._site
@@ -156,21 +159,21 @@ class PaperSoil:
         return np.maximum(remaining, 0.0)
 
     def water_to_fill(self, x2: Any) -> Any:
-        """Return the water that fills an empty roof to x2 (m3), of any shape."""
+        """Return the volume of water that fills an empty roof to x2 (m3), in any shape."""
         return x2
 
     def water_to_raise(self, x2: float, to: float) -> float:
-        """Return the water that raises the soil from x2 to a higher volume (m3)."""
+        """Return the volume of water that fills the soil from x2 to a higher volume (m3)."""
         return to - x2
 
     def fill_empty(self, arrived: Values) -> Values:
-        """Return the volume that an empty roof holds (m3) after this much has arrived (m3)."""
+        """Return the volume on an initially empty roof (m3) after a volume has arrived (m3)."""
         return arrived
 
     def predict_changes(
         self, x2: float, rain: Values, potential: Values, lengths: Values
     ) -> Values:
-        """Predict by how much the roof's volume changes in steps without pumping (m3).
+        """Predict the changes of the roof's volume in steps without pumping (m3).
 
         Args:
             x2: volume on the roof at the beginning (m3).
@@ -185,12 +188,12 @@ class PaperSoil:
         return np.asarray((rain * self._site.a2 - potential) * lengths)
 
     def predict_lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
-        """Predict the share of water added now that stays on the roof in later steps (1): all.
+        """Predict the share of water added now that remains on the roof in later steps (1): 1.
 
         Args:
             x2: volume on the roof at the beginning (m3).
-            changes: changes without pumping, as :meth:`predict_changes` returns them (m3).
-            weather: the arguments rain, potential and lengths of that call.
+            changes: changes without pumping, as returned by :meth:`predict_changes` (m3).
+            weather: arguments rain, potential and lengths of :meth:`predict_changes`.
 
         Returns:
             The mean in every step, shape (n,).
@@ -201,11 +204,11 @@ class PaperSoil:
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values, durations: Values,
     ) -> tuple[Values, Values]:
-        """Compute the unmeasured quantities of a roof with known volumes.
+        """Compute the quantities of a roof with known volumes that are not measured.
 
         Args:
-            layer: volume that its drainage layer holds at first (m3).
-            x2: volume at the beginning of every sample (m3), NaN if unknown, shape (n,).
+            layer: initial volume in the drainage layer (m3).
+            x2: volume at the start of every sample (m3), NaN if unknown, shape (n,).
             rain: precipitation (m/s), shape (n,).
             pump: flow from the cistern (m3/s), shape (n,).
             potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water,
@@ -214,7 +217,7 @@ class PaperSoil:
             durations: durations of the samples (s), shape (n,).
 
         Returns:
-            Evapotranspiration (m3/s), and what the drainage layer holds at the beginning of every
+            Evapotranspiration (m3/s), and the volume in the drainage layer at the start of every
             sample (m3), both of shape (n,).
         """
         # As in Plant.flows: no more than the available water evaporates.
@@ -222,18 +225,18 @@ class PaperSoil:
         return np.fmin(potential, np.maximum(available, 0.0)), np.full_like(x2, layer)
 
     def _darcy(self, x2: float) -> float:
-        """Return the drainage (m3/s) of a soil that holds x2 (m3), at least its capacity."""
+        """Return the drainage (m3/s) of a soil with x2 (m3), at or above its capacity."""
         site = self._site
         return site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil
 
 
 class FieldCapacitySoil:
-    """Field-capacity soil over a drainage layer, with the methods of :class:`PaperSoil`.
+    """A field-capacity soil over a drainage layer, with the methods of :class:`PaperSoil`.
 
-    The substrate is the soil routine of HBV (Bergstrom 1976, SMHI Reports RHO No. 7; Seibert and
-    Vis 2012, doi:10.5194/hess-16-3315-2012, soil moisture routine) with its exponent beta = 2. The
-    drainage layer is a reservoir whose outflow is proportional to the square of its volume. Only
-    sites with a ``field_capacity`` have this soil.
+    The substrate is modeled by the soil routine of HBV (Bergstrom 1976, SMHI Reports RHO No. 7;
+    Seibert and Vis 2012, doi:10.5194/hess-16-3315-2012, soil moisture routine) with the exponent
+    beta = 2. The drainage layer is a reservoir with an outflow proportional to the square of its
+    volume. Only sites with a ``field_capacity`` have this soil.
     """
 
     has_field_capacity = True
@@ -249,9 +252,9 @@ class FieldCapacitySoil:
         self.stress_volume = self._wilting + self._drying
 
     def filled_share(self, x2: float) -> float:
-        """Return S (1): the filled share of the water that plants can take, at x2 (m3).
+        """Return S (1): the filled share of the available water capacity at x2 (m3).
 
-        It is 0 at the wilting point and below, 1 at field capacity and above.
+        S is 0 up to the wilting point, and 1 from field capacity on.
         """
         if x2 >= self._capacity:
             return 1.0
@@ -260,16 +263,16 @@ class FieldCapacitySoil:
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
         """Return the mean percolation out of the substrate in a tick of any length (m3/s).
 
-        The share that passes through grows as the substrate fills. The solution of dS/dt = (1 -
-        S^2) i / TAW for a constant i is
+        The share of water that percolates increases as the substrate fills. The solution of dS/dt =
+        (1 - S^2) i / TAW for a constant i is
 
             S(t) = (S + g) / (1 + S g),  g = tanh(i t / TAW).
 
-        Up to the wilting point, all water stays. The excess above field capacity leaves within the
-        tick.
+        Up to the wilting point, all water stays in the substrate. Water above field capacity
+        percolates within the tick.
 
         Args:
-            x2: water in the substrate at the beginning (m3).
+            x2: water in the substrate at the start of the tick (m3).
             arriving: rain and pumped water (m3/s).
             seconds: duration of the tick (s).
         """
@@ -282,15 +285,15 @@ class FieldCapacitySoil:
         return max(0.0, arriving - retained / seconds)
 
     def retained_share(self, x2: float) -> float:
-        """Return 1 - S^2; the rest bypasses the soil to the drainage layer."""
+        """Return 1 - S^2; the other water bypasses the soil to the drainage layer."""
         filled = self.filled_share(x2)
         return 1 - filled * filled
 
     def water_stress(self, x2: float) -> float:
-        """Return K_s = (TAW - D_r) / ((1 - p) TAW), no more than 1: FAO-56, Eq. 84.
+        """Return K_s = (TAW - D_r) / ((1 - p) TAW), at most 1, FAO-56 Eq. 84.
 
-        TAW is the water that plants can take at field capacity, and D_r is the part of it that is
-        missing.
+        TAW is the water that plants can take up at field capacity, and D_r is the missing part of
+        this water.
         """
         return min(1.0, self.filled_share(x2) / self._onset)
 
@@ -303,11 +306,11 @@ class FieldCapacitySoil:
 
             V(t) = (V + i g) / (1 + k V g),  g = tanh(t sqrt(i k)) / sqrt(i k), or t where i = 0.
 
-        The volume above the layer's storage then also leaves within the tick. Without a layer, the
-        inflow leaves immediately.
+        Any volume above the layer's storage also drains within the tick. Without a layer, the
+        inflow drains immediately.
 
         Args:
-            layer: volume that it holds (m3).
+            layer: volume in the drainage layer (m3).
             inflow: percolation during the tick (m3/s).
             seconds: duration of the tick (s).
         """
@@ -336,9 +339,9 @@ class FieldCapacitySoil:
         return max(0.0, level - self._site.roof_level(self._capacity)) / self._tau
 
     def linearise(self, x2: float, q_drain: Drainage) -> SoilSlopes:
-        """Return the slopes of the soil itself, since it is continuous.
+        """Return the slopes of the soil without smoothing, because it is continuous.
 
-        At the wilting point, the onset of stress and field capacity the slopes are one-sided.
+        At the wilting point, the onset of stress and field capacity, the slopes are one-sided.
         """
         filled, stress = self.filled_share(x2), self.water_stress(x2)
         excess = max(0.0, x2 - self._capacity)
@@ -353,7 +356,7 @@ class FieldCapacitySoil:
         self, x2: Values, arriving: Values | float, potential: Values | float,
         seconds: Values | float,
     ) -> Values:
-        """Solve dS/dt = (1 - S^2) i, and then the decay below the onset of stress."""
+        """Solve dS/dt = (1 - S^2) i, and then the decay of volume below the onset of stress."""
         wilting, available, drying = self._wilting, self._available, self._drying
         water = x2
         if np.any(arriving):
@@ -368,12 +371,12 @@ class FieldCapacitySoil:
         return np.asarray(water + np.maximum(water - wilting, 0.0) * decay)
 
     def water_to_fill(self, x2: Any) -> Any:
-        """Solve dS/dt = (1 - S^2) i / TAW; up to the wilting point all of it stays."""
+        """Solve dS/dt = (1 - S^2) i / TAW; up to the wilting point, all water stays."""
         share = np.clip((x2 - self._wilting) / self._available, 0.0, ALMOST_FULL)
         return np.minimum(x2, self._wilting) + self._available * np.arctanh(share)
 
     def water_to_raise(self, x2: float, to: float) -> float:
-        """Return the inverse of :meth:`drained`: what must arrive in a tick that ends at ``to``."""
+        """Return the volume of water that must arrive in a tick that ends at the volume ``to``."""
         filled, reached = self.filled_share(x2), min(self.filled_share(to), ALMOST_FULL)
         first = max(0.0, min(to, self._wilting) - x2)
         g = max(0.0, (reached - filled) / (1 - filled * reached))
@@ -387,7 +390,7 @@ class FieldCapacitySoil:
     def predict_changes(
         self, x2: float, rain: Values, potential: Values, lengths: Values
     ) -> Values:
-        """Predict the changes in steps that may be long, as in :meth:`predict_volume`."""
+        """Predict changes in steps of any length, as in :meth:`predict_volume`."""
         dry, available, drying = self._wilting, self._available, self._drying
         stressed = dry + drying  # below this, evapotranspiration decays
         fallen, demand = rain * self._a2 * lengths, potential * lengths
@@ -415,12 +418,13 @@ class FieldCapacitySoil:
         return np.diff(volumes)
 
     def predict_lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
-        """Predict the share of water added now that is still on the roof in later steps (1).
+        """Predict the share of water added now that remains on the roof in later steps (1).
 
-        :meth:`predict_changes` follows two roofs: one without pumping, and one filled to its target
-        now. The share is their difference divided by their first difference, and at least 0.001. It
-        falls: the fuller substrate lets more of the rain pass and, if plants lack water, supplies
-        more to them. A storm that fills both leaves no difference.
+        Two roofs are simulated with :meth:`predict_changes`: a roof without pumping, and a roof
+        that is filled to its target now. The share is the ratio of the difference between their
+        volumes to its initial value, and at least 0.001. The share decreases, because more rain
+        percolates through the fuller substrate, and because plants that lack water take up more
+        from it. After a storm that fills both roofs, there is no difference.
         """
         added = max(self._site.x2_star - x2, _MIN_ADDED * self._available)
         fades = self.predict_changes(x2 + added, *weather) - changes
@@ -431,7 +435,7 @@ class FieldCapacitySoil:
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values, durations: Values,
     ) -> tuple[Values, Values]:
-        """Compute what the substrate lost and what percolated; ``drainage`` does not matter."""
+        """Compute evapotranspiration and volumes of the layer; ``drainage`` is not used."""
         samples = np.nan_to_num(x2), rain * self._a2 + pump, potential, durations
         evaporated, layers = array("d"), array("d")
         for volume, arriving, demand, seconds in zip(
@@ -450,17 +454,17 @@ Soil: TypeAlias = PaperSoil | FieldCapacitySoil
 
 
 def soil_of(site: Site) -> Soil:
-    """Return the soil of a site: field-capacity soil if its file has a ``field_capacity``."""
+    """Return the soil of a site: a field-capacity soil if the site has a ``field_capacity``."""
     return PaperSoil(site) if site.field_capacity is None else FieldCapacitySoil(site)
 
 
 def roof_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potential: float) -> float:
-    """Return the volume on a roof of x2 (m3) at the end of a tick, below 0 if it would dry out.
+    """Return the volume on a roof (m3) at the end of a tick; below 0 if the roof would dry out.
 
     Args:
         soil: soil of the roof.
         tau: duration of the tick (s).
-        x2: volume that the roof holds (m3).
+        x2: volume on the roof at the start of the tick (m3).
         arriving: rain and pumped water (m3/s).
         potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water.
     """

@@ -1,4 +1,4 @@
-"""The soils of many roofs, as in :mod:`.soil`: all the paper's, or all field-capacity soils."""
+"""The soils of many roofs, as in :mod:`.soil`: either paper soils or field-capacity soils."""
 
 from __future__ import annotations
 
@@ -13,34 +13,35 @@ from greenroof_ros.model.soil import ALMOST_FULL
 Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Rows = NDArray[np.intp] | slice
-"""selection of some of the sites, or of all"""
+"""selection of some or all sites"""
 
 
 class PaperSoils:
-    """The paper's soils, with the parameters of its Table I."""
+    """Soils with the model and the parameters of the paper's Table I."""
 
     def __init__(self, sites: Sites) -> None:
         """Set the sites."""
         self._sites, self._tau = sites, float(sites.tau[0])
 
     def set_weather(self, potential: Values, raining: bool) -> None:
-        """Set the weather of the ticks that follow.
+        """Set the weather of the following ticks.
 
         Args:
-            potential: evapotranspiration of each bed in a tick while plants lack no water (m3).
-            raining: whether it rains on any roof.
+            potential: evapotranspiration of each bed in a tick, of plants with sufficient water
+                (m3).
+            raining: whether rain falls on any roof.
         """
         self._potential, self._raining = potential, raining
 
     def begin(self, x2: Values, evaporated: Values) -> bool:
-        """Begin a tick, and write the evapotranspiration that each soil would yield in it.
+        """Begin a tick, and write the evapotranspiration that each soil would yield.
 
         Args:
             x2: volume on each roof (m3).
             evaporated: array to which the evapotranspiration is written (m3).
 
         Returns:
-            Whether it rains nowhere, and every soil is below its capacity and can yield the
+            Whether there is no rain, and all soils are below their capacity and can yield the
             evapotranspiration.
         """
         evaporated[:], self._x2 = self._potential, x2
@@ -49,7 +50,7 @@ class PaperSoils:
         return bool(((x2 < self._sites.z_cap) & (x2 >= self._potential)).all())
 
     def passing(self, x2: Values) -> Values:
-        """Return the share of the arriving water that passes through each soil (1).
+        """Return the share of the arriving water that percolates through each soil (1).
 
         Args:
             x2: volume on each roof (m3).
@@ -57,16 +58,16 @@ class PaperSoils:
         return np.zeros_like(x2)
 
     def water_to_raise(self, to: Values, rows: Rows) -> Values:
-        """Return the water that raises some of the soils to a higher volume in the tick (m3).
+        """Return the volume of water that fills some soils to a higher volume in the tick (m3).
 
         Args:
-            to: the higher volumes (m3).
+            to: volumes to which the soils are filled (m3).
             rows: selection of the roofs.
         """
         return to - self._x2[rows]
 
     def percolate(self, arrived: Values, rows: Rows) -> Values:
-        """Return the water that percolates out of some soils in the tick (m3).
+        """Return the volume that percolates through some soils in the tick (m3).
 
         The result holds only for soils below their capacity.
 
@@ -77,9 +78,9 @@ class PaperSoils:
         return np.zeros_like(arrived)
 
     def lose(self, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
-        """Return percolation and evapotranspiration in a tick (m3), and where they are limited.
+        """Return percolation and evapotranspiration (m3), and a mask of limited soils.
 
-        This holds in any tick, even with rain or with soils at their capacity.
+        The result is valid in any tick, even with rain or with soils at their capacity.
 
         Args:
             evaporated: evapotranspiration that :meth:`begin` has written (m3).
@@ -106,12 +107,12 @@ class FieldCapacitySoils:
         """filled share of the water that plants can take up, at the beginning of the tick (1)"""
 
     def set_weather(self, potential: Values, raining: bool) -> None:
-        """Set the weather; see :class:`PaperSoils`."""
+        """Set the weather of the following ticks; see :class:`PaperSoils`."""
         self._potential, self._raining, self._settled = potential, raining, False
         self._dries = potential / self._sites.stress_onset
 
     def begin(self, x2: Values, evaporated: Values) -> bool:
-        """Write evapotranspiration; see :class:`PaperSoils`."""
+        """Begin a tick, and write the evapotranspiration; see :class:`PaperSoils`."""
         sites, self._x2 = self._sites, x2
         if not (self._raining or self._settled):
             # They stay so in this weather: K_s falls to 0 with the water that plants can take up.
@@ -125,11 +126,11 @@ class FieldCapacitySoils:
         return self._settled
 
     def passing(self, x2: Values) -> Values:
-        """Return S^2; see :class:`PaperSoils`."""
+        """Return the percolating share S^2; see :class:`PaperSoils`."""
         return np.asarray(self._fill(x2, np.empty_like(x2)) ** 2)
 
     def _fill(self, x2: Values, share: Values) -> Values:
-        """Write the filled share of the water that plants can take up (1), and return it."""
+        """Write and return the filled share S of the available water capacity (1)."""
         np.subtract(x2, self._sites.wilting_volume, out=share)
         np.divide(share, self._sites.available_volume, out=share)
         if not self._settled:
@@ -138,7 +139,7 @@ class FieldCapacitySoils:
         return share
 
     def water_to_raise(self, to: Values, rows: Rows) -> Values:
-        """Return the water that raises some of the soils; see :class:`PaperSoils`."""
+        """Return the water that fills some soils to higher volumes; see :class:`PaperSoils`."""
         wilting, available = self._sites.wilting_volume[rows], self._sites.available_volume[rows]
         filled, reached = self._filled[rows], to - wilting
         np.divide(reached, available, out=reached)
@@ -154,7 +155,7 @@ class FieldCapacitySoils:
         return np.asarray(water)
 
     def percolate(self, arrived: Values, rows: Rows) -> Values:
-        """Return the water that percolates out of some soils; see :class:`PaperSoils`."""
+        """Return the volume that percolates through some soils; see :class:`PaperSoils`."""
         available, filled = self._sites.available_volume[rows], self._filled[rows]
         if not self._settled:  # the soil keeps the water that raises it to the wilting point
             wilting = self._sites.wilting_volume[rows]
