@@ -1,7 +1,7 @@
 """Write the text of a site file for a house about which little is known.
 
-The file marks the values that were given, and states the source of every assumption, so a reader
-can correct it.
+The file marks the given values, and states the source of every assumption, so that readers can
+correct the assumptions.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def format_new_site(
     """Return the text of a site file.
 
     Args:
-        given: values by the keys of a site file: at least ``roof_area``, ``catchment_area``,
-            ``cistern_volume``, ``latitude`` and ``longitude``. Others replace assumptions.
-        valve: whether there is a valve on a low outlet.
+        given: values by key of a site file: at least ``roof_area``, ``catchment_area``,
+            ``cistern_volume``, ``latitude`` and ``longitude``. Other values replace assumptions.
+        valve: whether the cistern has a low outlet with a valve.
         mains: whether mains water flows into a cistern that is nearly empty.
     """
     parts = (
@@ -60,7 +60,7 @@ def format_new_site(
 
 
 def standard_offset(zone: str) -> float:
-    """Return a time zone's current offset from UTC without daylight saving (h)."""
+    """Return the current UTC offset of a time zone's standard time (h)."""
     offsets = (datetime(2026, month, 15, tzinfo=ZoneInfo(zone)).utcoffset() for month in (1, 7))
     return min(offset or timedelta() for offset in offsets) / timedelta(hours=1)
 
@@ -74,7 +74,7 @@ def _line(
     Args:
         given: given values by key, which are always active.
         key: the key.
-        assumed: value of the key if none is given.
+        assumed: assumed value, for a key without a given value.
         meaning: meaning of the value.
         source: source of the assumption.
         active: whether an assumed value applies to the site; otherwise the line is commented out.
@@ -103,7 +103,7 @@ def _head(given: Mapping[str, Any]) -> Iterator[str]:
     text = (
         f"A green roof of {given['roof_area']:g} m2 and its cistern, written by 'greenroof "
         "new-site'. The source of every value is in brackets: [given] in an answer, [assumed], or "
-        "the name of a source. Replace values for which you have better ones; "
+        "the name of a source. Replace values if you know better ones; "
         "doc/reference/file-formats.md lists all keys."
     )
     yield from (f"# {line}" for line in _wrap(text, _WIDTH - 2))
@@ -120,8 +120,8 @@ def _place(given: Mapping[str, Any]) -> Iterator[str]:
     yield from _line(given, "latitude", None, "positive to the north")
     yield from _line(given, "longitude", None, "positive to the east")
     yield from _line(
-        given, "elevation", 100.0, "above sea level; if omitted, it follows from the weather's "
-            "mean pressure", "", active=False,
+        given, "elevation", 100.0, "above sea level; if omitted, derived from the weather's mean "
+        "pressure", "", active=False,
     )
     zone = given.get("time_zone")
     offset = standard_offset(zone) if zone else float(round(given["longitude"] / 15))
@@ -130,8 +130,8 @@ def _place(given: Mapping[str, Any]) -> Iterator[str]:
             "observes daylight saving time", "", active=False,
     )
     yield from _line(
-        given, "utc_offset", offset, "local standard time; needed for weather files that do not "
-        "state an offset from UTC", "[time_zone]" if zone else "", active=zone is not None,
+        given, "utc_offset", offset, "local standard time; required for weather files whose times "
+        "have no UTC offset", "[time_zone]" if zone else "", active=zone is not None,
     )
     yield (
         "# monthly_evapotranspiration: twelve means (mm/day), as 'greenroof weather' prints them, "
@@ -147,7 +147,7 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     yield from _line(given, "cistern_height", HEIGHT, "level of the overflow")
     yield from _line(given, "catchment_area", None, "roofs that drain to the cistern")
     yield from _line(
-        given, "runoff_coefficient", RUNOFF, "share of their rain that reaches the cistern",
+        given, "runoff_coefficient", RUNOFF, "share of the roofs' rain that reaches the cistern",
         "[0.75 to 0.95 for roofs, ASCE]",
     )
     like_valve = "[assumed, as in site_valve.yaml]"
@@ -156,18 +156,18 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     if not mains:
         yield "# No mains water [given]. To add it:"
     yield from _line(
-        given, "mains_level", _MAINS_LEVEL, "below this level a float valve lets mains water in",
+        given, "mains_level", _MAINS_LEVEL, "level below which a float valve adds mains water",
         like_valve, active=mains,
     )
     flow = max(_MAINS_FLOW, float(f"{1.2 * _find_flow(given):.2g}"))
     yield from _line(
-        given, "mains_flow", flow, f"flow of that valve, {3600 * flow:.2g} m3/h, which is more "
-        "than the pump's", active=mains,
+        given, "mains_flow", flow, f"flow of the float valve, {3600 * flow:.2g} m3/h, which "
+        "exceeds the flow of the pump", active=mains,
     )
     if not valve:
-        yield "# No low outlet [assumed]. To empty the cistern before rain, add one with a valve:"
+        yield "# No low outlet [assumed]. To empty the cistern before rain, add it with a valve:"
     yield from _outlet(
-        _VALVE_LEVEL, base, height, f"when open, it empties a full cistern in {EMPTIED_H:g} h",
+        _VALVE_LEVEL, base, height, f"the open valve empties a full cistern in {EMPTIED_H:g} h",
         given, active=valve,
     )
     yield from _line(
@@ -176,7 +176,8 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     if not valve:
         yield "# Or add an orifice that is always open, without low_outlet_valve:"
         yield from _outlet(
-            height / 2, base, height, f"it empties the upper half in {EMPTIED_H:g} h", given,
+            height / 2, base, height, f"the orifice empties the upper half in {EMPTIED_H:g} h",
+            given,
             active=False,
         )
 
@@ -185,13 +186,13 @@ def _outlet(
     level: float, base: float, height: float, meaning: str, given: Mapping[str, Any], *,
     active: bool,
 ) -> Iterator[str]:
-    """Yield the keys of a low outlet that drains the cistern to the outlet's level in 12 h.
+    """Yield the lines of a low outlet that drains the cistern to the outlet's level in 12 h.
 
     Args:
         level: level of the outlet (m).
         base: area of the cistern's base (m2).
         height: level of the overflow (m).
-        meaning: comment on the radius.
+        meaning: text of the comment on the radius.
         given: given values, by key.
         active: whether the outlet applies to the site; otherwise its lines are commented out.
     """
@@ -213,26 +214,26 @@ def _roof(given: Mapping[str, Any]) -> Iterator[str]:
     yield from _line(given, "roof_area", None, "green roof")
     yield from _line(
         given, "substrate", SUBSTRATE,
-        f"one of {', '.join(SUBSTRATES)}. This one is {substrate.about}",
+        f"one of {', '.join(SUBSTRATES)}. About this substrate: {substrate.about}",
     )
     yield from _line(
-        given, "substrate_depth", substrate.depth, "0.06 to 0.15 for sedum and herbs, more for "
+        given, "substrate_depth", substrate.depth, "0.06 to 0.15 for sedum and herbs, deeper for "
         "shrubs", "[depth in the substrate's source]",
     )
     yield from _line(
         given, "crop_coefficient", _CROP,
-        "ratio of the plants' evapotranspiration to that of reference grass",
+        "ratio of the plants' evapotranspiration to that of the reference grass",
         "[fit, site_neubrandenburg.yaml]",
     )
     target, how = find_target(given)
-    yield from _line(given, "z_veg", target, "water to keep in the substrate", f"[{how}]")
+    yield from _line(given, "z_veg", target, "target level of water in the substrate", f"[{how}]")
 
 
 def find_target(given: Mapping[str, Any]) -> tuple[float, str]:
-    """Return the level of water to keep on the roof (m), and a text on its derivation.
+    """Return the target level of water on the roof (m), and a text on its derivation.
 
-    It is the level at which water stress begins, plus the demand of a day in summer, as
-    doc/howto/choose-target-and-controller.md recommends, but less than the substrate can hold.
+    The target is the level at which water stress begins plus the demand of a summer day, as
+    recommended in doc/howto/choose-target-and-controller.md, but less than the substrate can hold.
     """
     substrate = SUBSTRATES[given.get("substrate", SUBSTRATE)]
     depth = given.get("substrate_depth", substrate.depth)
@@ -241,8 +242,8 @@ def find_target(given: Mapping[str, Any]) -> tuple[float, str]:
     target = min(onset + _DAY * _CROP, _MAX_FILLED * depth * substrate.field_capacity)
     return math.floor(1e4 * target) / 1e4, (
         f"the level at which plants begin to lack water, {1000 * onset:.1f} mm, plus the demand of "
-        f"a summer day, {1000 * _DAY * _CROP:.1f} mm, but at most {_MAX_FILLED:.0%} of what the "
-        "substrate holds"
+        f"a summer day, {1000 * _DAY * _CROP:.1f} mm, but at most {_MAX_FILLED:.0%} of the water "
+        "that the substrate holds"
     )
 
 
@@ -255,7 +256,7 @@ def _find_flow(given: Mapping[str, Any]) -> float:
 
 def _pump(given: Mapping[str, Any]) -> Iterator[str]:
     litres = f"{_find_flow(given) / LITRES_PER_HOUR:.3g} l/h"
-    yield "# Pump with a constant flow. Other keys for it: pump_flow, or emitters and emitter_flow"
+    yield "# Pump with a constant flow. Alternative keys: pump_flow, or emitters and emitter_flow"
     for key in (*_FLOWS, "emitter_flow"):
         if key in given:
             yield from _line(
@@ -277,7 +278,7 @@ def _pump(given: Mapping[str, Any]) -> Iterator[str]:
 
 def _run(given: Mapping[str, Any]) -> Iterator[str]:
     target = given.get("z_veg", find_target(given)[0])
-    yield "# Runs begin with the cistern half full and the roof at its target; if you change"
+    yield "# Runs start with the cistern half full and the roof at its target; if you change"
     yield "# cistern_volume, roof_area or z_veg, also change these two volumes"
     yield from _line(given, "initial_cistern", given["cistern_volume"] / 2, "", )
     yield from _line(
@@ -285,6 +286,6 @@ def _run(given: Mapping[str, Any]) -> Iterator[str]:
     )
     yield from _line(
         given, "tau", 60.0, "duration of a tick; precise enough for such a small pump, but a live "
-        "site needs 1"
+        "site requires 1"
     )
-    yield from _line(given, "N", 720, "ticks of a run without --hours, here 12 h")
+    yield from _line(given, "N", 720, "number of ticks in a run without --hours, here 12 h")
