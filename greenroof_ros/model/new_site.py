@@ -165,7 +165,10 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
         "exceeds the flow of the pump", active=mains,
     )
     if not valve:
-        yield "# No low outlet [assumed]. To empty the cistern before rain, add it with a valve:"
+        yield (
+            "# No low outlet [assumed]. To empty the cistern before rain, add a low outlet with a "
+            "valve:"
+        )
     yield from _outlet(
         _VALVE_LEVEL, base, height, f"the open valve empties a full cistern in {EMPTIED_H:g} h",
         given, active=valve,
