@@ -183,7 +183,7 @@ def test_command(
     assert run() == 0
     printed = capsys.readouterr().out
     assert "Minimum discharge" in printed
-    assert "mains" not in printed and printed.count("bound ") == 1  # the site has no mains top-up
+    assert "mains" not in printed and printed.count("│ bound ") == 1  # the site has no mains top-up
     assert run("--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert result["frontier"][0].keys() == {"weight", "wet_discharge_m3", "mains_m3"}
