@@ -61,8 +61,8 @@ class Mpc:
         minimise  1/2 U' P U + q' U   subject to  0 <= U <= max_command,
         P = I + G'G / lambda,  q = G'r / lambda,
 
-    whose entries are around 1. (The cost as printed in the paper is around 1e-6, far below the
-    solver's tolerances.) If the solver does not report the program as solved, its result is not
+    whose entries are around 1. (The cost as printed in the paper is around 1e-6, far below OSQP's
+    default tolerances.) If the solver does not report the program as solved, its result is not
     used: the command is 0, the pumps stay off for a tick, and ``fallbacks`` is increased by 1.
 
     Attributes:

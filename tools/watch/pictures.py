@@ -25,10 +25,16 @@ from ros_rig import write_forecast
 from simulators import Simulator
 
 HEIGHT = 900
-# End of the file's name, width (px), and the part of the page below which it is cut.
+# Name of the file after "watch-", width (px), and the part of the page below which the picture is
+# cut.
 PICTURES = {
-    "storm": (("", 820, "#charts"), ("-narrow", 400, "#charts > :first-child")),
-    "fault": (("", 980, "#alarms > :nth-child(2)"), ("-narrow", 400, "#tiles > :nth-child(3)")),
+    "storm": (
+        ("storm", 820, "#charts"), ("storm-narrow", 400, "#charts > :first-child"),
+        ("top", 820, "#charts > :first-child"), ("top-narrow", 400, "#tiles > :nth-child(2)"),
+    ),
+    "fault": (
+        ("fault", 980, "#alarms > :nth-child(2)"), ("fault-narrow", 400, "#tiles > :nth-child(3)"),
+    ),
 }
 # More pixels are sharp on a phone, too.
 _SCALE, _MARGIN = 1.5, 4
@@ -96,7 +102,7 @@ def fault(domain: int, place: Path) -> Iterator[Callable[[], object]]:
 def capture(state: str, address: str) -> None:
     """Capture the pictures of a state."""
     with started_browser() as browser:
-        for suffix, width, last in PICTURES[state]:
+        for name, width, last in PICTURES[state]:
             page = browser.new_page(
                 viewport={"width": width, "height": HEIGHT}, device_scale_factor=_SCALE
             )
@@ -105,7 +111,7 @@ def capture(state: str, address: str) -> None:
             time.sleep(1)
             box = page.locator(last).bounding_box()
             page.screenshot(
-                path=paths.CHECKOUT / "doc" / "_static" / f"watch-{state}{suffix}.png",
+                path=paths.CHECKOUT / "doc" / "_static" / f"watch-{name}.png",
                 full_page=True,
                 clip={"x": 0, "y": 0, "width": width,
                       "height": box["y"] + box["height"] + _MARGIN},
