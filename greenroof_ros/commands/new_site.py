@@ -149,7 +149,7 @@ def _add_option(
     """
     about = [_describe_unit(KEYS[key]), default and f"default: {default}"]
     end = "; ".join(filter(None, about))
-    meaning = KEYS[key].meaning.partition(":")[0]
+    meaning = KEYS[key].meaning.partition("; ")[0]
     settings: dict[str, Any] = {"metavar": "X"}
     if KEYS[key].among:
         settings = {"choices": KEYS[key].among}
@@ -248,7 +248,7 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
         ConfigurationError: if there is no terminal, or its input ends.
     """
     questions = [
-        *((f"--{option}", key, _reader(key), KEYS[key].meaning.partition(":")[0],
+        *((f"--{option}", key, _reader(key), KEYS[key].meaning.partition("; ")[0],
            _describe_unit(KEYS[key])) for option, key in _ASKED.items()),
         ("--place", "place", _read_place, "place", _PLACE_FORM),
     ]
