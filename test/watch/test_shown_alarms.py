@@ -196,7 +196,7 @@ def test_a_state_of_the_pump_that_its_cause_does_not_tell(
     assert advised in advice(alarms)
     alarms.update(3.6, 3.6)  # the last report of a node that is silent now
     assert rows(alarms)["/pump: pump"]["follows"] is None
-    assert "The pump's state is unknown: it may be running" in advice(alarms)
+    assert "The pump's state is unknown: the pump may be running" in advice(alarms)
 
 
 def test_the_order_of_alarms() -> None:
