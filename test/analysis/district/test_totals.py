@@ -156,7 +156,7 @@ def test_sentences_of_one_building_and_of_none_all_and_the_same(simulated: Simul
     )
     assert summarise(of_one, [before, row(0.4, 0, 1, 1, 1), row(1.0, 1, 0, 0, 0)]) == (
         "With a green roof and a cistern on the only building (valve, drain), no storm water "
-        "reaches the sewer in wet weather, the sewer no longer overflows and nothing reaches the "
+        "reaches the sewer in wet weather, the sewer no longer overflows and no water reaches the "
         "sewer in any hour."
     )
     assert summarise(of_one, [before, row(0.4, 0, 1, 1, 1)]).startswith("No building has a green")

@@ -63,7 +63,9 @@ WRONG: dict[str, tuple[Callable[[Path], Any], str]] = {
     "nothing-there": (lambda at: None, "in: does not exist"),
     "an-empty-directory": (Path.mkdir, "results.csv.*metadata.yaml"),
     "unfinished": (unfinished_bag, "in: has no metadata.yaml: .*greenroof recover"),
-    "foreign-topics": (topics("/scan"), "no .*/cistern/level.*/pump/flow.*its topics are: /scan"),
+    "foreign-topics": (
+        topics("/scan"), "lacks .*/cistern/level.*/pump/flow.*topics in the bag are: /scan",
+    ),
     "one-sample": (bag(**{name: [0.01] for name in NEEDED}), "two samples.*not 1"),
     "float32": (
         topics(*(f"/{name.replace('_', '/')}" for name in NEEDED), msgtype="std_msgs/msg/Float32"),

@@ -44,7 +44,7 @@ def test_a_day_without_half_of_its_water(
     warnings = cases(hours, shares)
     assert len(warnings) == (odd is not None)
     for warning in warnings:
-        assert warning.startswith("day 5 has ")
+        assert warning.startswith("day 5 contains ")
         assert float(warning.split()[3]) == pytest.approx(odd, abs=0.01)
     assert cases(hours, shares, previous_runs=False) == []
 
