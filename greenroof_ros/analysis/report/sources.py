@@ -126,8 +126,8 @@ def find_runs(
     if not sources.runs:
         first = sources.failed[0]
         raise ConfigurationError(
-            f"there is no finished run; {len(sources.failed)} failed or did not run. The first is "
-            f"{first['run']}: {first['error']}"
+            f"there is no finished run; {len(sources.failed)} failed or did not run. For example, "
+            f"{first['run']} {first['error']}"
         )
     return sources
 
