@@ -1,4 +1,4 @@
-"""Storm water that a valve keeps out of the sewer in one season, and its cost in mains water."""
+"""Storm water that a valve keeps out of the sewer in one season, and the mains water used."""
 
 import greenroof_ros as gr
 

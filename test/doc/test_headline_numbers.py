@@ -62,7 +62,7 @@ def test_a_season_is_as_the_readme_says(
     for run, name in (
         (closed, "closed"),
         (drain, f"drains the cistern to a fixed reserve of {reserve:.2f} m³ in dry weather"),
-        (plan, "follows a plan with a perfect forecast"),
+        (plan, "follows a plan based on a perfect forecast"),
     ):
         figures = f"{run['wet_discharge_m3']:.1f} m³ | {run['mains_m3']:.1f} m³"
         assert f"| {name} | {figures} |" in README
@@ -78,7 +78,8 @@ def test_a_season_is_as_the_readme_says(
     ).metrics
     assert f"`plan` takes {dry['mains_m3']:.1f} m³ from the mains even if" in README
     wet, perfect = dry["wet_discharge_m3"], plan["wet_discharge_m3"]
-    assert f"{wet:.1f} m³ reaches the sewer in wet weather, and {perfect:.1f} m³ with" in README
+    discharged = f"{wet:.1f} m³ reaches the sewer in wet weather"
+    assert f"{discharged}, compared with {perfect:.1f} m³ with" in README
     errors = gr.simulate("onoff", outlet="plan", forecast="errors", **names["season"]).metrics
     assert f"of weather services, {errors['wet_discharge_m3']:.1f} m³ reaches the sewer" in README
     watering = gr.simulate("lookahead", outlet="closed", **names["season"]).metrics
@@ -108,8 +109,8 @@ def test_faults_are_those_of_the_campaign() -> None:
         page, re.MULTILINE,
     )
     assert row is not None
-    assert f"in all {row[1]} cases with a fault of a drive, its line or its power" in README
-    assert f"the case nearest to its bound took **{row[2]}**" in README
+    assert f"in all {row[1]} cases with a fault in a drive, its line or its power supply" in README
+    assert f"the case closest to its time limit took **{row[2]}**" in README
     day = re.search(r"a complete run of (\d+ \w+ \d{4})", page)
     cases = re.search(r"^\| together \| (\d+) \|", page, re.MULTILINE)
     assert day is not None and cases is not None
