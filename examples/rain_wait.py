@@ -1,4 +1,4 @@
-"""An example of a controller that fills the roof unless enough rain is forecast.
+"""Example of a controller that fills the roof unless enough rain is forecast.
 
 greenroof simulate --controller examples.rain_wait:RainWait
 greenroof check-controller examples.rain_wait:RainWait
@@ -16,7 +16,7 @@ class RainWait:
     """Pump while the roof lacks more water than is forecast to fall within the horizon."""
 
     parameters = (
-        Parameter("horizon", 3.0, "h", 0.1, 240.0, "period for which it waits for rain"),
+        Parameter("horizon", 3.0, "h", 0.1, 240.0, "period within which forecast rain counts"),
         Parameter("command_on", 1.0, "1", 0.0, 1.0, "command while the pump runs", may_change=True),
     )
     needs_forecast = False  # without a forecast, it works like on/off control
