@@ -1,4 +1,4 @@
-"""Inflow and outflow of the cisterns of many sites in a tick, as in :class:`.plant.Plant`."""
+"""Inflow and outflow of many sites' cisterns in a tick, computed as in :class:`.plant.Plant`."""
 
 from __future__ import annotations
 
@@ -34,14 +34,15 @@ class Cisterns:
 
     Attributes:
         upper: volume up to the level of the upper outlet (m3).
-        lower: volume up to the level of the low outlet, or else of the upper outlet (m3).
+        lower: volume up to the level of the low outlet, or of the upper outlet if there is no low
+            outlet (m3).
         lowest: minimum volume that the pumps leave in the cistern (m3).
         filled: volume to which mains water fills the cistern (m3).
-        mains_flow: inflow from the mains (m3/s).
+        mains_flow: flow of mains water while the float valve is open (m3/s).
     """
 
     def __init__(self, values: Values) -> None:
-        """Set the parameters, in the order of :meth:`of`."""
+        """Set the parameters, given in the order used by :meth:`of`."""
         self._values = values
         (
             self._a1, self._b, self._lift, self._c_out, self._c_low, self.mains_flow,
@@ -50,7 +51,7 @@ class Cisterns:
 
     @classmethod
     def of(cls, sites: Sites) -> Cisterns:
-        """Return the cisterns of sites."""
+        """Return the cisterns of the given sites."""
         a1 = sites.a1
         return cls(np.stack((
             a1, sites.b, sites.c_hat - sites.d, sites.c_out, sites.c_low, sites.mains_flow,
@@ -60,11 +61,11 @@ class Cisterns:
         )))
 
     def take(self, rows: Rows | slice) -> Cisterns:
-        """Return a selection of the cisterns, or all of them for a slice."""
+        """Return the selected cisterns, or all cisterns if ``rows`` is a slice."""
         return self if isinstance(rows, slice) else Cisterns(self._values.take(rows, axis=1))
 
     def pump_flow(self, x1: Values) -> Values:
-        """Return the pumps' flow at command 1 (m3/s), Eq. (3e)."""
+        """Return the flow of the pumps at command 1 (m3/s), Eq. (3e)."""
         head = x1 / self._a1
         head += self._lift
         np.maximum(head, 0.0, out=head)
@@ -97,7 +98,7 @@ class Cisterns:
             x1: volume in each cistern (m3).
             collected: rain that flows into the cistern (m3/s).
             flow: flow of the pumps (m3/s).
-            outlet: opening of each low outlet, 0 to 1 (1).
+            outlet: opening of each low outlet, 0 to 1.
         """
         pump, level = tau * flow, x1 / self._a1
         low = tau * outlet * self._c_low * _root(level - self.lower / self._a1)
@@ -110,21 +111,21 @@ class Cisterns:
         return CisternFlows((share * pump)[None], share * out, share * low, mains), limited
 
     def is_quick(self, pumped: Values) -> Flags:
-        """Return a mask of cisterns whose pumped volume (m3) requires steps within a tick."""
+        """Return a mask of cisterns whose pumped volume (m3) requires dividing the tick."""
         return np.asarray(pumped > self._much)
 
     def drain(self, seconds: float, steps: int, x1: Values, outlet: Values) -> Values:
-        """Return the volume that leaves through low outlets if nothing else flows (m3).
+        """Return the volume that leaves through the low outlets if there is no other flow (m3).
 
-        The result equals that of :class:`_Outlets`. With the coefficient c of the outlet, the
-        duration t of a step, the head h and u^2 = h (2 a1 / (c t))^2, a step changes u to sqrt(1 +
-        u^2) - 1.
+        The result equals that of :class:`_Outlets`. Let c be the coefficient of the outlet, t the
+        duration of a step, h the head, and u^2 = h (2 a1 / (c t))^2; each step then changes u to
+        sqrt(1 + u^2) - 1.
 
         Args:
             seconds: duration of a step (s).
             steps: number of steps.
             x1: volume in each cistern (m3).
-            outlet: opening of each low outlet, 0 to 1 (1).
+            outlet: opening of each low outlet, 0 to 1.
         """
         drop = outlet * self._c_low * seconds
         unit = drop * drop / (4 * self._a1) + _NO_OUTLET
@@ -154,7 +155,7 @@ class Cisterns:
             x1: volume in each cistern (m3).
             collected: rain that flows into the cistern (m3/s).
             command: command to the pumps (share of the maximum flow).
-            outlet: opening of each low outlet, 0 to 1 (1).
+            outlet: opening of each low outlet, 0 to 1.
             missing: volume that must be pumped to fill the roof to its target (m3).
             rise: rate at which rain reduces ``missing`` (m3/s).
         """
@@ -184,7 +185,7 @@ class Cisterns:
         self, tau: float, steps: int, x1: Values, collected: Values, command: Values,
         outlet: Values, missing: Values, rise: Values,
     ) -> CisternFlows:
-        """Return the volumes that flow in a long tick, with the same number of steps for all."""
+        """Return the volumes that flow in a long tick, with equal steps for all cisterns."""
         seconds = tau / steps
         arrives = seconds * collected if collected.any() else 0.0
         running = np.zeros(len(x1), bool)
@@ -215,10 +216,10 @@ class Cisterns:
         self, seconds: float, x1: Values, collected: Values, flow: Values, missing: Values,
         rise: Values, running: Flags, volume: Values,
     ) -> Values:
-        """Write the volume pumped in a step, and return the inflow of mains water (m3).
+        """Write the pumped volume to ``volume``, and return the inflow of mains water (m3).
 
         Args:
-            seconds: duration of the step.
+            seconds: duration of the step (s).
             x1: volume in each cistern (m3).
             collected: rain that flows into the cistern (m3/s).
             flow: flow of the pumps (m3/s).
@@ -249,8 +250,8 @@ class Cisterns:
         Args:
             seconds: duration of a step.
             x1: volume in each cistern (m3).
-            arriving: rain and drainage that flow in (m3/s).
-            outlet: opening of each low outlet, 0 to 1 (1).
+            arriving: rain and drainage that flow into each cistern (m3/s).
+            outlet: opening of each low outlet, 0 to 1.
             volumes: pumped volume in each step (m3), shape (steps, n).
         """
         let_in, outlets = np.zeros(len(x1)), _Outlets(self, outlet, seconds)
@@ -275,7 +276,7 @@ class _Outlets:
 
         Args:
             cisterns: cisterns to which the outlets belong.
-            outlet: opening of each low outlet, 0 to 1 (1).
+            outlet: opening of each low outlet, 0 to 1.
             seconds: duration of a step (s).
         """
         self._cisterns, self._four_a1 = cisterns, 4 * cisterns._a1
@@ -284,11 +285,11 @@ class _Outlets:
         self.upper, self.low = np.zeros((2, len(outlet)))
 
     def _drop(self, drop: Values) -> tuple[Values, Values, Values]:
-        """Return c t, its double and its square, which is positive even for a closed outlet."""
+        """Return c t, its double, and its square, which is positive even for a closed outlet."""
         return drop, 2 * drop, drop * drop + _TINY
 
     def let_out(self, x1: Values) -> None:
-        """Subtract the water that leaves through the outlets in a step from the volumes (m3)."""
+        """Subtract the water that leaves through the outlets in a step from ``x1`` (m3)."""
         above = x1 - self._cisterns.upper
         if above.max() > 0:
             upper = self._take(above, *self._upper)

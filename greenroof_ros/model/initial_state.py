@@ -1,4 +1,4 @@
-"""Initial states of runs: those of the paper (Table II), and those of a site file."""
+"""Initial states of a run: those of the paper (Table II), and the state defined in a site file."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ INITIAL_STATES = (*_TABLE_II, SITE_STATE)
 
 
 def initial_states(site: Site) -> dict[str, tuple[float, float]]:
-    """Return the volumes x1 and x2 (m3) of the initial states, beginning with the default.
+    """Return the volumes x1 and x2 (m3) of each initial state, with the default state first.
 
-    The default is the state of the site file, or else low-low. The states do not include the
-    drainage layer of a field-capacity soil, which always starts with ``initial_layer``.
+    The default is the state defined in the site file or, if the file defines none, low-low. The
+    states do not include the drainage layer of a field-capacity soil, which always starts with
+    ``initial_layer``.
     """
     states = {
         name: (site.a1 * site.z_o * cistern, site.a2 * site.z_veg * roof)
@@ -36,7 +37,7 @@ def initial_states(site: Site) -> dict[str, tuple[float, float]]:
 def find_state(
     site: Site, name: str | None, volumes: tuple[float, float] | None
 ) -> tuple[str, tuple[float, float]]:
-    """Return the initial state of a run: its name, and the volumes x1 and x2 (m3).
+    """Return the name of a run's initial state, and its volumes x1 and x2 (m3).
 
     Args:
         site: the site.
@@ -60,8 +61,8 @@ def find_state(
         volumes = states[name]
     elif states.get(name or "", volumes) != volumes:
         raise ConfigurationError(
-            "differs from the volumes given for cistern and roof; remove either the name or the "
-            "volumes",
+            "differs from the volumes given for the cistern and the roof; remove either the name "
+            "or the volumes",
             key="initial", value=name,
         )
     check_volumes(site, *volumes)
@@ -72,8 +73,8 @@ def check_volumes(site: Site, cistern: float, roof: float) -> None:
     """Reject initial volumes that the site cannot hold.
 
     The roof has no rim, so rain can raise the water above the capacity of the soil. The excess then
-    drains slowly, or in the first tick on a field-capacity soil. Therefore a run can start in any
-    state in which another run can end.
+    drains slowly from the paper's soil, and within the first tick from a field-capacity soil.
+    Therefore a run can start in any state in which another run can end.
 
     Args:
         site: the site.
@@ -81,20 +82,20 @@ def check_volumes(site: Site, cistern: float, roof: float) -> None:
         roof: volume x2 (m3).
 
     Raises:
-        ConfigurationError: if no rain can lead to such a volume, which indicates a wrong unit. The
-            error's key is ``cistern`` or ``roof``.
+        ConfigurationError: if a volume exceeds what any rain could produce, which indicates a wrong
+            unit. The error's key is ``cistern`` or ``roof``.
     """
     for key, value, expected in find_unheld(site, cistern, roof):
         raise ConfigurationError(expected, key=key, value=value)
 
 
 def note_full_roof(site: Site, roof: float) -> list[str]:
-    """Return a sentence if a volume on the roof (m3) exceeds the capacity of the soil."""
+    """Return a warning if a volume on the roof (m3) exceeds the capacity of the soil."""
     if roof <= site.z_cap:
         return []
     full = site.roof_level(site.z_cap)
     return [
         f"the run starts with {roof:g} m3 on the roof, more than the {site.z_cap:g} m3 (a level of "
         f"{full:g} m) that the soil holds: {site.roof_level(roof) - full:.3g} m "
-        f"{soil_of(site).excess}. The value is a volume in m3"
+        f"{soil_of(site).excess}. The value must be a volume in m3"
     ]

@@ -1,4 +1,4 @@
-"""The look-ahead of controllers: horizon, steps and maximum number of forecasts."""
+"""The look-ahead of the controllers: horizon, steps and maximum size of a forecast ensemble."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ MAX_MEMBERS = 100
 
 
 def growing_steps(horizon: float) -> NDArray[np.float64]:
-    """Return the ends of steps of increasing length, from now to the horizon.
+    """Return the boundaries of steps of increasing length, from now to the horizon.
 
-    Steps last one hour each from 4 h 20 min on, and six hours each from 24 h 20 min on. The last
+    From 4 h 20 min on, each step lasts one hour, and from 24 h 20 min on, six hours. The last
     step ends at the horizon.
 
     Args:
         horizon: length of the look-ahead (h).
 
     Returns:
-        Ends of the steps (s from now), from 0 to the horizon, shape (steps + 1,).
+        Boundaries of the steps (s from now), from 0 to the horizon, shape (steps + 1,).
     """
     seconds = horizon * _HOUR
     more = max(0, int(np.ceil((seconds - sum(_FIRST_DAY)) / _LATER)))
@@ -41,14 +41,14 @@ def growing_steps(horizon: float) -> NDArray[np.float64]:
 def look_ahead_ends(
     site: Site, horizon: float, outlet_horizon: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return the ends of the steps of a look-ahead (s from now), from 0 on, shape (steps + 1,).
+    """Return the boundaries of a look-ahead's steps (s from now), from 0 on, shape (steps + 1,).
 
     Args:
         site: site with the duration of a tick and the look-ahead M.
         horizon: length of the look-ahead (h), in steps of increasing length; 0 for M steps of one
             tick.
-        outlet_horizon: length of the look-ahead for a plan of the outlet valve (h), in additional
-            steps.
+        outlet_horizon: length of the look-ahead for planning the outlet valve (h), for which steps
+            are appended; 0 for no plan.
     """
     ends = growing_steps(horizon) if horizon else site.tau * np.arange(site.M + 1.0)
     further = growing_steps(outlet_horizon) if outlet_horizon else ends

@@ -1,12 +1,12 @@
-"""The metrics of a run, which all summaries, tables and reports use.
+"""The metrics of a run, as used by all summaries, tables and reports.
 
-A metric consists of a function of the samples of a run, which returns a number for every sample,
-and of a function that combines these numbers: their sum, their maximum or the last number. Hours
-are counted in ticks. A ratio is computed from two sums, and the share of retained rain from hourly
-sums. The same functions are used for a run in progress, in blocks (:class:`BlockMetrics`), and for
-a recorded run (:func:`totals_of`). All sums are sequential Euler sums: a value holds from its
-sample to the next sample, and the earlier total is added first. Therefore the bits of a sum do not
-depend on the blocks in which it was computed.
+A metric consists of two functions: the first returns a number for every sample of a run, and the
+second combines these numbers into their sum, their maximum or the last number. Durations are
+counted in ticks, and then converted to hours. A ratio is computed from two sums, and the share of
+retained rain from hourly sums. The same functions process a run in progress, block by block
+(:class:`BlockMetrics`), and a recorded run (:func:`totals_of`). All sums are sequential Euler sums:
+a value holds from its sample to the next sample, and every summation starts with the earlier total.
+Therefore the sums are bit-identical, regardless of the blocks in which they were computed.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _HOUR_S = 3600.0
 _WEEK_S = 7 * 24 * _HOUR_S
 _WATER_DENSITY = 1000.0  # kg/m3
 _JOULES_PER_KWH = 3.6e6
-_RUNS = f"above {RUNNING_SHARE:.0%} of the maximum or of the commanded flow"
+_RUNS = f"above {RUNNING_SHARE:.0%} of the maximum flow or of the commanded flow"
 # A roof drains water that came within this many hours; the same number of dry hours ends an event.
 _DRAINS_H = 6
 # Sums of rain are rounded: 20 mm must not be treated as more than 20 mm.
@@ -66,8 +66,8 @@ Values = NDArray[np.float64]
 class Samples:
     """The samples of a part of a run; every array has shape (n,).
 
-    A run ends in the state of its last sample, in which nothing flows and the command is 0. This
-    sample has the duration of a tick, so that the deviation includes it as in the paper.
+    The last sample of a run contains the final state; its flows and its command are 0. The last
+    sample has the duration of a tick, so that it contributes to the deviation, as in the paper.
 
     Attributes:
         duration: time from every sample to the next sample (s).
@@ -80,15 +80,16 @@ class Samples:
         drainage: drainage from the roof (m3/s).
         evapotranspiration: evapotranspiration from the roof, limited to the available water (m3/s).
         layer: water volume in the drainage layer of a field-capacity soil (m3); 0 for other soils.
-        potential: evapotranspiration of plants with sufficient water (m3/s).
+        potential: potential evapotranspiration (m3/s).
         time: start of every sample, relative to the start of the run (s).
         start: start of the run (s since 1970).
         mains: flow of mains water into the cistern (m3/s); 0 without a mains valve.
-        low_outlet: part of the outflow through the low outlet (m3/s); None if unknown.
+        low_outlet: part of the outflow that leaves through the low outlet (m3/s); None if unknown.
         limited: 1 if a tank contained less water than was demanded, otherwise 0; None if unknown.
         discharge_known: whether outflow and drainage were recorded.
         pumping_before: whether the pumps were running before the first sample.
-        earlier_starts: times of pump starts in the hour before the first sample (s, negative).
+        earlier_starts: times of pump starts in the hour before the first sample (s from that
+            sample, negative).
     """
 
     duration: Values
@@ -138,7 +139,7 @@ def _sums(before: Values | float, values: Values) -> Values:
 
 
 class _Sums(NamedTuple):
-    """Sums by minute, hour, day or week; each row of the arrays is a different sum."""
+    """Sums by minute, hour, day or week; each row of the arrays contains one quantity."""
 
     earlier: tuple[Values, ...]
     """final sums, to which no later sample belongs, and which are not copied again"""
@@ -156,7 +157,7 @@ _MANY = 4096
 
 
 def _sums_by(before: _Sums | float, values: Values) -> _Sums:
-    """Add up all rows except the first, which contains the minute, hour, day or week of samples."""
+    """Add up all rows but the first, which numbers the minute, hour, day or week of each sample."""
     places = values[0].astype(np.intp)
     if not isinstance(before, _Sums):
         before = _Sums((), 0, np.empty((len(values) - 1, 0)))
@@ -173,7 +174,7 @@ def _sums_by(before: _Sums | float, values: Values) -> _Sums:
 
 
 def _whole(total: Any) -> Any:
-    """Return a combined number in the form that metrics use."""
+    """Return a combined number in the form that :attr:`Metric.finish` expects."""
     return total.whole() if isinstance(total, _Sums) else total
 
 
@@ -202,17 +203,17 @@ def _retained(site: Site, by_hour: Values, above: float = -1.0, hours: int = 1) 
     """Return the share of the rain on the roof that did not drain in the same hours (1).
 
     The drainage of an hour is attributed to rain and pumped water in proportion to their amounts in
-    the six hours that end with this hour. Rain and its part of the drainage count in every hour
-    that belongs to a period of ``hours`` hours with more rain than ``above``.
+    the six hours that end with this hour. Rain and its part of the drainage are counted in every
+    hour that belongs to a period of ``hours`` hours with more rain than ``above``.
 
     Args:
         site: site with the area of the roof.
         by_hour: rain on the roof, pumped water and drained water (m3), shape (3, n).
-        above: depth of rain in a period (mm).
+        above: depth of rain that a period must exceed to be counted (mm).
         hours: length of a period (h).
 
     Returns:
-        A share from 0 to 1; None without such rain.
+        The share, from 0 to 1; None if no such rain fell.
     """
     rain, pumped, drained = by_hour
     rained, watered = _rolling(rain, _DRAINS_H), _rolling(pumped, _DRAINS_H)
@@ -234,12 +235,13 @@ class Metric:
         meaning: short description.
         function: function that returns a value for every sample, or None if the samples lack the
             data.
-        combine: function that combines the running number, initially 0, with the values of more
-            samples.
+        combine: function that combines the running value, initially 0, with the values of
+            additional samples.
         form: format of the number in tables.
-        max: maximum value; larger values are shown as warnings.
+        max: highest acceptable value; higher values are shown as warnings.
         finish: function that computes the metric from the combined number, or returns None if the
-            metric is undefined for the run. Sums of ticks are exact, sums of hours are not.
+            metric is undefined for the run. Ticks are converted to hours here, because sums of
+            ticks are exact, whereas sums of hours are not.
     """
 
     name: str
@@ -254,7 +256,7 @@ class Metric:
 
     @property
     def description(self) -> str:
-        """Unit and meaning, which tables show next to the number."""
+        """Unit and meaning, as shown in tables next to the number."""
         return self.meaning if self.unit == "1" else f"{self.unit}, {self.meaning}"
 
 
@@ -264,9 +266,10 @@ class Metric:
 def _running_share(site: Site, samples: Samples) -> Values:
     """Return the share of every sample during which the pumps run (1).
 
-    The pumps count as running above 1 % of their maximum flow, or of the commanded flow. In a tick
-    that is not short, the flow is a mean if the pumps would exceed the target or empty the cistern
-    to the suction level.
+    The pumps count as running if their flow exceeds 1 % of their maximum flow or of the commanded
+    flow. In a tick that is not short, the pumps can stop at the target or at the suction
+    level; their flow is then a mean over the tick, and the share is the ratio of this mean to the
+    commanded flow.
     """
     flow, tau = samples.pump, site.tau
     head = samples.cistern / site.a1 + site.c_hat - site.d
@@ -287,16 +290,16 @@ def _running_share(site: Site, samples: Samples) -> Values:
 def _by_interval(
     site: Site, samples: Samples, seconds: float, *amounts: Values
 ) -> Values:
-    """Return the index of every sample's interval in the run, and the amounts of the sample.
+    """Assign every sample to an interval of the run; return the intervals' indices and the amounts.
 
-    A tick belongs to the interval that contains its middle, because times are rounded. A longer
-    sample of a recorded run is divided among the intervals that it covers.
+    A tick belongs to the interval that contains its midpoint, because times are subject to
+    rounding. A longer sample of a recorded run is divided among the intervals that it covers.
 
     Args:
         site: site with the duration of a tick.
         samples: samples with their start times.
         seconds: duration of an interval (s).
-        amounts: amounts of every sample, shape (n,).
+        amounts: one or more quantities of every sample, each of shape (n,).
     """
     half, time, duration = site.tau / 2, samples.time, samples.duration
     first = (time + half) // seconds
@@ -384,7 +387,7 @@ def find_calendar_days(site: Site, start: float, times: Values) -> Values:
 
 
 def _rain_and_discharge(site: Site, samples: Samples) -> Values | None:
-    """Return the discharge to the sewer and the rain on the connected area in samples (m3)."""
+    """Return every sample's discharge to the sewer and rain on the connected area (m3)."""
     discharge = _discharge(site, samples)
     if discharge is None:
         return None
@@ -404,13 +407,13 @@ def _pump_starts(site: Site, samples: Samples) -> Values:
 
 
 def _start_times(site: Site, samples: Samples) -> Values:
-    """Return the times of pump starts (s; 0 at the first sample), beginning with earlier starts."""
+    """Return the times of pump starts (s from the first sample), with the earlier starts first."""
     times = np.cumsum(samples.duration) - samples.duration
     return np.concatenate((samples.earlier_starts, times[_pump_starts(site, samples) > 0]))
 
 
 def _starts_in_hour(site: Site, samples: Samples) -> Values:
-    """Return the number of starts in the hour before each start, including it; 0 elsewhere."""
+    """Return, for each start, the number of starts in the hour that ends with it; 0 elsewhere."""
     times = _start_times(site, samples)
     # Half a tick less than an hour: the times are rounded sums.
     first = np.searchsorted(times, times - _HOUR_S + site.tau / 2)
@@ -441,7 +444,7 @@ def _volume(flow: str) -> Callable[[Site, Samples], Values]:
 
 
 def _ticks_where(condition: Callable[[Site, Samples], Any]) -> Callable[[Site, Samples], Values]:
-    """Return a function that returns the number of ticks in which a condition holds."""
+    """Return a function that counts the ticks in which a condition holds."""
     return lambda site, samples: samples.duration / site.tau * condition(site, samples)
 
 
@@ -461,7 +464,7 @@ METRICS = (
     ),
     Metric(
         "near_target_hours", "h", "near the target",
-        f"time during which the roof is within {NEAR_TARGET:.0%} of its target",
+        f"time during which the water on the roof is within {NEAR_TARGET:.0%} of its target",
         _ticks_where(
             lambda site, samples: np.abs(samples.roof - site.x2_star) <= NEAR_TARGET * site.x2_star
         ),
@@ -475,8 +478,8 @@ METRICS = (
     ),
     Metric(
         "stress_hours", "h", "water stress",
-        "time during which plants receive less water than they need: K_s of FAO-56 is below 1, or "
-        "the roof is empty",
+        "time during which the plants lack water: the stress coefficient K_s of FAO-56 is below "
+        "1, or the roof contains no water",
         _ticks_where(
             lambda site, samples: (samples.roof < soil_of(site).stress_volume) | (samples.roof <= 0)
         ),
@@ -495,15 +498,15 @@ METRICS = (
         _roof_water, _sums_by, ".1%", finish=_retained,
     ),
     Metric(
-        "rain_kept_share_hour", "1", "rain kept in hours above 20 mm",
-        "share of the rain that did not drain in the same hour, in hours with more than 20 mm of "
-        "rain",
+        "rain_kept_share_hour", "1", "rain kept in hours with more than 20 mm",
+        "share of the rain that did not drain in the same hour, over all hours with more than 20 "
+        "mm of rain",
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=20.0),
     ),
     Metric(
-        "rain_kept_share_day", "1", "rain kept in 24 h above 10 mm",
-        "share of the rain that did not drain within 24 hours, in all periods of 24 hours with "
-        "more than 10 mm of rain",
+        "rain_kept_share_day", "1", "rain kept in 24 h periods with more than 10 mm",
+        "share of the rain that did not drain within these periods, over all periods of 24 hours "
+        "with more than 10 mm of rain",
         _roof_water, _sums_by, ".1%", finish=partial(_retained, above=10.0, hours=24),
     ),
     Metric(
@@ -553,7 +556,7 @@ METRICS = (
     ),
     Metric(
         "wet_discharge_m3", "m3", "discharge in wet weather",
-        "water that reached the sewer during rain, and within wet_after hours after rain",
+        "water that reached the sewer during rain or within wet_after hours after rain",
         _storm_water, _sums_by,
         finish=_wet_discharge,
     ),
@@ -567,9 +570,9 @@ METRICS = (
     ),
     *(
         Metric(
-            f"peak_discharge_{minutes}min_mm_h", "mm/h", f"peak discharge depth, {minutes} min",
-            "highest mean discharge, divided by the connected area: the roof, and the catchment "
-            "times its runoff coefficient",
+            f"peak_discharge_{minutes}min_mm_h", "mm/h", f"peak discharge per area, {minutes} min",
+            "highest mean discharge divided by the connected area, which is the area of the roof "
+            "plus the area of the catchment times its runoff coefficient",
             _storm_water, _sums_by, finish=partial(_peak_depth, minutes=minutes),
         )
         for minutes in (5, 15, 60)
@@ -582,8 +585,8 @@ METRICS = (
     ),
     Metric(
         "overflow_days", "1", "days of overflow",
-        "calendar days on the site's clock with an overflow of at least 0.1 mm over the connected "
-        "area",
+        "number of calendar days, on the site's clock, with an overflow of at least 0.1 mm over "
+        "the connected area",
         _overflow,
         _sums_by, "d", finish=_overflow_days,
     ),
@@ -626,7 +629,8 @@ METRICS = (
         lambda site, samples: samples.limited, _count, "d", max=0,
     ),
     Metric(
-        "pump_starts", "1", "pump starts", f"number of times that the flow rose {_RUNS}",
+        "pump_starts", "1", "pump starts",
+        f"number of times that the flow of the pumps rose {_RUNS}",
         _pump_starts, _count, "d",
     ),
     Metric(
@@ -641,13 +645,13 @@ METRICS = (
         _excess_starts, _count, "d", max=0,
     ),
     Metric(
-        "pump_hours", "h", "pump running", f"time with a flow {_RUNS}",
+        "pump_hours", "h", "pump running", f"time during which the flow of the pumps is {_RUNS}",
         _ticks_where(_running_share), form=".3f", finish=_hours,
     ),
     Metric(
         "hydraulic_energy_kwh", "kWh", "hydraulic energy",
-        "energy that the pumps add to the water: the product of density, gravity, flow and head, "
-        "integrated over time",
+        "energy that the pumps add to the water: the product of density, gravitational "
+        "acceleration, flow and head, integrated over time",
         _hydraulic_energy,
     ),
     Metric(
@@ -716,7 +720,7 @@ _BLOCK_BYTES = BLOCK * 8 * len(TICK)
 class BlockMetrics:
     """The metrics of a run in progress, to which blocks of ticks are added.
 
-    The final state of a run is passed as the values of a last tick without flows.
+    The final state of a run is passed as a last tick without flows.
     """
 
     def __init__(self, site: Site, start: float = 0.0) -> None:
@@ -748,13 +752,13 @@ class BlockMetrics:
         self._starts = starts[starts > -_HOUR_S]
 
     def results(self, end: Values) -> dict[str, float]:
-        """Return all metrics by name for a run with a final state, shape (:data:`TICK`, 1)."""
+        """Return all metrics by name, given the final state of the run, shape (:data:`TICK`, 1)."""
         return totals_of(self._site, self._end(end), self._totals)
 
     def weekly_deviations(self, end: Values) -> list[float]:
         """Return the total deviation in every week of the run (m3), summed over the ticks.
 
-        A bad fortnight is not visible in the sum of a season. The last week can be shorter; it
+        The sum of a season would conceal a bad fortnight. The last week can be shorter; it
         includes the last tick, so that the weeks add up to the total.
 
         Args:
@@ -784,13 +788,13 @@ class BlockMetrics:
         )
 
     def _weekly(self, samples: Samples) -> _Sums:
-        """Return the deviation in every week, including the samples passed."""
+        """Return the deviation in every week, including that of the given samples."""
         week = (samples.time + self._site.tau / 2) // _WEEK_S
         return _sums_by(self._weeks, np.stack((week, _deviation(self._site, samples))))
 
 
 def end_state(cistern: float, roof: float, layer: float) -> Values:
-    """Return the values of a tick without flows, shape (:data:`TICK`, 1)."""
+    """Return a final state as the values of a tick without flows, shape (:data:`TICK`, 1)."""
     return np.array([[cistern], [roof], [layer], *[[0.0]] * (len(TICK) - 3)])
 
 
@@ -802,7 +806,7 @@ class Metrics:
 
         Args:
             site: parameters of the site.
-            plant: cistern and roof, in the state of the present tick.
+            plant: cistern and roof, in the state of the current tick.
             start: start of the run (s since 1970).
         """
         self._plant, self._blocks = plant, BlockMetrics(site, start)
@@ -811,12 +815,12 @@ class Metrics:
     def step(
         self, command: float, precipitation: float, potential: float, flows: Flows
     ) -> None:
-        """Add the present tick; must be called for every tick 0..N-1.
+        """Add the current tick; must be called for every tick 0..N-1.
 
         Args:
             command: command of the controller (1).
             precipitation: rain rate (m/s).
-            potential: evapotranspiration of plants with sufficient water (m3/s).
+            potential: potential evapotranspiration (m3/s).
             flows: flows in the tick (m3/s).
         """
         plant = self._plant
@@ -827,15 +831,15 @@ class Metrics:
             self._add_ticks()
 
     def results(self) -> dict[str, float]:
-        """Return all metrics by name, as if the run ended in the present tick."""
+        """Return all metrics by name, as if the run ended with the current tick."""
         return self._blocks.results(self._end())
 
     def weekly_deviations(self) -> list[float]:
-        """Return the total deviation of every week (m3), as if the run ended in this tick."""
+        """Return every week's total deviation (m3), as if the run ended with the current tick."""
         return self._blocks.weekly_deviations(self._end())
 
     def events(self) -> list[Event]:
-        """Return the rain events, as if the run ended in the present tick."""
+        """Return the rain events, as if the run ended with the current tick."""
         return self._blocks.events(self._end())
 
     def __getitem__(self, name: str) -> float:

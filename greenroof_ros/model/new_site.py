@@ -1,4 +1,4 @@
-"""Write the text of a site file for a house about which little is known.
+"""Generation of the text of a site file for a house about which little is known.
 
 The file marks the given values, and states the source of every assumption, so that readers can
 correct the assumptions.
@@ -47,10 +47,11 @@ def format_new_site(
     """Return the text of a site file.
 
     Args:
-        given: values by key of a site file: at least ``roof_area``, ``catchment_area``,
-            ``cistern_volume``, ``latitude`` and ``longitude``. Other values replace assumptions.
+        given: given values, by their keys in a site file. ``roof_area``, ``catchment_area``,
+            ``cistern_volume``, ``latitude`` and ``longitude`` are required; other values replace
+            assumptions.
         valve: whether the cistern has a low outlet with a valve.
-        mains: whether mains water flows into a cistern that is nearly empty.
+        mains: whether mains water is added when the cistern is nearly empty.
     """
     parts = (
         _head(given), _place(given), _cistern(given, valve=valve, mains=mains), _roof(given),
@@ -69,14 +70,14 @@ def _line(
     given: Mapping[str, Any], key: str, assumed: Any, meaning: str, source: str = "[assumed]",
     *, active: bool = True,
 ) -> Iterator[str]:
-    """Yield the lines of a key: its value, its unit, and a comment with the value's source.
+    """Yield the lines for a key: its value, its unit, and a comment with the value's source.
 
     Args:
         given: given values by key, which are always active.
         key: the key.
         assumed: assumed value, for a key without a given value.
-        meaning: meaning of the value.
-        source: source of the assumption.
+        meaning: explanation of the value.
+        source: source of the assumed value.
         active: whether an assumed value applies to the site; otherwise the line is commented out.
     """
     value, source = (given[key], "[given]") if key in given else (assumed, source)
@@ -101,16 +102,16 @@ def _wrap(text: str, width: int) -> list[str]:
 
 def _head(given: Mapping[str, Any]) -> Iterator[str]:
     text = (
-        f"A green roof of {given['roof_area']:g} m2 and its cistern, written by 'greenroof "
-        "new-site'. The source of every value is in brackets: [given] in an answer, [assumed], or "
-        "the name of a source. Replace values if you know better ones; "
-        "doc/reference/file-formats.md lists all keys."
+        f"Site file of a green roof of {given['roof_area']:g} m2 and its cistern, written by "
+        "'greenroof new-site'. The source of every value is in brackets: [given] in an answer, "
+        "[assumed], or the name of a publication or file. Replace values for which you have "
+        "better information; doc/reference/file-formats.md lists all keys."
     )
     yield from (f"# {line}" for line in _wrap(text, _WIDTH - 2))
     yield ""
     yield from (
-        "# Physics, overflow and pipe are those of the paper. The pipe only affects the pump's "
-        "energy.",
+        "# The physical constants, the overflow and the pipe are those of the paper. The pipe "
+        "affects only the pump's energy.",
         "extends: site.yaml",
     )
 
@@ -120,8 +121,8 @@ def _place(given: Mapping[str, Any]) -> Iterator[str]:
     yield from _line(given, "latitude", None, "positive to the north")
     yield from _line(given, "longitude", None, "positive to the east")
     yield from _line(
-        given, "elevation", 100.0, "above sea level; if omitted, derived from the weather's mean "
-        "pressure", "", active=False,
+        given, "elevation", 100.0, "above sea level; if omitted, derived from the mean "
+        "pressure in the weather file", "", active=False,
     )
     zone = given.get("time_zone")
     offset = standard_offset(zone) if zone else float(round(given["longitude"] / 15))
@@ -134,8 +135,8 @@ def _place(given: Mapping[str, Any]) -> Iterator[str]:
         "have no UTC offset", "[time_zone]" if zone else "", active=zone is not None,
     )
     yield (
-        "# monthly_evapotranspiration: twelve means (mm/day), as 'greenroof weather' prints them, "
-        "for rain gauges and live sites"
+        "# monthly_evapotranspiration: monthly means (mm/day), as printed by 'greenroof "
+        "weather', for rain gauges and live sites"
     )
 
 
@@ -143,18 +144,23 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     height = given.get("cistern_height", HEIGHT)
     base = given["cistern_volume"] / height
     yield "# Cistern (tank 1)"
-    yield from _line(given, "cistern_volume", None, "up to the overflow")
+    yield from _line(given, "cistern_volume", None, "volume up to the overflow")
     yield from _line(given, "cistern_height", HEIGHT, "level of the overflow")
-    yield from _line(given, "catchment_area", None, "roofs that drain to the cistern")
+    yield from _line(given, "catchment_area", None, "area of the roofs that drain to the cistern")
     yield from _line(
-        given, "runoff_coefficient", RUNOFF, "share of the roofs' rain that reaches the cistern",
+        given, "runoff_coefficient", RUNOFF,
+        "share of the rain on these roofs that reaches the cistern",
         "[0.75 to 0.95 for roofs, ASCE]",
     )
     like_valve = "[assumed, as in site_valve.yaml]"
-    yield from _line(given, "z_pump", 0.0, "the pump is at the bottom", like_valve)
-    yield from _line(given, "z_H", _SUCTION, "depth of water that the pump needs", like_valve)
+    yield from _line(
+        given, "z_pump", 0.0, "elevation of the pump above the cistern's base", like_valve
+    )
+    yield from _line(
+        given, "z_H", _SUCTION, "minimum depth of water that the pump needs", like_valve
+    )
     if not mains:
-        yield "# No mains water [given]. To add it:"
+        yield "# No mains supply [given]. To add one:"
     yield from _line(
         given, "mains_level", _MAINS_LEVEL, "level below which a float valve adds mains water",
         like_valve, active=mains,
@@ -179,8 +185,8 @@ def _cistern(given: Mapping[str, Any], *, valve: bool, mains: bool) -> Iterator[
     if not valve:
         yield "# Or add an orifice that is always open, without low_outlet_valve:"
         yield from _outlet(
-            height / 2, base, height, f"the orifice empties the upper half in {EMPTIED_H:g} h",
-            given,
+            height / 2, base, height,
+            f"the orifice empties the upper half of the cistern in {EMPTIED_H:g} h", given,
             active=False,
         )
 
@@ -189,7 +195,7 @@ def _outlet(
     level: float, base: float, height: float, meaning: str, given: Mapping[str, Any], *,
     active: bool,
 ) -> Iterator[str]:
-    """Yield the lines of a low outlet that drains the cistern to the outlet's level in 12 h.
+    """Yield the lines for a low outlet that drains the cistern to the outlet's level in 12 h.
 
     Args:
         level: level of the outlet (m).
@@ -233,10 +239,11 @@ def _roof(given: Mapping[str, Any]) -> Iterator[str]:
 
 
 def find_target(given: Mapping[str, Any]) -> tuple[float, str]:
-    """Return the target level of water on the roof (m), and a text on its derivation.
+    """Return the target level of water on the roof (m), and an explanation of its derivation.
 
     The target is the level at which water stress begins plus the demand of a summer day, as
-    recommended in doc/howto/choose-target-and-controller.md, but less than the substrate can hold.
+    recommended in doc/howto/choose-target-and-controller.md, but always less than the water that
+    the substrate can hold.
     """
     substrate = SUBSTRATES[given.get("substrate", SUBSTRATE)]
     depth = given.get("substrate_depth", substrate.depth)
@@ -244,9 +251,9 @@ def find_target(given: Mapping[str, Any]) -> tuple[float, str]:
     onset = depth * (substrate.wilting_point + (1 - substrate.depletion_fraction) * available)
     target = min(onset + _DAY * _CROP, _MAX_FILLED * depth * substrate.field_capacity)
     return math.floor(1e4 * target) / 1e4, (
-        f"the level at which plants begin to lack water, {1000 * onset:.1f} mm, plus the demand of "
-        f"a summer day, {1000 * _DAY * _CROP:.1f} mm, but at most {_MAX_FILLED:.0%} of the water "
-        "that the substrate holds"
+        f"the level at which plants begin to lack water, {1000 * onset:.1f} mm, plus the demand "
+        f"of a summer day, {1000 * _DAY * _CROP:.1f} mm, but at most {_MAX_FILLED:.0%} of the "
+        "water that the substrate can hold"
     )
 
 
@@ -275,7 +282,8 @@ def _pump(given: Mapping[str, Any]) -> Iterator[str]:
             "pump's energy",
     )
     yield (
-        '# quiet_hours: ["22:00-06:00"]  # when the pump stays off, in time_zone; none [assumed]'
+        '# quiet_hours: ["22:00-06:00"]  # times at which the pump stays off, in time_zone; '
+        "none [assumed]"
     )
 
 
@@ -285,10 +293,10 @@ def _run(given: Mapping[str, Any]) -> Iterator[str]:
     yield "# cistern_volume, roof_area or z_veg, also change these two volumes"
     yield from _line(given, "initial_cistern", given["cistern_volume"] / 2, "", )
     yield from _line(
-        given, "initial_roof", float(f"{target * given['roof_area']:.6g}"), "roof_area z_veg"
+        given, "initial_roof", float(f"{target * given['roof_area']:.6g}"), "roof_area times z_veg"
     )
     yield from _line(
-        given, "tau", 60.0, "duration of a tick; precise enough for such a small pump, but a live "
-        "site requires 1"
+        given, "tau", 60.0, "duration of a tick; short enough for such a small pump, but a live "
+        "site requires 1 s"
     )
     yield from _line(given, "N", 720, "number of ticks in a run without --hours, here 12 h")

@@ -1,9 +1,9 @@
 """Plain keys of a site file: everyday words that replace parameters of the paper.
 
-A file may use plain keys or the paper's symbols. Files that extend one another, and values that a
-program changes, are levels of a site. A value on one level takes precedence over all values of the
-same quantity on lower levels, whichever key they use. Within a level, two keys for the same
-quantity are an error.
+A file may use plain keys or the paper's symbols. A site is described on several levels: files that
+extend one another, and values that a program changes. A value on one level takes precedence over
+all values of the same quantity on lower levels, whichever key they use. Within a level, two keys
+for the same quantity are an error.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ _OF_SUBSTRATE = (
 )
 SUBSTRATES = {
     "neubrandenburg": Substrate(
-        "a whole roof in Germany, including its plants and mat; the values were fitted to 16 "
-        "months of measured runoff, see "
+        "a complete green roof in Germany, including its plants and mat; the values were fitted "
+        "to 16 months of measured runoff, see "
         "config/site_neubrandenburg.yaml", 0.108, 0.63, 0.02, drainage_storage=0.0055,
     ),
     "berlin": Substrate(
@@ -68,20 +68,21 @@ SUBSTRATES = {
     ),
     "extensive": Substrate(
         "assumed values: a maximum water capacity of 35 % is quoted as the minimum in the FLL "
-        "guidelines (2018) for extensive roofs with more than one layer, but was not checked in "
-        "their text; the wilting point and the drainage layer are within the ranges in EPA's "
-        "SWMM Reference Manual III (2016), 0.05 to 0.2 and 3 to 20 mm", 0.1, 0.35, 0.1,
+        "guidelines (2018) for extensive roofs with more than one layer, but was not verified "
+        "against their text; the wilting point and the drainage layer are within the ranges "
+        "given in EPA's SWMM Reference Manual III (2016), 0.05 to 0.2 and 3 to 20 "
+        "mm", 0.1, 0.35, 0.1,
     ),
     "intensive": Substrate(
-        "assumed values: those of extensive, but with the maximum water capacity of 45 % that is "
-        "quoted for intensive roofs", 0.3, 0.45, 0.1,
+        "assumed values: those of the substrate 'extensive', except for the maximum water "
+        "capacity of 45 %, which is quoted for intensive roofs", 0.3, 0.45, 0.1,
     ),
     "sandy_loam": Substrate(
-        "a garden soil; the values are the middle of the ranges in FAO-56, Table 19 (0.18 to "
+        "a garden soil; the values are the midpoints of the ranges in FAO-56, Table 19 (0.18 to "
         "0.28 and 0.06 to 0.16)", 0.3, 0.23, 0.11,
     ),
     "loam": Substrate(
-        "a garden soil; the values are the middle of the ranges in FAO-56, Table 19 (0.20 to "
+        "a garden soil; the values are the midpoints of the ranges in FAO-56, Table 19 (0.20 to "
         "0.30 and 0.07 to 0.17)", 0.3, 0.25, 0.12,
     ),
 }
@@ -99,7 +100,7 @@ class PlainKeys:
 
     cistern_volume: float | None = entry(
         "volume of the cistern up to its overflow; determines a1, which is this volume divided "
-        "by the height", 0.01, 1e5,
+        "by the height of the overflow", 0.01, 1e5,
         unit="m3", default=None, usual=(1, 50),
     )
     cistern_height: float | None = entry(
@@ -131,11 +132,13 @@ class PlainKeys:
         unit="l/h", default=None, usual=(100, 5000),
     )
     irrigation_rate: float | None = entry(
-        "flow of the pump at full command, as a depth of water on the roof per hour", 0.1, 1000.0,
+        "flow of the pump at full command, expressed as the depth of water that it adds to the "
+        "roof per hour", 0.1, 1000.0,
         unit="mm/h", default=None, usual=(2, 10),
     )
     emitters: int | None = entry(
-        "number of drip emitters that the pump feeds at full command, each with emitter_flow",
+        "number of drip emitters that the pump supplies at full command, each with the flow "
+        "emitter_flow",
         1, 10_000_000, default=None, usual=(100, 5000),
     )
     emitter_flow: float | None = entry(
@@ -183,7 +186,7 @@ class Entry(NamedTuple):
 
 
 class Translation(NamedTuple):
-    """A site's entries under the paper's names."""
+    """A site's entries, converted to the paper's names."""
 
     entries: dict[str, Entry]
     """entries by name; entries in `computed` have a placeholder as their value"""
@@ -212,7 +215,7 @@ def override(base: Mapping[str, Entry], own: Mapping[str, Entry]) -> dict[str, E
             where = "" if own[rival].line is None else f" in line {own[rival].line}"
             raise ConfigurationError(
                 f"contradicts {rival} = {own[rival].value}{where}, which sets the same quantity: "
-                "remove one of the two", file=file, line=line, key=name, value=value,
+                "remove one of the two keys", file=file, line=line, key=name, value=value,
             )
     if own.keys() >= _PLACE:
         replaced.update(_FOLLOW_PLACE)
@@ -223,8 +226,8 @@ def translate(entries: Mapping[str, Entry]) -> Translation:
     """Convert plain keys, and return all entries under the paper's names.
 
     Raises:
-        ConfigurationError: if a plain key has a wrong value, or another key that it requires is
-            missing.
+        ConfigurationError: if a plain key has an invalid value, or if another key that it requires
+            is missing.
     """
     given = {name: each.value for name, each in entries.items() if name in PLAIN}
     for name, value in given.items():

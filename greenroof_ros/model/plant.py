@@ -1,10 +1,10 @@
-"""The plant, Eqs.
+"""The plant, Eqs. (1)-(4) of the paper, integrated tick by tick.
 
-(1)-(4) of the paper, integrated tick by tick. Short ticks, as in Table I, are integrated with
-Euler's method, as in the paper. In longer ticks (see :func:`has_short_ticks`), the flows of
-outlets, pumps and mains can stop within the tick, when they reach their levels. Eq. (4) is in
-:mod:`greenroof_ros.model.soil`, together with the field-capacity soil, which can have a third
-state, the water in its drainage layer.
+Short ticks, as in Table I, are integrated with Euler's method, as in the paper. In longer ticks
+(see :func:`has_short_ticks`), the flows of outlets, pumps and mains water can stop within the tick,
+as soon as the water reaches their levels. Eq. (4) and the field-capacity soil are in
+:mod:`greenroof_ros.model.soil`. A field-capacity soil can have a third state: the water in its
+drainage layer.
 """
 
 from __future__ import annotations
@@ -55,10 +55,7 @@ def outlet_flow(site: Site, x1: float) -> float:
 
 
 def low_outlet_flow(site: Site, x1: float) -> float:
-    """Return the flow (m3/s) through the open low outlet of a cistern with x1 (m3), as in Eq.
-
-    (2).
-    """
+    """Return the flow (m3/s) through the open low outlet of a cistern with x1 (m3), Eq. (2)."""
     if site.low_outlet_level is None:
         return 0.0
     head = x1 / site.a1 - site.low_outlet_level
@@ -66,7 +63,7 @@ def low_outlet_flow(site: Site, x1: float) -> float:
 
 
 def find_outlet_radius(site: Site, base: float, head: float, seconds: float) -> float:
-    """Return the radius of an outlet (m) that drains a cistern to its level in a given time.
+    """Return the radius (m) of an outlet that drains a cistern to its level in a given time.
 
     According to Eq. (2), the square root of the head decreases linearly with time, so draining
     takes 2 a1 sqrt(head) / c.
@@ -82,11 +79,11 @@ def find_outlet_radius(site: Site, base: float, head: float, seconds: float) -> 
 
 
 def has_short_ticks(site: Site) -> bool:
-    """Return whether Euler's method is precise enough within a tick, as in Table I.
+    """Return whether Euler's method is accurate enough for a tick, as it is in Table I.
 
-    In a short tick, pumps at full flow deliver at most 1 % of the roof's target, and an outlet can
-    only drain too much if the water is less than 0.1 mm above it: with Euler's method, an outlet
-    drains more than the water above it if the head is below (tau c / a1)^2, with c as in Eq. (2).
+    In a short tick, pumps at full flow deliver at most 1 % of the roof's target. With Euler's
+    method, an outlet drains more than the water above it if the head is below (tau c / a1)^2, with
+    c as in Eq. (2); in a short tick, this limit is at most 0.1 mm.
     """
     pumped = site.tau * maximum_pump_flow(site, site.a1 * site.z_o)
     overdrawn = (site.tau * max(site.c_out, site.c_low) / site.a1) ** 2
@@ -96,14 +93,14 @@ def has_short_ticks(site: Site) -> bool:
 def mains_flow(site: Site, x1: float, drawn: float, seconds: float) -> float:
     """Return the mean flow of mains water in a step (m3/s); 0 without a float valve.
 
-    Below its level, the valve is open; at its level, it replaces the drawn water, up to
-    ``mains_flow``.
+    While the water is below the level of the valve, the valve is open; at this level, the valve
+    replaces the drawn water, up to ``mains_flow``.
 
     Args:
         site: parameters of the site.
         x1: volume in the cistern at the start of the step (m3).
-        drawn: pumped and drained water, minus the rain that flows into the cistern (m3/s), constant
-            in the step.
+        drawn: flow of pumped and drained water minus the inflow of rain (m3/s), constant in the
+            step.
         seconds: duration of the step (s).
     """
     if site.mains_flow is None or site.mains_level is None:
@@ -117,20 +114,19 @@ def mains_flow(site: Site, x1: float, drawn: float, seconds: float) -> float:
 
 
 def maximum_pump_flow(site: Site, x1: float) -> float:
-    """Return the pumps' flow (m3/s) at command 1 from a cistern with x1 (m3), Eq.
+    """Return the pumps' flow (m3/s) at command 1 from a cistern with x1 (m3), Eq. (3e).
 
-    (3e). The flow is 0 if the pumps cannot lift water to the roof; they must not run at such a
-    level.
+    The flow is 0 if the pumps cannot lift water to the roof; they must not run at such a level.
     """
     head = x1 / site.a1 + site.c_hat - site.d
     return site.b * math.sqrt(head) if head > 0 else 0.0
 
 
 def pumps_run(site: Site, flow: Any) -> Any:
-    """Return whether the pumps run at a flow (m3/s, any shape): above 1 % of their maximum flow.
+    """Return whether the pumps run at a flow (m3/s, any shape): above 1 % of the maximum.
 
-    The maximum flow is that from a cistern filled to its outlet. Flows below this limit are caused
-    by a lag that never quite reaches 0, or by the noise of a meter.
+    The maximum flow is that from a cistern filled to its overflow. Smaller flows are caused by a
+    lag whose output never quite reaches 0, or by the noise of a flow meter.
     """
     return flow > RUNNING_SHARE * maximum_pump_flow(site, site.a1 * site.z_o)
 
@@ -145,7 +141,7 @@ def pump_flow(site: Site, x1: float, x2: float, command: float) -> float:
 def command_to(
     site: Site, soil: Soil, x1: float, x2: float, target: float, rain: float, potential: float
 ) -> float:
-    """Return the command that changes the volume on a roof to a target in a tick; 0 if impossible.
+    """Return the command that brings the volume on a roof to a target in a tick; 0 if impossible.
 
     Args:
         site: parameters of the site.
@@ -154,7 +150,7 @@ def command_to(
         x2: volume on the roof (m3).
         target: volume on the roof at the end of the tick (m3).
         rain: rain in the tick (m/s).
-        potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water.
+        potential: potential evapotranspiration from the whole bed (m3/s).
     """
     stays = target - x2 + site.tau * potential * soil.water_stress(x2)
     full = maximum_pump_flow(site, x1)
@@ -165,7 +161,7 @@ def command_to(
 
 
 def head_loss(site: Site, x1: Values, flow: Values) -> Values:
-    """Return L (m): the head that flows (m3/s) from a cistern with x1 (m3) require, Eq. (3c)."""
+    """Return L (m), Eq. (3c): the head required for flows (m3/s) from a cistern with x1 (m3)."""
     # float_power yields the bits of a number's square; numpy's square does not.
     return site.pipe_resistance * np.float_power(flow, 2) + site.d - x1 / site.a1
 
@@ -194,7 +190,8 @@ class Plant:
 
     Attributes:
         x1: water volume in the cistern (m3).
-        x2: water volume on the green roof (m3); for a field-capacity soil, in its substrate.
+        x2: water volume on the green roof (m3); for a field-capacity soil, the volume in its
+            substrate.
         layer: water volume in the drainage layer of a field-capacity soil (m3), initially the
             site's ``initial_layer``; always 0 for the paper's soil.
     """
@@ -215,7 +212,7 @@ class Plant:
         self.layer = site.initial_layer
 
     def levels(self) -> tuple[float, float]:
-        """Return the levels of cistern and roof (m), as sensors would measure them.
+        """Return the levels of the cistern and the roof (m), as sensors would measure them.
 
         The roof's sensor is in the substrate, and does not detect water in the drainage layer.
         """
@@ -225,18 +222,18 @@ class Plant:
         self, precipitation: float, evapotranspiration: float, command: float,
         pumped: float | None = None, outlet: float = 1.0,
     ) -> Flows:
-        """Return the flows during the present tick.
+        """Return the flows during the current tick.
 
-        If the paper's model would drain more water from a tank than it contains and receives, all
-        flows from this tank are scaled down to this amount.
+        If the paper's model would drain more water from a tank than the tank contains and receives,
+        all flows from the tank are scaled down to the available amount.
 
         Args:
             precipitation: rain rate (m/s).
-            evapotranspiration: evapotranspiration from the whole bed (m3/s), of plants with
-                sufficient water.
+            evapotranspiration: potential evapotranspiration from the whole bed (m3/s).
             command: command to the pumps (share of the maximum flow), Eq. (3a).
-            pumped: flow from the cistern to the roof (m3/s), if another program drives the pumps.
-            outlet: opening of the low outlet's valve, 0 to 1 (1).
+            pumped: flow from the cistern to the roof (m3/s) if another program drives the pumps;
+                otherwise None.
+            outlet: opening of the low outlet's valve, 0 to 1.
         """
         x1, x2, tau = self.x1, self.x2, self._tau
         collected, rain = precipitation * self._catchment, precipitation * self._a2
@@ -288,8 +285,7 @@ class Plant:
 
         Args:
             rain: rain on the roof (m3/s).
-            evapotranspiration: evapotranspiration from the roof (m3/s), of plants with sufficient
-                water.
+            evapotranspiration: potential evapotranspiration from the roof (m3/s).
 
         Returns:
             The volume (m3), and the rate at which rain reduces it (m3/s).
@@ -306,16 +302,16 @@ class Plant:
         self, collected: float, command: float, pumped: float | None, outlet: float,
         missing: float, rise: float,
     ) -> tuple[float, float, float, float, list[float], bool]:
-        """Return the flows out of the cistern and into it in a long tick.
+        """Return the flows into and out of the cistern in a long tick.
 
-        If a flow changes quickly, the tick is divided into steps of up to 10 s. In each step, pumps
-        and mains stop at their levels, and then the outflow is computed.
+        If a flow changes quickly, the tick is divided into steps of up to 10 s. In each step, the
+        pumps and the mains water stop at their levels before the outflow is computed.
 
         Args:
             collected: rain that flows into the cistern (m3/s).
             command: command to the pumps (share of the maximum flow).
-            pumped: flow to the roof (m3/s), if another program drives the pumps.
-            outlet: opening of the low outlet's valve, 0 to 1 (1).
+            pumped: flow to the roof (m3/s) if another program drives the pumps; otherwise None.
+            outlet: opening of the low outlet's valve, 0 to 1.
             missing: volume that must be pumped to fill the roof to its target (m3).
             rise: rate at which rain reduces ``missing`` (m3/s).
 
@@ -368,13 +364,13 @@ class Plant:
         """Return outflow, its part through the low outlet, and mains water in a long tick (m3/s).
 
         The roof's drainage depends on the pumped water, so it is known only after the pumps have
-        run; water that drains into the cistern can leave it in the same tick.
+        run; water that drains into the cistern can leave the cistern in the same tick.
 
         Args:
-            arriving: rain and drainage that flow in (m3/s).
-            volumes: volumes that :meth:`_step_cistern` pumps in every step, or in the whole tick
-                (m3).
-            outlet: opening of the low outlet's valve, 0 to 1 (1).
+            arriving: rain and drainage that flow into the cistern (m3/s).
+            volumes: volumes pumped in every step, or in the whole tick (m3), as returned by
+                :meth:`_step_cistern`.
+            outlet: opening of the low outlet's valve, 0 to 1.
         """
         x1, tau = self.x1, self._tau
         steps = math.ceil(tau / MAX_STEP_S)
@@ -396,16 +392,16 @@ class Plant:
         """Return the volumes that leave through the upper and the low outlet in a step (m3).
 
         The backward Euler method is used, so that an outlet does not drain more than the water
-        above it. The head after a step, s^2, solves a quadratic equation,
+        above it. The head after a step, s^2, follows from the quadratic equation
 
-            a1 s^2 + c t s = volume above the outlet without its flow.
+            a1 s^2 + c t s = volume above the outlet before its flow is subtracted.
 
         The upper outlet is computed first: while water flows through it, the head of the low outlet
         hardly changes.
 
         Args:
-            x1: volume in the cistern without the flow through the outlets (m3).
-            outlet: opening of the low outlet's valve, 0 to 1 (1).
+            x1: volume in the cistern before the flow through the outlets is subtracted (m3).
+            outlet: opening of the low outlet's valve, 0 to 1.
             seconds: duration of the step (s).
         """
         site, a1 = self._site, self._a1
@@ -426,7 +422,7 @@ class Plant:
 
         Args:
             precipitation: rain rate (m/s), the same as passed to :meth:`flows`.
-            flows: flows that :meth:`flows` returned for the present tick.
+            flows: flows that :meth:`flows` returned for the current tick.
         """
         outflow, pump, drained, evapotranspiration, _, mains, _ = flows
         tau = self._tau

@@ -1,12 +1,12 @@
-"""The plants of many sites under on/off control, computed on arrays as in :mod:`.plant`.
+"""The plants of many sites under on/off control, computed with arrays as in :mod:`.plant`.
 
 Every volume and flow equals that of :class:`.plant.Plant` for the same state, except for rounding
 (a relative error of at most 1e-10). Rounding can reverse decisions at a threshold: a roof that the
-pump has just filled to its target is slightly above or below the target. The next dose then begins
-one tick earlier or later, so sums over a run differ by at most the evaporation of one tick. In most
-ticks, most sites are calm: the water level is below all open outlets, and the pump is either off,
-or delivers the whole missing volume in the first step of a long tick. The flows of these sites are
-computed without steps. Only the other sites are computed in steps, as a subset of the rows.
+pump has just filled to its target can end up slightly above or below the target. The next dose then
+begins one tick earlier or later, so sums over a run differ by at most the evaporation of one tick.
+In most ticks, most sites are calm: the water level is below all open outlets, and the pump is
+either off or delivers the whole missing volume in the first step of a long tick. The flows of calm
+sites are computed without steps. Only the other sites, a subset of the rows, are computed in steps.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Plants:
         layer: volume in each drainage layer (m3).
         moved: volumes that flowed in the last tick.
         all_moved: the volumes of ``moved`` in one array, shape (7, n).
-        flowed: whether any flow in the last tick was other than drainage, evapotranspiration and
+        flowed: whether the last tick had any flows other than drainage, evapotranspiration and
             pumped water.
     """
 
@@ -81,7 +81,7 @@ class Plants:
                 none have a field-capacity soil.
             x1: volume in each cistern (m3).
             x2: volume on each roof (m3).
-            fraction: command of on/off control while it pumps (share of the maximum flow).
+            fraction: command of the on/off control during pumping (share of the maximum flow).
             level: share of the target to which on/off control fills each roof (1).
         """
         self.sites, self._tau = sites, float(sites.tau[0])
@@ -110,11 +110,11 @@ class Plants:
             self._min_lifted.fill(0.0)
 
     def set_weather(self, rain: Values, potential: Values) -> None:
-        """Set the weather of the current tick and of later ticks.
+        """Set the weather for the current tick and for later ticks.
 
         Args:
             rain: rain on each site (m/s).
-            potential: evapotranspiration from each bed (m3/s) of plants with sufficient water.
+            potential: potential evapotranspiration from each bed (m3/s).
         """
         sites, tau = self.sites, self._tau
         self._raining, self._on_roof = bool(rain.any()), rain * sites.a2
@@ -129,7 +129,7 @@ class Plants:
         """Return the volumes that flow during the current tick, and proceed to the next tick.
 
         Args:
-            outlet: opening of each low outlet, 0 to 1 (1).
+            outlet: opening of each low outlet, 0 to 1.
             allowed: mask of the sites whose pumps may run; None if all pumps may run.
         """
         moved, soils = self.moved, self._soils
@@ -159,7 +159,7 @@ class Plants:
     # --- pumps ------------------------------------------------------------------------------
 
     def _find_pumping(self, allowed: Flags | None) -> _Pumping | None:
-        """Return the sites at which pumps may run, and the missing volumes; None without sites.
+        """Return the sites at which pumps may run, with their missing volumes; None if none.
 
         On/off control, Eq. (12), pumps while the roof is too dry and the cistern contains enough
         water.
@@ -193,7 +193,7 @@ class Plants:
     # --- cisterns ---------------------------------------------------------------------------
 
     def _step_short(self, pumping: _Pumping | None, outlet: Values) -> Values:
-        """Write the flows of cisterns in a short tick, and return their final volumes (m3)."""
+        """Store the flows of the cisterns in a short tick, and return their final volumes (m3)."""
         cisterns, x1 = self._cisterns, self.x1
         flow = np.zeros_like(x1)
         if pumping is not None:
@@ -205,7 +205,7 @@ class Plants:
         return self._write(_ALL, flows)
 
     def _write(self, rows: Rows, flows: CisternFlows) -> Values:
-        """Write the flows of some cisterns, and return their final volumes (m3)."""
+        """Store the flows of some cisterns, and return their final volumes (m3)."""
         moved, pump = self.moved, flows.volumes.sum(axis=0)
         moved.pump[rows], moved.mains[rows] = pump, flows.mains
         moved.outflow[rows], moved.low_outlet[rows] = flows.outflow, flows.low_outlet
@@ -229,12 +229,12 @@ class Plants:
     def _step_all(
         self, pumping: _Pumping | None, outlet: Values
     ) -> tuple[Values, CisternFlows]:
-        """Write flows of cisterns in a long tick; return the final volumes (m3) and the flows."""
+        """Store all cisterns' flows in a long tick; return the final volumes (m3) and flows."""
         flows = self._step_rows(_ALL, pumping, outlet)
         return self._write(_ALL, flows), flows
 
     def _step_wet(self, pumping: _Pumping | None, outlet: Values) -> Values:
-        """Write flows of cisterns in a long tick with rain; return their final volumes (m3)."""
+        """Store all cisterns' flows in a long tick with rain; return the final volumes (m3)."""
         filled = self._cisterns.filled
         after = self.x1 + self._tau * self._collected
         stepped = (after > self._find_calm(outlet)) | (self.x1 < filled)
@@ -244,7 +244,7 @@ class Plants:
         return after
 
     def _step_dry(self, pumping: _Pumping | None, outlet: Values) -> Values:
-        """Write flows of cisterns in a long tick without rain; return their final volumes (m3)."""
+        """Store all cisterns' flows in a long tick without rain; return the final volumes (m3)."""
         cisterns, moved = self._cisterns, self.moved
         flowing = self.x1 > self._find_calm(outlet)
         stepped = self.x1 > self._low_only
@@ -264,7 +264,7 @@ class Plants:
         return after
 
     def _lift(self, pumping: _Pumping, flowing: Flags, stepped: Flags) -> None:
-        """Write the volume pumped in the first step of a dry tick; mark rows that need steps."""
+        """Store the volume pumped in the first step of a dry tick; mark rows that need steps."""
         rows, missing, tau, seconds = *pumping[:2], self._tau, self._tau / self._steps
         cisterns, x1 = self._cisterns.take(rows), self.x1[rows]
         flow = cisterns.pump_flow(x1)
@@ -297,7 +297,7 @@ class Plants:
         return self._calm
 
     def _drain_some(self, flowing: Flags, outlet: Values, after: Values) -> None:
-        """Drain cisterns in which only the low outlet flows after the first step."""
+        """Drain cisterns whose only flow after the first step is through the low outlet."""
         rows = flowing.nonzero()[0]
         if not len(rows):
             return
@@ -312,13 +312,13 @@ class Plants:
     def _step_some(
         self, stepped: Flags, pumping: _Pumping | None, outlet: Values, after: Values
     ) -> None:
-        """Compute some cisterns in the steps of a long tick; write their final volumes (m3)."""
+        """Simulate some cisterns in the steps of a long tick; store their final volumes (m3)."""
         rows = stepped.nonzero()[0]
         if len(rows):
             after[rows] = self._write(rows, self._step_rows(rows, pumping, outlet))
 
     def _let_out_drainage(self, flows: CisternFlows, outlet: Values, after: Values) -> None:
-        """Compute outflow and inflow again for cisterns that receive drainage."""
+        """Recompute the outflow and the inflow of cisterns that receive drainage."""
         tau, cisterns, moved, kept = (
             self._tau, self._cisterns, self.moved, self.sites.drainage_to_cistern
         )
@@ -339,7 +339,7 @@ class Plants:
     # --- roofs ------------------------------------------------------------------------------
 
     def _step_settled(self, pumping: _Pumping | None) -> None:
-        """Proceed to the next tick for roofs without rain; only pumped water percolates."""
+        """Advance roofs without rain to the next tick; only pumped water percolates."""
         moved, layer, x2 = self.moved, self.layer, self.x2
         if pumping is not None:
             rows, pump = pumping.rows, moved.pump[pumping.rows]
@@ -367,7 +367,7 @@ class Plants:
         self.layer, self._work[1] = remaining, layer
 
     def _step_roof(self) -> None:
-        """Proceed to the next tick for roofs in any weather."""
+        """Advance roofs to the next tick in any weather."""
         moved, x2 = self.moved, self.x2
         arrived = self._tau * self._on_roof + moved.pump
         percolated, evaporated, limited = self._soils.lose(moved.evapotranspiration, arrived)

@@ -27,7 +27,7 @@ def flow_at(site: Site, speed: float, cistern_level: float) -> float:
     Args:
         site: site with the pump curve.
         speed: share of the rated speed, at least 0.
-        cistern_level: depth in the cistern (m).
+        cistern_level: depth of water in the cistern (m).
     """
     head = cistern_level + speed**2 * site.c_hat - site.d
     return site.b * math.sqrt(head) if speed > 0 and head > 0 else 0.0
@@ -43,7 +43,7 @@ def speed_for(site: Site, share: float, cistern_level: float) -> float:
     Args:
         site: site with the pump curve.
         share: share of the maximum flow at this level, 0 to 1.
-        cistern_level: depth in the cistern (m).
+        cistern_level: depth of water in the cistern (m).
     """
     max_head = cistern_level + site.c_hat - site.d
     if share <= 0 or max_head <= 0:

@@ -114,7 +114,7 @@ class Pump:
         self._passed = 0.0
 
     def switch(self, command: float, may_run: bool) -> float:
-        """Return the command that reaches the pumps in the present tick.
+        """Return the command that reaches the pumps in the current tick.
 
         Args:
             command: command of the controller (share of the maximum flow).
@@ -128,7 +128,7 @@ class Pump:
         return command
 
     def observe(self, flow: float) -> None:
-        """Count the present tick, in which the pumps deliver a flow (m3/s)."""
+        """Count the current tick, in which the pumps deliver a flow (m3/s)."""
         if (flow > 0) != self._on:
             self._on = flow > 0
             self._ticks = 0

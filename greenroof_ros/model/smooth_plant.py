@@ -1,11 +1,12 @@
-"""The smooth plant, Eqs.
+"""The smooth plant, Eqs. (5)-(9), used only for linearisation, and its linear model, Eq. (10).
 
-(5)-(9), and its linear model, Eq. (10), used only for linearisation. Each equation has its own
-function: :func:`f` for Eq. (5), :func:`psi` (6), :func:`q_out` (7), :func:`q_pump` (8) and
-:func:`q_drain` (9). The last four functions also return the derivatives that Eq. (10) requires. A
-field-capacity soil replaces Eq. (9) without smoothing, because it is continuous, and smooth except
-at the wilting point, the onset of stress and field capacity.
+Each equation has its own function: :func:`f` for Eq. (5), :func:`psi` for Eq. (6), :func:`q_out`
+for Eq. (7), :func:`q_pump` for Eq. (8) and :func:`q_drain` for Eq. (9). The last four functions
+also return the derivatives that Eq. (10) requires. A field-capacity soil replaces Eq. (9). This
+soil is not smoothed, because it is continuous everywhere, and smooth except at the wilting point,
+the onset of stress and field capacity.
 """
+
 from __future__ import annotations
 
 import math
@@ -35,7 +36,10 @@ def f(
 
 
 def psi(y: float, epsilon: float) -> tuple[float, float]:
-    """Return psi^epsilon: a smooth root, and its slope, Eq. (6); Duan and Lian (2016, Eq. 3)."""
+    """Return psi^epsilon, a smooth square root, and its slope, Eq. (6).
+
+    The function is Eq. 3 of Duan and Lian (2016).
+    """
     if y > epsilon:
         root = math.sqrt(y)
         return root, 0.5 / root
@@ -46,9 +50,9 @@ def psi(y: float, epsilon: float) -> tuple[float, float]:
 
 
 def q_out(site: Site, x1: float) -> tuple[float, float]:
-    """Return q_out^epsilon: the flow to the sewer (m3/s), and its slope with x1 (1/s), Eq.
+    """Return the flow to the sewer, q_out^epsilon (m3/s), Eq. (7), and its slope in x1 (1/s).
 
-    (7). A low outlet with a valve counts as closed.
+    A low outlet with a valve is treated as closed.
     """
     root, slope = psi(x1 / site.a1 - site.z_o, site.epsilon)
     flow, flow_1 = site.c_out * root, site.c_out * slope / site.a1
@@ -60,9 +64,9 @@ def q_out(site: Site, x1: float) -> tuple[float, float]:
 
 
 def q_pump(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, float, float]:
-    """Return q_pump^epsilon: the flow of the pumps at a command u (m3/s), and its slopes, Eq.
+    """Return the flow of the pumps, q_pump^epsilon (m3/s), Eq. (8), and its slopes.
 
-    (8). The slopes are those with x1 and x2 (1/s) and with u (m3/s).
+    The slopes are those in x1 and x2 (1/s), and in the command u (m3/s).
     """
     epsilon = site.epsilon
     root, slope = psi(x1 / site.a1 + site.c_hat - site.d, epsilon)
@@ -77,7 +81,7 @@ def q_pump(site: Site, x1: float, x2: float, u: float) -> tuple[float, float, fl
 
 
 def q_drain(site: Site, x2: float) -> tuple[float, float]:
-    """Return q_drain^epsilon: the drainage (m3/s), and its slope with x2 (1/s), Eq. (9)."""
+    """Return the drainage, q_drain^epsilon (m3/s), Eq. (9), and its slope in x2 (1/s)."""
     sigma_3 = sigma(x2 - site.z_cap, site.epsilon)
     flow = site.K * site.a2 * (x2 / site.a2 + site.z_soil) / site.z_soil * sigma_3
     return flow, site.K / site.z_soil * sigma_3 + flow * (1 - sigma_3) / site.epsilon
@@ -92,9 +96,9 @@ def sigma(y: float, epsilon: float) -> float:
 
 
 class Linearisation(NamedTuple):
-    """The linear model x' ~ A x~ + B u~ + C w~ + b at an operating point, Eq.
+    """The linear model x' ~ A x~ + B u~ + C w~ + b at an operating point, Eq. (10).
 
-    (10). The paper prints C_p as 2x1, but with two disturbances w = (w_r, w_e) it is 2x2.
+    The paper prints C_p as a 2x1 matrix, but with two disturbances w = (w_r, w_e), it is 2x2.
     """
 
     A: tuple[tuple[float, float], tuple[float, float]]

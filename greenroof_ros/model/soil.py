@@ -1,7 +1,7 @@
-"""The soils of a roof, with the same methods: the paper's, Eq.
+"""The soils of a roof: the paper's soil, Eq. (4), and a field-capacity soil.
 
-(4), and a field-capacity soil. :func:`soil_of` returns the soil of a site; :class:`PaperSoil`
-documents the methods.
+Both soils have the same methods, which are documented in :class:`PaperSoil`. :func:`soil_of`
+returns the soil of a site.
 """
 
 from __future__ import annotations
@@ -53,12 +53,13 @@ class PaperSoil:
     """The soil of Table I, which drains only above its capacity, according to Eq. (4).
 
     Attributes:
-        has_field_capacity: whether the soil is a field-capacity soil. above_target: volume by which
-            rain can exceed the target (m3).
-        retains_all_below: volume below which all arriving water stays, and evaporation is limited
-            only by the available water (m3); 0 without such a volume.
+        has_field_capacity: whether the soil is a field-capacity soil.
+        above_target: volume by which rain can raise the water above the target (m3).
+        retains_all_below: volume below which all arriving water stays in the soil, and evaporation
+            is limited only by the available water (m3); 0 if there is no such volume.
         overdraws: whether Eq. (4) would drain much more than the water above the capacity in a
-            tick. excess: predicate for sentences about the water above the capacity.
+            tick.
+        excess: predicate for sentences about the water above the capacity.
         stress_volume: volume below which :meth:`water_stress` is less than 1 (m3).
     """
 
@@ -72,10 +73,10 @@ class PaperSoil:
         self.overdraws = 2 * site.K * site.tau > _MAX_OVERDRAWN_M
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
-        """Return the drainage from the soil in a tick (m3/s), Eq.
+        """Return the drainage from a soil with enough water in a tick (m3/s), Eq. (4).
 
-        (4), if the soil holds enough water. If Eq. (4) would drain much more from a full soil in a
-        tick, the drainage is limited to the arriving water and the water above the capacity.
+        If Eq. (4) would drain much more than the water above the capacity in a tick, the drainage
+        is limited to this water and the arriving water.
 
         Args:
             x2: volume that the soil holds (m3).
@@ -108,7 +109,7 @@ class PaperSoil:
             layer: volume that the drainage layer holds (m3).
             available: water that the soil holds or receives (m3/s).
             arriving: rain and pumped water (m3/s).
-            potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water.
+            potential: potential evapotranspiration from the whole bed (m3/s).
 
         Returns:
             Drainage and evapotranspiration (m3/s), and whether less water was available than was
@@ -149,7 +150,7 @@ class PaperSoil:
             x2: volume on the roof before the step (m3).
             arriving: rain and pumped water in the step (m3); its shape must broadcast with x2,
                 potential and seconds.
-            potential: evapotranspiration of plants with sufficient water (m3).
+            potential: potential evapotranspiration (m3).
             seconds: length of the step (s).
         """
         site = self._site
@@ -178,7 +179,7 @@ class PaperSoil:
         Args:
             x2: volume on the roof at the beginning (m3).
             rain: mean rain in every step (m/s), shape (n,).
-            potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water,
+            potential: potential evapotranspiration from the whole bed (m3/s),
                 shape (n,).
             lengths: lengths of the steps (s), shape (n,).
 
@@ -211,7 +212,7 @@ class PaperSoil:
             x2: volume at the start of every sample (m3), NaN if unknown, shape (n,).
             rain: precipitation (m/s), shape (n,).
             pump: flow from the cistern (m3/s), shape (n,).
-            potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water,
+            potential: potential evapotranspiration from the whole bed (m3/s),
                 shape (n,).
             drainage: drainage from the roof (m3/s), shape (n,).
             durations: durations of the samples (s), shape (n,).
@@ -466,7 +467,7 @@ def roof_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potentia
         tau: duration of the tick (s).
         x2: volume on the roof at the start of the tick (m3).
         arriving: rain and pumped water (m3/s).
-        potential: evapotranspiration from the whole bed (m3/s) of plants with sufficient water.
+        potential: potential evapotranspiration from the whole bed (m3/s).
     """
     evaporated = potential * soil.water_stress(x2)
     return x2 + tau * (arriving - evaporated - soil.drained(x2, arriving, tau))

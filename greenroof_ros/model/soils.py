@@ -27,8 +27,7 @@ class PaperSoils:
         """Set the weather of the following ticks.
 
         Args:
-            potential: evapotranspiration of each bed in a tick, of plants with sufficient water
-                (m3).
+            potential: potential evapotranspiration of each bed in a tick (m3).
             raining: whether rain falls on any roof.
         """
         self._potential, self._raining = potential, raining

@@ -18,11 +18,11 @@ class VirtualSite:
 
     Attributes:
         plant: the true state of cistern and roof.
-        metrics: metrics of all previous ticks, as if the run ended in the present tick.
-        tick: number of the present tick.
-        frost: 0 without frost in the present tick; other values, including NaN, denote frost. The
+        metrics: metrics of all previous ticks, as if the run ended with the current tick.
+        tick: number of the current tick.
+        frost: 0 without frost in the current tick; other values, including NaN, denote frost. The
             caller sets this attribute.
-        quiet: whether the present tick is in the site's quiet hours.
+        quiet: whether the current tick is in the site's quiet hours.
     """
 
     def __init__(
@@ -50,11 +50,11 @@ class VirtualSite:
 
     @property
     def time_ns(self) -> int:
-        """The time of the present tick (ns since 1970)."""
+        """The time of the current tick (ns since 1970)."""
         return self._start_ns + self.tick * self._tick_ns
 
     def observe(self) -> tuple[float, float]:
-        """Return the readings of the level sensors of cistern and roof in the present tick (m)."""
+        """Return the readings of the level sensors of cistern and roof in the current tick (m)."""
         cistern, roof = self.plant.levels()
         if self._sensor is not None:
             roof = self._sensor.reading(self.tick, roof)
@@ -64,12 +64,11 @@ class VirtualSite:
         self, precipitation: float, evapotranspiration: float, command: float,
         pumped: float | None = None, outlet: float = 1.0,
     ) -> Flows:
-        """Return the flows in the present tick; must be called once in every tick.
+        """Return the flows in the current tick; must be called once in every tick.
 
         Args:
             precipitation: rain rate (m/s).
-            evapotranspiration: evapotranspiration from the whole bed (m3/s), of plants with
-                sufficient water.
+            evapotranspiration: potential evapotranspiration from the whole bed (m3/s).
             command: command to the pumps (share of the maximum flow).
             pumped: flow (m3/s) of pumps that another program drives; None for the site's own pumps.
             outlet: command to the valve of the low outlet (opening, 0 to 1).

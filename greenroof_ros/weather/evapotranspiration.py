@@ -204,7 +204,7 @@ def repeat_monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
 
 
 def _find_local_seconds(records: Records, site: Site) -> NDArray[np.int64]:
-    """Return the start of every hour on a clock of local standard time (s since its 1970)."""
+    """Return the start of every hour in local standard time (s since its 1970)."""
     assert site.utc_offset is not None
     first = round(records.first.timestamp() + 3600 * site.utc_offset)
     return first + 3600 * np.arange(records.hours)
@@ -263,8 +263,8 @@ def sun_height(latitude: float, seconds: NDArray[np.int64], east_of_meridian: fl
 
     Args:
         latitude: latitude (degrees, north positive).
-        seconds: times on a clock of local standard time (s since 1970-01-01).
-        east_of_meridian: how far east of the clock's meridian the place is (degrees).
+        seconds: times in local standard time (s since 1970-01-01).
+        east_of_meridian: longitude relative to the meridian of the clock (degrees, east positive).
     """
     days = seconds.astype("datetime64[s]").astype("datetime64[D]")
     number = number_days(days)
@@ -289,10 +289,10 @@ def spread_over_day(
     Args:
         daily: evapotranspiration of every day (mm), shape (days,).
         latitude: latitude (degrees, north positive).
-        seconds: start of every step, on a clock of local standard time, shape (steps,).
+        seconds: start of every step, in local standard time, shape (steps,).
         day: index in ``daily`` of the day of every step.
         step_s: duration of a step (s).
-        east_of_meridian: how far east of the clock's meridian the place is (degrees).
+        east_of_meridian: longitude relative to the meridian of the clock (degrees, east positive).
 
     Returns:
         Evapotranspiration in every step (mm), shape (steps,).
@@ -358,7 +358,7 @@ class DailyTemperatures(NamedTuple):
 
         Args:
             site: site with its location.
-            seconds: start of every step, on a clock of local standard time.
+            seconds: start of every step, in local standard time.
             step_s: duration of a step (s).
             offset_s: UTC offset of this clock (s).
         """

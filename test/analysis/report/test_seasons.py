@@ -159,7 +159,7 @@ def test_means_by_hand(tmp_path: Path) -> None:
     (compared,) = tables["Deviation relative to on/off"]
     assert compared["years with a smaller deviation"] == "11 of 11"
     # The mean is over years with a storm; without one there is no number.
-    kept = "rain kept in 24 h above 10 mm"
+    kept = "rain kept in 24 h periods with more than 10 mm"
     assert [row[kept] for row in tables["Plants, rain and frost"]] == ["62.5%", "none"]
     assert not make_notes(report)
 
