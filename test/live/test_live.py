@@ -216,7 +216,7 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
         site.until(lambda: 0 < newest(commands) <= 0.4, LATE, "mpc again")
         # A wrong layout ends a simulated run; a live node refuses it, like too many members.
         del site.values[rain]
-        for sizes, count, why in (((3, 5), 4, "layout is [3, 5]"), ((2, 10), 20, "has 2 members")):
+        for sizes, count, why in (((3, 5), 4, "layout [3, 5]"), ((2, 10), 20, "has 2 members")):
             dimensions = [MultiArrayDimension(size=size) for size in sizes]
             message = Float64MultiArray(
                 layout=MultiArrayLayout(dim=dimensions), data=array("d", [0.0] * count)
