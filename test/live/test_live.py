@@ -194,7 +194,7 @@ def test_onoff_commands_without_a_forecast(site: Site) -> None:
             without = {name: value for name, value in good.items() if name != rain}
             site.values = without if bad is None else {**without, rain: bad}
             site.until(lambda: newest(commands) == 1.0, LATE, f"on/off, {case}")
-            words = "on/off control has commanded since ", f"{rain} {why}"
+            words = "on/off control has been in command since ", f"{rain} {why}"
             degraded = site.shows("/mpc: forecast", WARN, *words)
             site.until(degraded, LATE, case)
             since = re.search(r"since (\S+ \S+), ", site.diagnoses["/mpc: forecast"].message)
@@ -279,7 +279,7 @@ def test_quiet_hours_are_of_the_system_clock(site: Site) -> None:
     )
     with site.live("controller --controller mine:Counting", site_file=file, recovery_time=0.2):
         for part, *words in (
-            ("forecast", WARN, "on/off control has commanded since"), ("forecast", OK)
+            ("forecast", WARN, "on/off control has been in command since"), ("forecast", OK)
         ):
             site.until(site.shows(f"/counting: {part}", *words), LATE, "good inputs")
             site.until(site.shows("/counting: inputs", OK), LATE, "good inputs")
@@ -319,7 +319,7 @@ def test_classes_of_a_users_own(site: Site) -> None:
     # A controller that needs no forecast continues, and reports that it has none.
     commands.clear()
     with site.live("controller --controller lookahead", recovery_time=0.2):
-        without = site.shows("/lookahead: forecast", WARN, "commands without a forecast")
+        without = site.shows("/lookahead: forecast", WARN, "working without a forecast")
         site.until(without, LATE, "that it has none")
         site.until(lambda: newest(commands), LATE, "its commands")
 
@@ -429,8 +429,8 @@ def test_on_off_replaces_a_class_that_fails(site: Site) -> None:
                 number for number, words in enumerate(BROKEN.splitlines(), 1) if text in words
             )
             place = site.shows(
-                "/broken: command", WARN, "on/off control has commanded", f"{file}, line {line}",
-                why,
+                "/broken: command", WARN, "on/off control has been in command",
+                f"{file}, line {line}", why,
             )
             site.until(place, LATE, f"{what}: {why}")
             site.until(lambda: newest(commands) == 1.0, LATE, f"{what}: on/off")

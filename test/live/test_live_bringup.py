@@ -172,7 +172,7 @@ def test_a_live_site_with_drive_and_sensors(
     with live(domain, tmp_path, *options, code=1) as process:
         for reason in (
             "/roof_sensor: sensor: tcp://127.0.0.1:", ", device 1: cannot connect. The sensor",
-            "is older than 2 h. There is no forecast for the present, so the roof is watered",
+            "is older than 2 h. There is no forecast for the current time, so the roof is watered",
         ):
             process.until_printed(reason)
         # It lists neither consequences of these nor a drive that is there.

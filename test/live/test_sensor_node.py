@@ -68,7 +68,9 @@ def test_garbage_between_true_values_is_an_alarm(
 
         observer.until(lambda: is_reported(next(messages)), 60, "an alarm")
         message = observer.diagnoses["/cistern_sensor: sensor"].message
-        assert re.match(r"\d+ of \d+ readings within a minute were rejected; the last: ", message)
+        assert re.match(
+            r"\d+ of \d+ readings within a minute were rejected; the last one: ", message
+        )
 
 
 def test_sensor_that_falls_silent_after_rejected_readings_is_lost(

@@ -318,8 +318,8 @@ def test_a_reset_that_could_not_be_done_in_time_is_forgotten(
             bench.drive.values[0] = 0x0001
 
     bench.drive.on_write = overwrite
-    wait(lambda: "someone else writes to the drive" in bench.now.problem)
-    assert "someone else writes to the drive" in str(bench.now.second_master)
+    wait(lambda: "someone else is writing to the drive" in bench.now.problem)
+    assert "someone else is writing to the drive" in str(bench.now.second_master)
     bench.exchange.reset()
     time.sleep(0.4)
     bench.drive.on_write = lambda _address, _word: None

@@ -65,14 +65,14 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
         (PAPER_SITE, 1.0, {"fall": 0.0004, "wobble": 1e-6, "pumped": 0.01}, 83,
          "perhaps a burst pipe or a leak downstream of the pump"),
         # A cistern that loses 0.01 m3/s: 0.01 t > 0.15 + 25 2.7778e-7 t after 15.01 s.
-        (PAPER_SITE, 1.0, {"fall": 0.0004}, 16, "or someone else takes water"),
+        (PAPER_SITE, 1.0, {"fall": 0.0004}, 16, "or someone else is taking water"),
         # One that does not fall, though 0.01 m3/s reach the roof: 0.005 t > 0.15 + 25 2.7778e-7 t
         # after 30.04 s; rain can explain 0.29225/68.8 of the roof's 0.005 t + 68.8 2.7778e-7 t,
         # which makes 30.17 s.
         (PAPER_SITE, 1.0, {"rise": 0.01 / 68.8, "pumped": 0.01}, 31,
          "delivery: 0.31 m3 were pumped in 0.5 min and reached the roof, but the cistern's level "
-         "changed by +0 mm: perhaps its sensor is stuck or drifts, so that the pump would run dry, "
-         "or water flows into the cistern"),
+         "changed by +0 mm: perhaps its sensor is stuck or drifting, so that the pump could run "
+         "dry, or water is flowing into the cistern"),
         # A roof that stands still: 0.01 t > 0.4128 + 68.8 2.7778e-7 t after 41.36 s.
         (PAPER_SITE, 60.0, {"fall": 0.0004, "pumped": 0.01}, 42,
          "downstream of the pump, or the roof's sensor is stuck"),
@@ -85,7 +85,7 @@ LOW_OUTLET = site_with(low_outlet_level=1.0, low_outlet_radius=0.025)
         # At 2 m, read 2 cm too low, a low outlet takes 0.005305 sqrt(1.02) = 0.005358 m3/s. Twice
         # that is allowed. Of 0.02 m3/s 0.009284 are too much: 0.009284 t > 0.15 + 25 2.7778e-7 t
         # after 16.17 s. Of 0.01 m3/s nothing is: a leak as large as the outlet's flow is not seen.
-        (LOW_OUTLET, 1.0, {"fall": 0.02 / 25}, 17, "or someone else takes water"),
+        (LOW_OUTLET, 1.0, {"fall": 0.02 / 25}, 17, "or someone else is taking water"),
         (LOW_OUTLET, 1.0, {"fall": 0.01 / 25}, 301, ""),
     ],
 )
@@ -172,8 +172,8 @@ def test_a_level_that_is_held_is_no_alarm() -> None:
 
 BURST = "perhaps a burst pipe or a leak downstream of the pump"
 CLOSED = "perhaps a closed valve, a blocked pump, an empty pipe or an empty cistern"
-RUNS = "perhaps the pump runs although it should be off (a stuck contactor)"
-LEAK = "perhaps a leak, or someone else takes water"
+RUNS = "perhaps the pump is running although it should be off (a stuck contactor)"
+LEAK = "perhaps a leak, or someone else is taking water"
 HALF_DRY = {"x2": 0.5}
 DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
 
@@ -195,7 +195,7 @@ DRAINED = {"x2": 0.2, "site": LOW_OUTLET}
         (HALF_DRY, 0.0, {"contactor_stuck": True}, 0.0, 70, RUNS),
         ({"x2": 3.2}, 0.3, {"leak": 0.01}, 0.3, 65, LEAK),
         # Between pulses; the readings are noisy, and the cause can be another one.
-        (HALF_DRY, 0.01, {"leak": 1e-3}, 0.01, 400, "the cistern fell by"),
+        (HALF_DRY, 0.01, {"leak": 1e-3}, 0.01, 400, "the cistern lost"),
         # A low outlet takes less than the pump's 0.0084 m3/s, and is not treated as a burst pipe.
         ({"site": LOW_OUTLET}, 0.0, {"contactor_stuck": True}, 0.0, 400, RUNS),
         (DRAINED, 0.0, {"arriving": 0.0, "leaving": 0.0}, 1.0, 200, CLOSED),
@@ -345,7 +345,7 @@ def test_a_cisterns_sensor_that_is_stuck_or_drifts_up_latches_before_the_pump_ru
         rig.arriving = rig.leaving = 0.0 if empty else 1.0
         dry += empty and rig.speed > 0
     assert rig.decisions[-1].state == "fault"
-    assert drift or "perhaps its sensor is stuck or drifts" in rig.decisions[-1].why
+    assert drift or "perhaps its sensor is stuck or drifting" in rig.decisions[-1].why
     assert dry <= dry_for
 
 

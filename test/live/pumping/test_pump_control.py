@@ -285,7 +285,7 @@ def test_no_flow_once_the_pump_stands() -> None:
     rig.change = {}
     assert rig.run(15, 1.0).state in ("starting", "running")
     rig.change = {"speed": -0.021}
-    assert rig.step(1.0).why == "the pump turns backwards at 0.02 of its rated speed"
+    assert rig.step(1.0).why == "the pump is turning backwards at 0.02 of its rated speed"
 
 
 @pytest.mark.parametrize("meter", ["flow", "drive_flow"])
