@@ -1,1 +1,1 @@
-"""What is made of runs and records: studies, reports, calibration, forecast scores; no ROS."""
+"""Analyses without ROS: studies, reports, sizing, districts, calibration and forecast scores."""

@@ -31,11 +31,11 @@ def read_site(path: PathText | None = None, **changes: Any) -> Site:
 
     Args:
         path: path of the file; None for the paper's site.
-        changes: values that replace those of the file, by the names of parameters, or of plain keys
-            such as ``cistern_volume`` and ``roof_area``.
+        changes: values that replace those in the file, each under the name of a parameter or of a
+            key that the file itself uses, such as ``cistern_volume`` and ``roof_area``.
 
     Raises:
-        ConfigurationError: if the file or a value is wrong.
+        ConfigurationError: if the file or a value is invalid.
 
     Example:
         >>> import greenroof_ros as gr
@@ -47,7 +47,7 @@ def read_site(path: PathText | None = None, **changes: Any) -> Site:
 
 
 def read_weather(inputs: Mapping[str, Any]) -> Weather:
-    """Read the weather of a run from keywords.
+    """Read the weather of a run from the keyword arguments.
 
     Raises:
         ConfigurationError: if an input is wrong.
@@ -59,11 +59,11 @@ def read_weather(inputs: Mapping[str, Any]) -> Weather:
 def build_run(
     controller: ControllerChoice, inputs: Mapping[str, Any], warned: set[str]
 ) -> Run:
-    """Build and check a run from keywords, and issue its notes as warnings.
+    """Build and check a run from keyword arguments, and issue its notes as warnings.
 
     Args:
         controller: controller of the run.
-        inputs: keywords of the run.
+        inputs: keyword arguments of the run.
         warned: warnings that were issued before and are not repeated; new warnings are added.
 
     Raises:
@@ -78,7 +78,7 @@ def build_run(
 
 
 def _count_own_calls() -> int:
-    """Return the number of calls, counted from the caller, inside this package or Gymnasium."""
+    """Return the number of calls up from the caller that are inside this package or Gymnasium."""
     frame, count = sys._getframe(1), 1
     while frame.f_back is not None and (
         frame.f_globals.get("__name__", "").partition(".")[0] in _NOT_THE_USERS

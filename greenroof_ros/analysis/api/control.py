@@ -1,4 +1,4 @@
-"""Controllers in Python, which are given as a name, a class, an instance or a function."""
+"""Controllers in Python, specified by name or as a class, an instance or a function."""
 
 from __future__ import annotations
 
@@ -44,7 +44,10 @@ class SiteState(NamedTuple):
 
 
 class ForecastSteps(NamedTuple):
-    """A forecast in steps, the first of which begins now. The values are means over the steps."""
+    """A forecast divided into steps, the first of which begins now.
+
+    Each value is the mean over a step.
+    """
 
     rain: Values
     """rain (m/s), shape (steps,)"""
@@ -70,7 +73,8 @@ class FunctionController:
     """A controller that calls a function; a subclass provides the function."""
 
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter(
-        "horizon", 24.0, "h", 0.1, MAX_HORIZON, "length of the forecast, in growing steps"
+        "horizon", 24.0, "h", 0.1, MAX_HORIZON,
+        "length of the forecast, which is divided into steps of increasing length",
     ),)
     function: ClassVar[Function]
     forecast_ends: Values
@@ -102,7 +106,7 @@ class FunctionController:
         return value if number is None else number  # anything else is rejected, and named
 
     def skip(self) -> None:
-        """Count a tick in which the pump may not run."""
+        """Count a tick in which the pump must not run."""
         self._tick += 1
 
     def statistics(self) -> None:
@@ -150,7 +154,7 @@ def read_parameters(instance: Controller, choice: ControllerChoice) -> dict[str,
     if "horizon" in names and "horizon" not in values:
         raise ConfigurationError(
             "must have its parameter horizon as an attribute, since the length of its forecast "
-            "is unknown otherwise; alternatively, pass the class and "
+            "is otherwise unknown; alternatively, pass the class and "
             "horizon=", key="an instance of "
             f"{choice.name}",
         )

@@ -18,8 +18,8 @@ def district(
     Args:
         file: path of the district file.
         weather: directory of weather files that are not next to the district file.
-        jobs: number of processes. With more than 1, a script must start under ``if __name__ ==
-            "__main__":``.
+        jobs: number of processes. If it is greater than 1, a script must guard its main code with
+            ``if __name__ == "__main__":``.
 
     Returns:
         The results: ``.sentence``, ``.table``, ``.buildings``, ``.hydrographs`` and

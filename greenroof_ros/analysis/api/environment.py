@@ -1,4 +1,4 @@
-"""A run in which a program sets the command of every step."""
+"""A run in which a program sets the command at every step."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class _Commanded:
         return self.share
 
     def skip(self) -> None:
-        """Do nothing, since the pumps may not run."""
+        """Do nothing, since the pumps must not run."""
 
     def statistics(self) -> None:
         """Return None, since the controller has no solver."""
@@ -65,17 +65,17 @@ class _Valve:
         self._policy = policy
 
     def command(self, *inputs: Any) -> float:
-        """Return the share. The policy is called in every tick, since it counts dry hours."""
+        """Return the share. The policy is called at every tick, since it counts dry hours."""
         share = self._policy.command(*inputs)
         return share if self.share is None else self.share
 
 
 class Environment:
-    """A site with its weather, for which a program sets the command of every tick.
+    """A site with its weather, for which a program sets the command at every tick.
 
-    In frost and in quiet hours the command counts as 0. At a site with a valve on its low outlet,
-    the program can also command the valve. ``copy`` and ``pickle`` create environments that
-    continue from the same tick, bit for bit.
+    During frost and quiet hours the command is treated as 0. At a site with a valve on its low
+    outlet, the program can also command the valve. Copies made with ``copy`` or ``pickle`` continue
+    from the same tick with bit-identical results.
 
     Example:
         >>> import greenroof_ros as gr
@@ -88,8 +88,8 @@ class Environment:
 
     Attributes:
         site: parameters of the site.
-        state: present time and levels.
-        done: whether the run has ended; :meth:`reset` begins it again.
+        state: current time and levels.
+        done: whether the run has ended; :meth:`reset` restarts it.
     """
 
     state: SiteState
@@ -114,7 +114,7 @@ class Environment:
         self.reset()
 
     def reset(self, seed: int | None = None) -> SiteState:
-        """Begin the run again, and return the state.
+        """Restart the run, and return its initial state.
 
         Args:
             seed: seed of the forecast errors; None leaves it unchanged.
@@ -150,7 +150,7 @@ class Environment:
         return self.state
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state from which a copy continues at the present tick."""
+        """Return the state from which a copy continues at the current tick."""
         return {name: value for name, value in self.__dict__.items() if name != "_ticks"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -159,15 +159,15 @@ class Environment:
         self._ticks = self._simulation.ticks()
 
     def step(self, command: float, outlet: float | None = None) -> Tick:
-        """Run a tick with a command, and return the results of the tick.
+        """Run one tick with the given command, and return the results of the tick.
 
         Args:
-            command: share of the pumps' maximum flow (1), finite and not negative.
-            outlet: share to which the valve of the low outlet is open (1), from 0 to 1; None to
+            command: share of the pumps' maximum flow (1), finite and non-negative.
+            outlet: opening of the valve on the low outlet as a share (1), from 0 to 1; None to
                 leave the valve to its policy.
 
         Raises:
-            ConfigurationError: if a command is wrong, if ``outlet`` is given at a site without a
+            ConfigurationError: if a command is invalid, if ``outlet`` is given at a site without a
                 valve, or if the run has ended.
 
         Example:
@@ -177,7 +177,7 @@ class Environment:
             (0, 0.5, 4.18)
         """
         if self.done:
-            raise ConfigurationError("has ended; call reset() to begin again", key="the run")
+            raise ConfigurationError("has ended; call reset() to restart it", key="the run")
         share = read_number(command)
         if share is None or not 0 <= share < math.inf:
             raise ConfigurationError(
@@ -196,7 +196,7 @@ class Environment:
         return tick
 
     def _observe(self) -> None:
-        """Set the state at the beginning of the present tick, or the final state of the run."""
+        """Set the state at the beginning of the current tick, or the final state of the run."""
         site = self._simulation.site
         time = self._run.start + timedelta(seconds=site.tick * self.site.tau)
         self.state = SiteState(time, *site.observe(), self.site)
@@ -204,7 +204,7 @@ class Environment:
 
     @property
     def forecast(self) -> ForecastSteps:
-        """The forecast from the present tick on.
+        """The forecast from the current tick onwards.
 
         Example:
             >>> import greenroof_ros as gr
@@ -222,7 +222,7 @@ class Environment:
 
     @property
     def metrics(self) -> dict[str, float]:
-        """The metrics so far, by their names in ``summary.json``.
+        """The metrics so far, under their names in ``summary.json``.
 
         Example:
             >>> import greenroof_ros as gr

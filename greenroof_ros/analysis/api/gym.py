@@ -1,6 +1,7 @@
 """The environment ``GreenRoof-v1`` for Gymnasium, the interface for reinforcement learning.
 
-With the name of the package, as in ``greenroof_ros:GreenRoof-v1``, every process finds it:
+If the name is preceded by that of the package, as in ``greenroof_ros:GreenRoof-v1``, every process
+finds the environment:
 
     import gymnasium
 
@@ -54,26 +55,27 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
     - Observation: a vector of float32 from 0 to 1. The first entries are the level of the cistern
       as a share of 1.5 times the level of its outlet, and the level on the roof as a share of twice
       the target level. The forecast follows: the mean rain in every step as a share of 50 mm/h,
-      then the mean evapotranspiration in every step as a share of 12 mm/day. Higher values are 1.
-      The first step begins now, and the steps grow; see :attr:`ends`. At a site with a valve on its
-      low outlet, the last entry is the time for which the weather remains wet if no more rain
-      falls, as a share of ``wet_after``.
+      then the mean evapotranspiration in every step as a share of 12 mm/day. Higher values are
+      clipped to 1. The first step begins now, and the steps become longer; see :attr:`ends`. At a
+      site with a valve on its low outlet, the last entry is the time for which the weather will
+      still count as wet if no more rain falls, as a share of ``wet_after``.
     - Action: a vector with one number from 0 to 1, the command as a share of the pumps' maximum
-      flow. In frost and in quiet hours the command counts as 0. At a site with a valve on its low
-      outlet, a second number is the share to which the valve is open. Other numbers are rejected.
+      flow. During frost and quiet hours the command is treated as 0. At a site with a valve on its
+      low outlet, a second number is the opening of the valve as a share. Numbers outside this range
+      are rejected.
     - Reward: the negative deviation from the target volume (m3) after a tick, summed over the ticks
-      of the step. The sum over an episode is therefore minus ``total_deviation_m3`` without the
-      first tick, which no action can change.
+      of the step. The sum over an episode is therefore the negative of ``total_deviation_m3``
+      without the first tick, which no action can change.
     - Episode: the N ticks of the window, each ``site.tau`` long. A step with one action lasts
       ``decision_ticks`` ticks, and the pumps' minimum times and the roof's limits apply in every
-      tick. An episode ends with ``truncated``, because the roof has no final state; ``terminated``
-      is always false. The ``info`` of the last step contains the ``metrics`` of the run, by their
-      names in ``summary.json``.
-    - Random numbers, which ``reset(seed=...)`` seeds: with ``forecast="errors"`` or ``"ensemble"``,
+      tick. An episode ends with ``truncated``, because the roof has no terminal state;
+      ``terminated`` is always false. The ``info`` of the last step contains the ``metrics`` of the
+      run, under their names in ``summary.json``.
+    - Random numbers, seeded by ``reset(seed=...)``: with ``forecast="errors"`` or ``"ensemble"``,
       they determine the forecast errors. With ``start="random"``, they determine the start, which
-      is a whole hour of the weather. With ``initial="random"``, they determine the volumes, which
-      are uniformly distributed up to the outlet of the cistern, and up to twice the roof's target
-      or to the soil's capacity if that is less.
+      is on a full hour covered by the weather. With ``initial="random"``, they determine the
+      volumes, which are uniformly distributed up to the outlet of the cistern, and up to twice the
+      roof's target or to the soil's capacity if that is less.
 
     Example:
         >>> import gymnasium
@@ -85,7 +87,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
     Attributes:
         site: parameters of the site.
-        ends: ends of the forecast's steps (s from now), the first 0, shape (steps + 1,).
+        ends: boundaries of the forecast's steps (s from now), the first of which is 0, shape (steps
+            + 1,).
     """
 
     __copy__ = copy.deepcopy  # otherwise both would go on with one state
@@ -100,8 +103,8 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         Args:
             reward: function that returns the reward for a tick from the results of the tick and the
                 state after it.
-            decision_ticks: number of ticks that an action lasts; the last action may be cut short
-                by the end of the window.
+            decision_ticks: number of ticks for which an action applies; the last action may be cut
+                short by the end of the window.
             render_mode: None, the only mode.
             inputs: site, weather, start, hours, forecast, horizon (h) and others; start and initial
                 can also be ``"random"``.
@@ -113,7 +116,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
             if inputs.get(name) is not None:
                 raise ConfigurationError(
                     "selects the policy for the outlet valve; in this environment, the action "
-                    "commands it", key=name, value=inputs[name],
+                    "commands the valve", key=name, value=inputs[name],
                 )
         self.render_mode, self._reward = render_mode, reward
         self._decision_ticks = int(_TICKS.read(decision_ticks, key="decision_ticks"))
@@ -147,14 +150,14 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
 
         Args:
             seed: seed of the environment's random numbers.
-            options: ``start`` and ``initial`` of this episode, instead of the environment's own.
+            options: ``start`` and ``initial`` of this episode, which replace the environment's own.
 
         Returns:
             The observation, and a dictionary with ``start``, ``cistern_m3`` and ``roof_m3`` of the
             episode.
 
         Raises:
-            ConfigurationError: if an option is unknown, or its value is wrong.
+            ConfigurationError: if an option is unknown, or its value is invalid.
         """
         super().reset(seed=seed)
         for key in options or {}:
@@ -180,7 +183,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         }
 
     def step(self, action: Values) -> tuple[Values, float, bool, bool, dict[str, Any]]:
-        """Run the ticks of one step with an action.
+        """Apply an action during the ticks of one step.
 
         Raises:
             ConfigurationError: if the action is not one number from 0 to 1 (two numbers at a site
@@ -222,7 +225,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
         return Environment(**{**self._inputs, **begin})
 
     def _draw_start(self) -> datetime:
-        """Draw a whole hour of the weather at which an episode can start."""
+        """Draw a full hour of the weather at which an episode can start."""
         length = timedelta(seconds=(self._steps + self.site.M) * self.site.tau)
         hours = (self._weather.end - self._weather.first - length) // timedelta(hours=1) + 1
         if hours < 1:

@@ -73,7 +73,7 @@ class Scenario:
         inputs: inputs of :func:`.simulate`, apart from the controller.
         unit: unit of the score.
         score: description of the score; lower is better.
-        weights: weights of the metrics in the weighted sum that is the score, by metric.
+        weights: weights of the metrics in the weighted sum that forms the score, by metric.
         controllers: inputs of the reference controllers, by name.
     """
 
@@ -103,8 +103,8 @@ class Scenario:
         """Return the lowest score that is possible in this scenario.
 
         For the deviation, the bound is the minimum over all commands up to 1, or up to the highest
-        command in the result if that is higher. For storm water, it is the minimum over all
-        controls of the valve, given the irrigation of the result and without the part for water
+        command in the result if that is higher. For storm water, it is the minimum over all ways to
+        control the valve, given the irrigation in the result, and it excludes the term for water
         stress.
         """
         run, metrics = result.run, result.metrics
@@ -166,7 +166,7 @@ class Score:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """Rows for this controller and the reference controllers, beginning with the best score."""
+        """Rows for this controller and the reference controllers, with the best score first."""
         own = (
             self.scenario.name, f"yours: {self.name}", self.value, self.bound,
             self.result.metrics["stress_hours"],
@@ -227,8 +227,8 @@ def score(
         The score, its bound, the run, and a table with the scores of the reference controllers.
 
     Raises:
-        ConfigurationError: if there is no such scenario, or if a parameter is wrong or is fixed by
-            the scenario.
+        ConfigurationError: if there is no such scenario, or if a parameter is invalid or is fixed
+            by the scenario.
 
     Example:
         >>> import greenroof_ros as gr

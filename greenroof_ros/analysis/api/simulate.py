@@ -1,4 +1,4 @@
-"""Python functions that simulate, compare simulations, and read the trajectory of a bag."""
+"""Python functions that simulate, compare simulations, and read the trajectory from a bag."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Result:
 
     Attributes:
         run: the run that was simulated.
-        summary: the content of ``summary.json`` as the command writes it.
+        summary: the content of ``summary.json`` as written by ``greenroof simulate``.
         ticks: the trajectory as arrays; :attr:`trajectory` contains it as a table.
     """
 
@@ -71,13 +71,13 @@ class Result:
     ticks: Trajectory
 
     def __repr__(self) -> str:
-        """Return controller, length and start as text."""
+        """Return the controller, the length and the start of the run as text."""
         length = duration(self.run.steps * self.run.site.tau)
         return f"<Result: {self.run.controller.name}, {length} from {to_minutes(self.run.start)}>"
 
     @cached_property
     def metrics(self) -> dict[str, float]:
-        """The metrics by their names in ``summary.json``, which end with their units.
+        """The metrics, under their names in ``summary.json``, which end in their units.
 
         Example:
             >>> import greenroof_ros as gr
@@ -100,16 +100,16 @@ class Result:
           UTC if that offset is not in whole hours)
         - ``time_s``: time since the start
         - ``cistern_m3``, ``roof_m3``: water volumes x1 and x2
-        - ``cistern_level_m``, ``roof_level_m``: water depths; the command's file and bags contain
-          the readings of the sensors instead, which differ if the roof's sensor has errors
+        - ``cistern_level_m``, ``roof_level_m``: water depths; bags and the file written by the
+          command contain the sensor readings instead, which differ if the roof's sensor has errors
         - ``precipitation_m_per_s``: rain
-        - ``evapotranspiration_m3_per_s``: evapotranspiration from the whole bed, if plants do not
-          lack water
+        - ``evapotranspiration_m3_per_s``: evapotranspiration from the whole bed if the plants do
+          not lack water
         - ``command``: share of the pumps' maximum flow (1)
         - ``pump_flow_m3_per_s``: flow from the cistern to the roof
         - ``outflow_m3_per_s``: flow from the cistern to the sewer
         - ``drainage_m3_per_s``: drainage from the roof
-        - ``frost``: 1 in frost, otherwise 0
+        - ``frost``: 1 during frost, otherwise 0
         - ``drainage_layer_m3``: water volume in the drainage layer of field-capacity soil
 
         The flows in the last row are not applied, because the run ends in the state of this row.
@@ -131,8 +131,8 @@ class Result:
 
         Events are separated by at least the site's ``event_separation`` without rain, by default
         six hours. ``volume_reduction`` and ``peak_reduction`` compare the discharge in wet weather
-        with that of the same area without green roof and cistern. The columns are ``start``, in the
-        time zone of :attr:`trajectory`, and the fields of
+        with that from the same area without a green roof and a cistern. The columns are ``start``,
+        in the time zone of :attr:`trajectory`, and the fields of
         :class:`greenroof_ros.model.storm_water.Event`.
 
         Raises:
@@ -163,8 +163,9 @@ class Result:
         """Return a chart of rain, roof level, cistern level, pump flow and any flow to the sewer.
 
         A notebook shows the chart as a picture. ``.save("run.png")`` writes it to a file, which can
-        also be .svg or .html (``inline=True`` for a page that needs no internet). For a long run,
-        the chart contains the smallest and the largest value in each of about 250 intervals.
+        also be .svg or .html (``inline=True`` for a page that needs no internet connection). For a
+        long run, the chart contains the smallest and the largest value in each of about 250
+        intervals.
 
         Raises:
             ConfigurationError: if altair is not installed.
@@ -224,26 +225,28 @@ def simulate(
             - ``site``: a site file, or a site from ``gr.read_site``; by default the paper's site.
             - ``weather``: a file name, a glob pattern, a list of these, or a polars or pandas data
               frame with hourly rows and the columns of a weather file: ``time`` (or an index of
-              times), ``precipitation [mm/h]`` and others. By default the paper's weather.
+              times), ``precipitation [mm/h]`` and others. The default is the paper's weather.
             - ``start``: time of the first tick, ISO 8601, a datetime or a date; without an offset
               from UTC, it is wall-clock time in the site's ``time_zone``, or else in the weather's
-              zone or offset. By default the paper's window, 2021-07-07T02:00-05:00.
+              zone or offset. The default is the start of the paper's window,
+              2021-07-07T02:00-05:00.
             - ``hours``: length of the run (h); by default N of the site file, 12 h.
             - ``forecast``: ``"perfect"``, ``"errors"``, ``"ensemble"``, or the path of archived
               forecasts. ``forecast_skill``, ``forecast_seed``, ``forecast_members`` and
               ``forecast_delay`` (h) correspond to the options of the command.
             - ``initial``: ``"low-low"``, ``"high-low"`` or ``"high-high"`` from Table II of the
               paper, ``"site"`` for the state in the site file, or the volumes in the cistern and on
-              the roof (m3). By default the state in the site file, or low-low if it has none.
+              the roof (m3). The default is the state in the site file, or low-low if the file
+              contains none.
             - ``evapotranspiration``: ``"fao56"``, ``"hargreaves"``, ``"monthly"``, or the column in
-              the weather that contains it. By default this column is used; without it, the first of
-              these three methods for which the weather has the required data.
+              the weather that contains it. By default this column is used or, if it is missing, the
+              first of these three methods for which the weather contains the required data.
             - ``gaps``: ``"refuse"``, or ``"fill"`` to fill long gaps in the weather.
             - ``roof_noise`` and ``roof_offset`` of the roof's level sensor (m), ``noise_seed``,
               ``pump_min_on`` and ``pump_min_off`` (s): by default 0, as in the paper.
-            - ``trajectory_every``: time between the ticks that the trajectory contains (s); it
-              always contains the last tick. By default it contains all ticks: ten million ticks
-              take a gigabyte.
+            - ``trajectory_every``: time between the ticks that the trajectory contains (s); the
+              last tick is always included. By default the trajectory contains all ticks; ten
+              million ticks occupy a gigabyte.
             - parameters of the controller, such as ``weight=0.01``.
 
     Returns:
@@ -255,8 +258,8 @@ def simulate(
 
     Warns:
         UserWarning: for each note that the command would print before the results, for example
-            about weather from far away, a run shorter than the look-ahead, or assumptions about the
-            weather.
+            about weather from a distant location, a run shorter than the look-ahead, or assumptions
+            about the weather.
 
     Example:
         >>> import greenroof_ros as gr
@@ -316,7 +319,7 @@ class Comparison:
 
     @property
     def table(self) -> polars.DataFrame:
-        """The metrics of all controllers, one row each, with their names in ``summary.json``.
+        """The metrics of all controllers, one row each, under their names in ``summary.json``.
 
         Raises:
             ConfigurationError: if polars is not installed.
@@ -337,8 +340,7 @@ class Comparison:
     def plot(self) -> altair.VConcatChart:
         """Return a chart like that of :meth:`.Result.plot`, with a line for each controller.
 
-        If the sites differ, the chart contains no lines for the target and the levels of the
-        cistern.
+        If the sites differ, the chart contains no lines for the target and the cistern levels.
 
         Raises:
             ConfigurationError: if the runs begin at different times, or if altair is not installed.
@@ -363,7 +365,7 @@ def compare(
 
     Args:
         controllers: controllers by their names in the table and the chart. A :class:`Result` is
-            used as it is, so controllers can have different parameters.
+            used unchanged, so controllers can have different parameters.
         inputs: inputs of :func:`simulate`, for all controllers.
 
     Returns:
@@ -426,7 +428,7 @@ def read_bag(path: PathText, site: PathText | Site | None = None) -> polars.Data
 
     Raises:
         ConfigurationError: if the bag is damaged or was not recorded by this package, or if a
-            package is missing.
+            required package is not installed.
 
     Example:
         >>> import tempfile, greenroof_ros as gr

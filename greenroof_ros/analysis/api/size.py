@@ -20,19 +20,19 @@ def size(**options: Any) -> Sizes:
               one season.
             - ``evapotranspiration``, ``gaps``: as for ``gr.simulate``.
             - ``volumes``: volumes of the cistern up to its overflow (m3); by default eight volumes
-              that suit roof and catchment.
+              that suit the roof and the catchment.
             - ``targets``: target depths of the water on the roof (mm); by default the site's
               target, and 4 mm below and above it.
             - ``outlets``: any of ``"none"``, ``"drain"`` and ``"plan"``; by default all three.
             - ``season``: first and last day of the season, as in ``"05-01/10-31"``; by default May
               to October, or November to April south of the equator.
-            - ``knee``: minimum water that another m3 of cistern must save in a season (m3), by
-              default 1.
+            - ``knee``: minimum volume of water that each additional m3 of cistern must save per
+              season (m3), by default 1.
             - ``mains_price``, ``storm_water_price``, ``cistern_price`` (each per m3), and
               ``cistern_years``, the number of years over which the price of the cistern is spread:
               give all four, or none.
-            - ``jobs``: number of processes, by default 1. With more than 1, a script must start
-              under ``if __name__ == "__main__":``.
+            - ``jobs``: number of processes, by default 1. If it is greater than 1, a script must
+              guard its main code with ``if __name__ == "__main__":``.
 
     Returns:
         The results: ``.sentence``, ``.table``, ``.table_of_seasons``, ``.plot()`` and

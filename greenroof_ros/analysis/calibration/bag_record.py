@@ -1,4 +1,4 @@
-"""Measured records from a bag that this project recorded at a live site or in a simulation."""
+"""Measured records from bags that this project recorded at a live site or in a simulation."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
     Evapotranspiration that the run computed (``fao56`` in the files next to its bag) includes the
     crop coefficient of the run's site, and is divided by it. The column of a weather file and the
     forecasts of a live site do not include the crop coefficient, so all other evapotranspiration is
-    used as it is.
+    used unchanged.
 
     The command counts only while the pumps deliver water. The command is unknown in steps with a
-    command above 1, which no real pump can follow. In a gap only evapotranspiration is known,
-    because the roof continues to dry: the value is that of the previous day or, on the first day,
-    the last value before the gap.
+    command above 1, which no real pump can follow. In a gap only evapotranspiration is filled in,
+    because the roof continues to dry. It takes the value from the same time of the previous day or,
+    on the first day, the last value before the gap.
 
     Raises:
         ConfigurationError: if the bag cannot be read, is shorter than two steps, or contains no
@@ -92,7 +92,7 @@ def read_bag_record(bag: Path, site: Site) -> StepRecord:
 
 
 def _fill_gaps(reference: Values) -> Values:
-    """Fill the gaps of evapotranspiration (mm per step)."""
+    """Fill the gaps in evapotranspiration (mm per step)."""
     day = round(86400 / _STEP_S)
     filled = reference.copy()
     for step in np.flatnonzero(np.isnan(reference)).tolist():

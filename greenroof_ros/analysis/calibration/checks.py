@@ -24,8 +24,8 @@ def check_record(record: StepRecord, site: Site) -> list[str]:
     The findings come from :data:`greenroof_ros.formats.rules.RULES`.
 
     Args:
-        record: the measurements in the steps that count.
-        site: site with the roof and its place.
+        record: the measurements in the steps used for the fit or the validation.
+        site: site with the roof and its location.
 
     Raises:
         ConfigurationError: if a rule rejects the record, or if it is too short for a fit.
@@ -54,7 +54,7 @@ def check_fit(scores: Sequence[FitScores], source: Path) -> list[str]:
     """Return warnings about a fit.
 
     There is a warning if, in the validation, the daily NSE is below 0 (or the NSE of hours or
-    longer steps, if there are too few days), or if the volume of runoff is wrong by more than half.
+    longer steps, if there are too few days), or if the volume of runoff is off by more than half.
 
     Args:
         scores: scores of every series, in the fit and in the validation.
@@ -74,8 +74,8 @@ def check_fit(scores: Sequence[FitScores], source: Path) -> list[str]:
             f"{row.quantity} in {row.part} {max(of_row):.2f}" for row, of_row in nses if of_row
         )
         raise ConfigurationError(
-            f"no roof fits this record: the best NSE is {best}, although the mean of the "
-            f"measurements would have an NSE of 0. {advice}", file=source,
+            f"no roof fits this record: the best NSE is {best}, whereas the mean of the "
+            f"measurements alone would achieve an NSE of 0. {advice}", file=source,
         )
     why = [
         f"the NSE of {row.quantity} is {of_row[-1]:.2f}" for row, of_row in nses

@@ -1,4 +1,4 @@
-"""Records of a roof, read from this project's CSV for a fit."""
+"""Roof records for a fit, read from this project's CSV format."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
 
     Each row covers the step that begins at the time given; levels are measured at that time. Rows
     are no more than a day apart. Rain, ``level`` or ``runoff``, and evapotranspiration are
-    required. Evapotranspiration is the column ``reference evapotranspiration``, with gaps of no
-    more than an hour. Alternatively, it is computed with Hargreaves' equation from ``temperature``,
-    or from ``minimum temperature`` and ``maximum temperature`` in any row of the day. Pumped water
-    is the column ``pumped``, or is computed from ``pump state`` (share of the maximum flow) and
-    ``cistern level``; without these columns it is 0.
+    required. Evapotranspiration is taken from the column ``reference evapotranspiration``, with
+    gaps of no more than an hour. Alternatively, it is computed with Hargreaves' equation from
+    ``temperature``, or from ``minimum temperature`` and ``maximum temperature`` in any row of the
+    day. Pumped water is taken from the column ``pumped``, or is computed from ``pump state`` (share
+    of the maximum flow) and ``cistern level``; without these columns it is 0.
 
     Args:
         file: the record.
-        site: site with place, clock and pumps.
-        months: months that count, such as ``4-10``. In other months, evapotranspiration may have
+        site: site with its location, clock and pumps.
+        months: months to use, such as ``4-10``. In other months, evapotranspiration may have
             longer gaps, which are interpolated linearly.
 
     Raises:
@@ -75,7 +75,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
         raise rows.table.refuse(
             f"the time between rows changes from {name_time(rows.steps.durations[changed - 1])} to "
             f"{name_time(rows.steps.durations[changed])} after row {changed}; a record must have "
-            "one interval throughout: write each part to a separate file"
+            "a constant interval: write each part to a separate file"
         )
     if count < _MIN_ROWS:
         raise ConfigurationError(
@@ -120,7 +120,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
 
 
 def _find_last_decimal(values: Values) -> float:
-    """Return the unit of the last decimal place of all values, which is at least 1e-12."""
+    """Return the value of the last decimal place that the values use, at least 1e-12."""
     there = values[~np.isnan(values)]
     places = 0
     while places < 12 and not np.allclose(np.round(there, places), there, rtol=1e-9, atol=0.0):
@@ -184,27 +184,28 @@ def _compute_from_temperatures(
 ) -> Values:
     """Return Hargreaves' reference evapotranspiration in every step (mm), shape (steps,).
 
-    Days follow the record's own clock. The temperatures of a day without values, or with less than
-    0.75 of its ``temperature`` values, are interpolated. Every day that counts must have
-    temperatures within three days.
+    Days follow the record's own clock. The temperatures of a day without values, or with fewer than
+    75 % of its ``temperature`` values, are interpolated. Every day that is used must have
+    temperatures within three days of it.
 
     Args:
         record: record with the times.
-        site: site with its place.
+        site: site with its location.
         series: series of every quantity, including ``temperature``, or ``minimum temperature`` and
             ``maximum temperature`` in any row of the day (degC), NaN if a step has none, shape
             (steps,).
         counts: whether each step is used for the fit or the validation, shape (steps,).
 
     Raises:
-        ConfigurationError: if the site has no place, if temperatures are too far apart to show a
-            day's extremes or too far from a day that counts, or if a minimum is above the maximum.
+        ConfigurationError: if the site has no location, if temperatures are too far apart to
+            capture a day's extremes or too far from a day that is used, or if a minimum is above
+            the maximum.
     """
     check_place(site, HARGREAVES, ("latitude", "longitude"))
     if TEMPERATURE in series and record.step_s > _MAX_STEP_S:
         raise ConfigurationError(
-            f"has rows that are {name_time(record.step_s)} apart, but a day's extremes show only "
-            "in rows up to three hours apart; write columns 'minimum temperature [degC]' and "
+            f"has rows that are {name_time(record.step_s)} apart, but only rows up to three "
+            "hours apart capture a day's extremes; write columns 'minimum temperature [degC]' and "
             "'maximum temperature [degC]' instead", file=record.source, key=TEMPERATURE,
         )
     dates, day = np.unique(record.times.astype("datetime64[D]"), return_inverse=True)
@@ -222,7 +223,7 @@ def _compute_from_temperatures(
         )
     there = ~np.isnan(extremes).any(axis=0)
     if not there.any():
-        raise ConfigurationError("no day has all of its temperatures", file=record.source)
+        raise ConfigurationError("no day has a complete set of temperatures", file=record.source)
     temperatures = DailyTemperatures(dates, extremes)
     counted: NDArray[np.datetime64] = np.unique(record.times[counts].astype("datetime64[D]"))
     far = temperatures.far(counted)
@@ -230,7 +231,7 @@ def _compute_from_temperatures(
         raise ConfigurationError(
             f"has no temperature within 3 days of {counted[far][0]}, but evapotranspiration is "
             "computed from temperatures; add a row with the temperatures for each day that lacks "
-            "them, leaving all other cells empty, or leave its month out with "
+            "them, leaving all other cells empty, or exclude its month with "
             "--months", file=record.source,
         )
     return temperatures.evapotranspiration(site, record.seconds, record.step_s, record.offset_s)

@@ -1,4 +1,4 @@
-"""The fit of a roof to a record: the parameters that the record identifies, with intervals."""
+"""The fit of a roof to a record: the parameters that the record identifies, and their intervals."""
 
 from __future__ import annotations
 
@@ -68,8 +68,8 @@ class FitRange:
     """The range of a parameter that is fitted.
 
     Attributes:
-        name: name of a site's parameter, or ``filled``: the share of the available water that is on
-            the roof when the record begins.
+        name: name of a site's parameter, or ``filled``: the share of the available water capacity
+            that is filled when the record begins.
         low: minimum value.
         high: maximum value.
         logarithmic: whether the scale of the range is logarithmic.
@@ -87,7 +87,7 @@ class FitRange:
         return (value - self.low) / (self.high - self.low)
 
     def value(self, share: float) -> float:
-        """Return the value at a share, the inverse of :meth:`share`."""
+        """Return the value at a share of the range; the inverse of :meth:`share`."""
         if self.logarithmic:
             return float(self.low * (self.high / self.low) ** share)
         return float(self.low + share * (self.high - self.low))
@@ -139,7 +139,7 @@ _DEPLETION = 0.5
 
 
 def lower_target(site: Site) -> Site:
-    """Return the site, with a lower target if its roof cannot hold the present target.
+    """Return the site, with a lower target if its roof cannot hold the current target.
 
     Water above field capacity drains, so the pumps would never reach a target above it. Because a
     record says nothing about the target, it is set half-way between wilting point and field
@@ -156,7 +156,7 @@ def lower_target(site: Site) -> Site:
 
 
 class FittedParameter(NamedTuple):
-    """A parameter after the fit."""
+    """A fitted parameter."""
 
     name: str
     value: float
@@ -185,7 +185,7 @@ def fit(
     site: Site, record: StepRecord, steps: Steps,
     update_progress: UpdateProgress = lambda text, share: None,
 ) -> Fit:
-    """Fit field-capacity soil to some steps of a record.
+    """Fit field-capacity soil to selected steps of a record.
 
     The simulated sums of runoff and means of the level are fitted to the measured values by least
     squares within bounds. Each sum or mean covers an hour, or eight steps (but no more than four
@@ -198,13 +198,13 @@ def fit(
     are longer than an hour, and any parameter whose column of the Jacobian, scaled by the
     parameter's range, is small or a linear combination of other columns (QR with column pivoting;
     Golub and Van Loan, Matrix Computations, 5.5.7). Intervals come from :func:`compute_intervals`,
-    with weeks as groups. The intervals are widened by the largest effect that a change of the held
+    with weeks as groups. The intervals are widened by the largest effect that changing the fixed
     parameters within their ranges has on a parameter.
 
     Args:
-        site: site with the start of the search, and the values of the parameters that are held.
+        site: site that provides the start of the search and the values of the fixed parameters.
         record: the measurements.
-        steps: steps that count; the roof is simulated through all steps.
+        steps: steps that are compared; the roof is simulated over all steps.
         update_progress: callback that receives the progress before every simulation.
     """
     site = complete_roof(site)
@@ -230,7 +230,7 @@ def fit(
         return residuals(simulated(shares, minimum)[1])
 
     def jacobian() -> Values:
-        """Return the derivatives of residuals by the shares of ranges, shape (n, ranges).
+        """Return the derivatives of the residuals with respect to the shares, shape (n, ranges).
 
         The minimum reading of the meter is ignored, because it turns a smooth simulation into
         steps. A small difference across a few of these steps would make a parameter look
@@ -355,8 +355,8 @@ def _judge(parameter: FitRange, share: float, half: float, why: str) -> FittedPa
     Args:
         parameter: name and range of the parameter.
         share: value of the parameter, as a share of the range.
-        half: half of the interval, as a share of the range; NaN if the data do not determine the
-            parameter.
+        half: half-width of the interval, as a share of the range; NaN if the data do not determine
+            the parameter.
         why: reason why the data do not determine the parameter.
     """
     value = parameter.value(share)
@@ -374,20 +374,21 @@ def _judge(parameter: FitRange, share: float, half: float, why: str) -> FittedPa
 def compute_intervals(
     jacobian: Values, residuals: Values, groups: NDArray[np.int64]
 ) -> Values:
-    """Return half of every parameter's 95 % interval, using :func:`compute_half_intervals`.
+    """Return the half-width of every parameter's 95 % interval.
 
-    The fit is treated as linear: without a group with residuals r_g and Jacobian J_g, the
-    parameters move by (J'J - J_g'J_g)^-1 J_g' r_g. If few groups contain most of the information
-    about a parameter, its variance is less certain. The degrees of freedom are Kish's effective
-    number of groups minus one, sum(w)^2 / sum(w^2) - 1, where w is the information that is lost
-    without a group, but at least 1. With equal groups, this is the number of groups minus one. If
-    one group alone determines nearly everything about a parameter, nothing shows how it would vary,
-    and its half interval is infinite.
+    The half-widths come from :func:`compute_half_intervals`. The fit is treated as linear: leaving
+    out a group with residuals r_g and Jacobian J_g moves the parameters by (J'J - J_g'J_g)^-1 J_g'
+    r_g. If few groups contain most of the information about a parameter, its variance is less
+    certain. The degrees of freedom are Kish's effective number of groups minus one, sum(w)^2 /
+    sum(w^2) - 1, where w is the information that is lost without a group; they are at least 1. If
+    all groups are equal, they are the number of groups minus one. If one group alone determines
+    nearly everything about a parameter, nothing shows how the parameter would vary, and the
+    half-width of its interval is infinite.
 
     Args:
         jacobian: Jacobian at the fit, shape (n, parameters).
         residuals: residuals at the fit, shape (n,).
-        groups: number of the group to which every residual belongs, shape (n,). Residuals in one
+        groups: index of the group to which each residual belongs, shape (n,). Residuals in one
             group may depend on each other.
     """
     moved, kept = [], []
@@ -404,7 +405,7 @@ def compute_intervals(
 
 
 def _measure_information(jacobian: Values) -> Values:
-    """Return the information about every parameter: the squares that other columns do not explain.
+    """Return the information about each parameter: the squares that other columns do not explain.
 
     Args:
         jacobian: Jacobian, shape (n, parameters).
@@ -418,15 +419,15 @@ def _measure_information(jacobian: Values) -> Values:
 
 
 def compute_half_intervals(moved: Values, degrees: Values | int) -> Values:
-    """Return half of every 95 % interval, computed from the values without each group.
+    """Return the half-width of every 95 % interval, from the values obtained without each group.
 
     The method is Tukey's jackknife (Efron 1982, doi:10.1137/1.9781611970319) with Student's t.
 
     Args:
-        moved: values without each group, shape (groups, values); adding a constant to all groups
-            does not matter.
-        degrees: degrees of freedom of every value; with equal groups, the number of groups minus
-            one.
+        moved: values obtained without each group, shape (groups, values); a constant added to all
+            groups makes no difference.
+        degrees: degrees of freedom of each value; if all groups are equal, the number of groups
+            minus one.
     """
     from scipy.stats import t as student  # half of the import time; not for rejected records
 

@@ -1,4 +1,4 @@
-"""The page of a calibration: one file with all figures, which needs nothing but a browser."""
+"""The page of a calibration: a single file with all figures that needs only a browser."""
 
 from __future__ import annotations
 
@@ -32,17 +32,19 @@ def render(
     """Return the page.
 
     Args:
-        record: the measurements in the months that count.
+        record: the measurements in the months that are used.
         halves: the steps that were fitted, and the steps for validation.
         fit: the result of the fit.
         scores: scores of every quantity, in the fit and in the validation.
         site_file: text of the site file that was written.
         spans: time span of each half, as text.
-        warnings: objections to the record and the fit.
-        notes: other findings, and changes to the record.
+        warnings: warnings about the record and the fit.
+        notes: other findings, and changes made to the record.
     """
     known = {parameter.name: (parameter.unit, parameter.meaning) for parameter in site_parameters()}
-    known[FILLED] = "1", "share of the available water on the roof when the record begins"
+    known[FILLED] = (
+        "1", "share of the available water capacity that is filled when the record begins"
+    )
     figures = [
         draw_quantity(quantity, record, halves, getattr(fit.simulated, quantity))
         for quantity in record.measured

@@ -60,9 +60,9 @@ class PumpFit(NamedTuple):
 def find_runs(record: StepRecord, site: Site, command: Values, cistern: Values) -> list[PumpRun]:
     """Return the pump runs in which nothing else changes the cistern's level.
 
-    In such a run, it has not rained for an hour, no value is missing, and the level lies between
-    the outlet and the levels of suction and mains valve. Runs with short breaks between them count
-    as one run.
+    In such a run, it has not rained for an hour, no value is missing, and the level lies below the
+    outlet and above the levels of the suction and the mains valve. Runs with short breaks between
+    them count as one run.
     """
     standing = max(_STANDING_STEPS, round(_STANDING_S / record.step_s))
     count = standing // 3 + 1  # number of levels averaged, before and after
@@ -86,16 +86,16 @@ def fit_pumps(site: Site, record: StepRecord) -> PumpFit:
     """Fit the pump curve to the mean fall of the cistern's level in undisturbed pump runs.
 
     The flow Q at command 1 is the fall in all runs times the cistern's area, divided by their time
-    at full command. ``a_hat`` is held, and ``c_hat`` follows from Q at the mean level Z with Eqs.
-    (3b)-(3e): Z + c_hat - d = Q^2 (pipe_resistance - a_hat). A sensor's offset does not matter, nor
-    does a pump state that is a little late. The interval comes from
+    at full command. ``a_hat`` is fixed, and ``c_hat`` follows from Q at the mean level Z with Eqs.
+    (3b)-(3e): Z + c_hat - d = Q^2 (pipe_resistance - a_hat). A sensor's offset has no effect, nor
+    does a pump state that is slightly late. The interval comes from
     :func:`.fit.compute_half_intervals` with runs as groups. Runs whose flow is far from the median
     are left out, because the level changed for another reason.
 
     With fewer than ten runs no curve is fitted.
 
     Args:
-        site: site with cistern, pipe and pump curve.
+        site: site with its cistern, pipe and pump curve.
         record: the measurements; without a command or a cistern level, nothing is fitted.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A roof's record, prepared for a fit: sums over time, storms that count, months and halves."""
+"""Preparation of a roof's record for a fit: sums over time, usable storms, months and halves."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def sum_spans(values: Values | Steps, seconds: NDArray[np.int64], span_s: int) -
 def average_spans(values: Values, seconds: NDArray[np.int64], span_s: int) -> Values:
     """Average the values that begin in the same clock span; see :func:`sum_spans`.
 
-    NaN values do not count; the mean of a span that contains only NaN is NaN.
+    NaN values are ignored; the mean of a span that contains only NaN is NaN.
     """
     count = sum_spans(~np.isnan(values), seconds, span_s)
     total = sum_spans(np.nan_to_num(values), seconds, span_s)
@@ -54,11 +54,11 @@ Amounts add up. Levels do not: their sum would depend on the length of gaps in t
 
 
 def find_outages(record: StepRecord) -> list[slice]:
-    """Return the steps from every outage of a water meter until the roof has forgotten the outage.
+    """Return the steps from each outage of a water meter until it no longer affects the roof.
 
     A storm may have occurred during an outage. Its water is gone after about a week, but not before
-    20 mm could evaporate. Outages of up to an hour count only if it rained in the hour before or
-    after them.
+    20 mm could have evaporated. Outages of up to an hour count only if it rained in the hour before
+    or after them.
     """
     lost = find_gaps(np.isnan(record.rain) | np.isnan(record.pumped))
     evaporated = np.concatenate(([0.0], np.cumsum(record.reference)))
@@ -79,7 +79,7 @@ def select_comparable(record: StepRecord) -> Steps:
     A storm is broken if rain, pumped water or runoff is missing during it, because unrecorded water
     affects the roof for the whole storm. In addition, meters fail when runoff is largest, and their
     values can then be incomplete for an unknown time before and after the gap. Steps after an
-    outage do not count until the roof has forgotten its water (:func:`find_outages`).
+    outage are left out until its water no longer affects the roof (:func:`find_outages`).
     """
     steps = record.complete
     for outage in find_outages(record):
@@ -94,15 +94,16 @@ def select_comparable(record: StepRecord) -> Steps:
 
 
 def halve_steps(record: StepRecord, steps: Steps) -> dict[str, Steps]:
-    """Split steps on the first dry day after half of all rain and pumped water.
+    """Split steps on the first dry day after half of all rain and pumped water has arrived.
 
-    The halves have equal water because only water reveals the properties of a roof: with halves of
-    equal time, one half could contain all the storms. A storm in both halves would make the
-    validation depend on data used in the fit. Without a dry day, all steps are in the earlier half.
+    The halves receive equal amounts of water, because only water reveals the properties of a roof:
+    with halves of equal duration, one half could contain all the storms. A storm in both halves
+    would make the validation depend on data used in the fit. Without a dry day, all steps are in
+    the earlier half.
 
     Args:
         record: record with rain and pumped water.
-        steps: steps that count.
+        steps: steps to split.
 
     Returns:
         The steps of each half by its purpose: ``fit`` for the earlier half, and ``validation`` for
@@ -124,7 +125,8 @@ def read_months(span: str) -> tuple[int, int]:
     first, last = map(int, match.groups()) if match else (0, 0)
     if not (1 <= first <= 12 and 1 <= last <= 12):
         raise ConfigurationError(
-            "must be the first and the last month to use, such as 4-10, or 11-3 over new year",
+            "must be the first and the last month to use, such as 4-10, or 11-3 across the new "
+            "year",
             key="--months", value=span,
         )
     return first, last
@@ -133,8 +135,8 @@ def read_months(span: str) -> tuple[int, int]:
 def select_months(record: StepRecord, span: str | None) -> Steps:
     """Return a mask of the steps that begin in a span of months on the record's own clock.
 
-    A span is written like ``4-10``, or ``11-3`` over new year; both ends are included. None selects
-    all steps.
+    A span is written as ``4-10``, or as ``11-3`` across the new year; both ends are included. None
+    selects all steps.
 
     Raises:
         ConfigurationError: if no step begins in the span, or if the text is not a span of months.

@@ -32,9 +32,10 @@ class FitScores(NamedTuple):
 
 
 def efficiency(simulated: Values, measured: Values) -> float:
-    """Return NSE: 1 minus the squared errors over the squared deviations from the measured mean.
+    """Return the NSE: 1 minus the squared errors over the squared deviations from the mean.
 
-    The result is NaN if the measurements do not vary, because they cannot judge a simulation then.
+    The mean is that of the measurements. If these do not vary, they cannot be used to judge a
+    simulation, and the result is NaN.
     """
     if np.ptp(measured) == 0:
         return float("nan")
@@ -43,9 +44,9 @@ def efficiency(simulated: Values, measured: Values) -> float:
 
 
 def kling_gupta(simulated: Values, measured: Values) -> float:
-    """Return KGE: 1 minus the distance of correlation, spread ratio and mean ratio from (1, 1, 1).
+    """Return the KGE: 1 minus the distance of correlation, spread and mean ratios from (1, 1, 1).
 
-    The result is NaN if either series does not vary, because there is no correlation then.
+    The result is NaN if either series does not vary, because the correlation is then undefined.
     """
     if np.ptp(measured) == 0 or np.ptp(simulated) == 0:
         return float("nan")

@@ -31,7 +31,7 @@ class Simulated(NamedTuple):
 
 
 def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0) -> Simulated:
-    """Simulate field-capacity soil through a record's steps.
+    """Simulate field-capacity soil over a record's steps.
 
     The result matches :class:`greenroof_ros.model.plant.Plant` with short ticks, because
     percolation is solved for a whole step. Runoff is solved for a constant inflow. Therefore, steps
@@ -42,7 +42,7 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
     Args:
         site: site with a ``field_capacity``.
         record: record of rain, pumped water and reference evapotranspiration.
-        filled: share of the available water that is on the roof at the beginning, 0 to 1.
+        filled: share of the available water capacity that is filled at the beginning, 0 to 1.
         minimum: runoff in a step (mm) below which a meter shows 0.
     """
     volume_flow = site.a2 / 1000 / record.step_s  # m3/s for one mm per step
@@ -81,8 +81,9 @@ def simulate(site: Site, record: StepRecord, filled: float, minimum: float = 0.0
 def find_min_reading(record: StepRecord) -> float:
     """Return the runoff in a step (mm) below which a record's meter shows 0.
 
-    The limit is the minimum reading above 0. A tipping bucket misses nothing, because less than a
-    tip is carried over to the next tip. For a tipping bucket, and without a meter, the result is 0.
+    The limit is the minimum reading above 0. A tipping bucket misses no water, because any
+    remainder is carried over to the next tip. For a tipping bucket, and without a meter, the result
+    is 0.
     """
     if record.runoff is None:
         return 0.0
@@ -93,7 +94,7 @@ def find_min_reading(record: StepRecord) -> float:
 
 
 def _is_counted(readings: Values, last_decimal: float) -> bool:
-    """Return whether readings in rising order are multiples of one tip, apart from rounding.
+    """Return whether readings in ascending order are multiples of one tip, apart from rounding.
 
     If a reading of n tips has a rounding error of up to h, the volume of a tip is between
     (reading - h) / n and (reading + h) / n. The number n follows from the volumes of a tip that the

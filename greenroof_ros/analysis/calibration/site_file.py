@@ -16,7 +16,8 @@ CROP_NOTE = (
 """where a crop coefficient has an effect"""
 INTERVAL_NOTE = (
     "The intervals include the effect of parameters that the record cannot identify and that may "
-    "have any value within their ranges. All other parameters have the values of the site file."
+    "have any value within their ranges. All other parameters have the values from the original "
+    "site file."
 )
 """what the intervals of fitted parameters cover"""
 
@@ -34,7 +35,7 @@ def list_fit_entries(fit: Fit, target: float) -> Entries:
     """Return the entries of a fit, each with its interval, or the reason why it is not identified.
 
     Args:
-        fit: result of the fit, with the pumps' parameters if the record has data on them.
+        fit: result of the fit, with the pumps' parameters if the record contains data on them.
         target: target depth on the roof (m) in the original site file.
     """
     entries: Entries = {name: (getattr(fit.site, name), "unchanged, not fitted") for name in _ROOF}
@@ -61,7 +62,7 @@ def format_fitted_site(file: Path, entries: Entries, heading: Sequence[str]) -> 
         heading: comment lines for the top of the file.
 
     Raises:
-        ConfigurationError: if the result is not a valid site, because a value is out of its range.
+        ConfigurationError: if the result is not a valid site, because a value is out of range.
     """
     fitted = {name: float(f"{value:.6g}") for name, (value, _) in entries.items()}
     try:

@@ -199,7 +199,7 @@ def test_refused_actions_with_a_valve(action: Any) -> None:
 
 def test_no_policy_beside_the_action() -> None:
     for name, value in {"outlet": "drain", "outlet_reserve": 2.0}.items():
-        with pytest.raises(ConfigurationError, match=f"{name}.*the action commands it"):
+        with pytest.raises(ConfigurationError, match=f"{name}.*the action commands the"):
             gymnasium.make(ID, site=VALVE_SITE, **{name: value})
 
 

@@ -242,11 +242,11 @@ def test_temperatures_that_show_no_day_are_refused(file: Path) -> None:
     six_hourly = text_of(f"{RAIN},{LEVEL},temperature [degC]", "0,0.02,12", hours[::6])
     for text, message in (
         (of_days(dict.fromkeys(range(10), "5,15")), "no temperature within 3 days of 2021-04-14"),
-        (of_days({}), "no day has all of its temperatures"),
+        (of_days({}), "no day has a complete set of temperatures"),
         (of_days(dict.fromkeys(range(60), "5,15") | {0: "40,15"}),
          "on 2021-04-01 the minimum temperature, 40 degC, is above the max"),
         (winter, "has no temperature within 3 days"),
-        (six_hourly, "temperature: has rows that are 6 h apart, but a day's extremes show"),
+        (six_hourly, "temperature: has rows that are 6 h apart, but only rows up to three hours"),
     ):
         refusal(read, file, text, match=message)
     assert np.all(read(file, winter, months="5-6").reference >= 0)
