@@ -182,7 +182,7 @@ def draw(narrow: bool) -> str:
     columns, rows = (1, 2) if narrow else (2, 1)
     for key, outlet, place, title in (
         ("full", "closed", 0, "A full cistern overflows"),
-        ("room", "plan", 1, "A valve made room before the rain"),
+        ("room", "plan", 1, "A valve made room in time"),
     ):
         run = _simulate(outlet)
         ticks, site, wet[key] = run.ticks, run.run.site, run.metrics["wet_discharge_m3"]

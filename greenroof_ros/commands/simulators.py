@@ -38,7 +38,7 @@ def make_parser() -> Parser:
         "make that the drive file describes. The air temperature is 15 degC.",
         epilog="examples:\n"
         "  greenroof simulators site\n"
-        "  greenroof simulators site --drive abb_acs880 --at tcp://127.0.0.1:5020\n"
+        "  greenroof simulators site --drive abb_acs880 --at gateway://127.0.0.1:5020\n"
         "  greenroof simulators site --drive tasmota --at mqtt://127.0.0.1/roof-pump\n\n"
         "The first line states that the simulator is ready, and its addresses. Ctrl-C stops the "
         "simulator.\n\n"

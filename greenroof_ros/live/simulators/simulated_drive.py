@@ -103,7 +103,9 @@ class SimulatedDrive(ABC):
         """
         if interface not in file.timeout.by_interface:
             raise ConfigurationError(
-                "is missing: a drive without a communication timeout cannot be simulated",
+                "is missing: a drive without a communication timeout cannot be simulated; the file "
+                f"has timeout.{' and timeout.'.join(file.timeout.by_interface)}, and serial means "
+                "an address such as gateway://127.0.0.1:5020",
                 file=file.path, key=f"timeout.{interface}",
             )
         self.settings, self.timeout = settings, file.timeout.by_interface[interface]
