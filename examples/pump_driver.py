@@ -17,7 +17,7 @@ state = dict.fromkeys(("cistern/level", "roof/level", "weather/frost"), math.nan
 
 
 def on_command(message):
-    """Follow a command, and publish the simulated flow; publish that of your pump instead."""
+    """Follow a command, and publish the simulated flow; publish your pump's flow instead."""
     watchdog.reset()
     command = min(message.data, 1.0) if 0.0 <= message.data < math.inf else 0.0  # not a NaN
     dry = not state["cistern/level"] > SUCTION  # an unknown level, NaN, counts as dry
