@@ -56,7 +56,7 @@ class Climate:
     of 2015 to 2025.
     """
 
-    wet_share: float = entry("share of hours that have rain (1)", 1e-4, 0.9)
+    wet_share: float = entry("share of hours with rain (1)", 1e-4, 0.9)
     scale: float = entry("scale k of hourly rain (mm)", 1e-3, 100.0)
     growth: float = entry(
         "exponent b of the increase of rain with the normal variable z (1)", 0.1, 5.0,

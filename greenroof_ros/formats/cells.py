@@ -97,8 +97,8 @@ class Table:
         line: line number of the header; None for JSON, which has no lines.
         first: the first row.
         times: name of the column that contains the times, for notes.
-        rows: all rows. They are read one by one, so that an error in a row is found before the rest
-            of the file is read.
+        rows: all rows. The rows are read one by one, so that an error in a row is found before the
+            rest of the file is read.
         notes: sentences about data that could not be used unchanged.
     """
 

@@ -192,8 +192,8 @@ class Repetition:
         if issue.order[1] - self._since < _MAX_UNCHANGED:
             return ""
         return (
-            f"the forecasts have not changed since {to_minutes(self._since)}: they all contain "
-            "the same model run of that time"
+            f"the forecasts have not changed since {to_minutes(self._since)}: all of them "
+            "contain the same model run of that time"
         )
 
 

@@ -1,7 +1,7 @@
 """Hourly CSV and JSON files from Open-Meteo, with past weather or issued forecasts.
 
 The service's CSV files begin with two lines about the place, followed by a header with units, and
-the hours. Its JSON files contain the same values under ``hourly_units`` and ``hourly``::
+the hours. The service's JSON files contain the same values under ``hourly_units`` and ``hourly``::
 
     latitude,longitude,elevation,utc_offset_seconds,timezone,timezone_abbreviation
     43.620384,-79.41748,77.0,-18000,America/Toronto,GMT-5
@@ -11,7 +11,8 @@ the hours. Its JSON files contain the same values under ``hourly_units`` and ``h
 
 Files that a program has saved without these two lines and without units are also read, if they use
 the service's names of variables. In such a file, the first column must be ``time``, ``datetime`` or
-``date``. Its times are in UTC unless they have an offset, and all units are the service's defaults.
+``date``. The times in such a file are in UTC unless they have an offset, and all units are the
+service's defaults.
 
 Precipitation is the total, and shortwave radiation the mean, over the hour *before* the time stamp;
 all other quantities are instantaneous. (Open-Meteo, Historical Weather API and Weather Forecast
@@ -444,7 +445,7 @@ def read_archive(files: Sequence[Path], site: Site, /) -> Archive:
 
     Raises:
         ConfigurationError: for the reasons of :func:`_read`, or if the files are of different kinds
-            or models, or if they lack required values of a run or an hour.
+            or models, or if the files lack required values of a run or an hour.
     """
     parts, notes = _read_usable(files, lambda file: _read_precipitation(file, site))
     previous = [any(map(_PREVIOUS.fullmatch, part.values)) for part in parts]

@@ -113,15 +113,15 @@ def read_rows(
     """Read a file of measurements in this project's format.
 
     Lines that start with ``#`` are comments; comments at the head may contain the statements that
-    :mod:`.comments` reads. The first other line is the header. Its columns are ``time`` and
+    :mod:`.comments` reads. The first other line is the header. The columns are ``time`` and
     quantities of :data:`.quantities.QUANTITIES` with their units, as in ``rain [mm]``; the column
     ``... evapotranspiration [mm/day]`` begins with the name of its method. An amount in a unit
     without ``/`` is the total over the row. Litres and m3 refer to the whole roof of area ``a2``.
     Every other line is a row, which begins at its ``time``, or ends at this time with ``stamped:
-    end``; levels are the values at this time. The time is in ISO 8601 format with a UTC offset.
-    Without an offset, it is interpreted in the site's ``time_zone``, or else at its ``utc_offset``.
-    Rows are at regular intervals, which may change. Empty cells and missing rows are missing
-    values.
+    end``; levels are the values at this time. The time is in ISO 8601 format with a UTC offset. A
+    time without an offset is interpreted in the site's ``time_zone``, or else at the
+    ``utc_offset``. Rows are at regular intervals, which may change. Empty cells and missing rows
+    are missing values.
 
     Args:
         file: file to read.
@@ -278,8 +278,8 @@ def read_records(file: Path, site: Site, /, stamped: str | None = None) -> Recor
 
     The values of each hour are for the hour that starts at its time stamp. If rows are less than
     one hour apart, rain is stored in minutes, and the rain of an hour is the mean of its minutes;
-    it is missing if fewer than 0.75 of the minutes are known. Other quantities are averaged over
-    the clock hours in which the rows begin, with a tolerance for clock errors.
+    the rain of an hour is missing if fewer than 0.75 of the minutes are known. Other quantities are
+    averaged over the clock hours in which the rows begin, with a tolerance for clock errors.
 
     Raises:
         ConfigurationError: if the rows are more than one hour apart, or for the reasons of
@@ -468,7 +468,7 @@ def read_archive(files: Sequence[Path], _site: Site, /) -> Archive:
 def read_forecasts(path: Path, now: datetime | None = None) -> list[IssuedForecast]:
     """Read a file of forecasts with one or more issues.
 
-    Lines that start with ``#`` are comments. The first other line is the header. Its columns are
+    Lines that start with ``#`` are comments. The first other line is the header. The columns are
     ``issued``, ``available`` (optional, the time of arrival), ``time``, ``member`` (for ensembles),
     ``precipitation [mm/h]``, and optionally ``evapotranspiration [mm/day]`` and ``temperature
     [degC]``, of which only the values of member 0 are used. Every other line contains the forecast

@@ -413,7 +413,7 @@ def _start_times(site: Site, samples: Samples) -> Values:
 
 
 def _starts_in_hour(site: Site, samples: Samples) -> Values:
-    """Return, for each start, the number of starts in the hour that ends with it; 0 elsewhere."""
+    """Return the number of starts in the hour that ends with each start; 0 in other samples."""
     times = _start_times(site, samples)
     # Half a tick less than an hour: the times are rounded sums.
     first = np.searchsorted(times, times - _HOUR_S + site.tau / 2)

@@ -96,13 +96,13 @@ class Pump:
     """The pumps, and the switch that protects them.
 
     After a start, the pumps stay on for at least ``pump_min_on``; while the command is 0, they run
-    at the last positive command. After a stop, they stay off for at least ``pump_min_off``,
+    at the last positive command. After a stop, the pumps stay off for at least ``pump_min_off``,
     independent of the command. At the start of a run, the pumps have been off for long enough. The
     switch monitors the delivered flow instead of the command. If Eq. (3a) stops the flow because of
     the true levels, the on-time ends even if it is too short, and an off-time begins, as with a
     float switch. Otherwise, the pumps would start again whenever a drop evaporates from a full
     roof. Frost switches the pumps off immediately, because a burst pipe is worse than a short
-    on-time. Quiet hours also switch them off immediately, like a real pump.
+    on-time. Quiet hours also switch the pumps off immediately, as on a real site.
     """
 
     def __init__(self, pump: SensorAndPump, tau: float) -> None:

@@ -186,8 +186,9 @@ class Site:
         "low outlet is always open", default=False,
     )
     valve_closed_in_frost: bool = entry(
-        "true if the valve stays closed during frost, because it could freeze while it is open; "
-        "false for a valve below the frost line, which also works during frost", default=False,
+        "true for a valve that could freeze while it is open, and therefore stays closed during "
+        "frost; false for a valve below the frost line, which also works during "
+        "frost", default=False,
     )
     drainage_to_cistern: float = entry(
         "share of the roof's drainage that flows into the cistern; the rest flows to the sewer",
@@ -410,7 +411,7 @@ def _product(name: str, site: Site) -> float:
 
 
 def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, str]]:
-    """Yield each store, ``cistern`` or ``roof``, that cannot hold its volume, with the maximum.
+    """Yield name, volume and maximum of each store, ``cistern`` or ``roof``, that is too full.
 
     No rain can lead to such a volume, so it indicates a wrong unit.
 

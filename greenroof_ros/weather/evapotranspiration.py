@@ -176,7 +176,7 @@ def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
 
 
 def _complete_place(site: Site, records: Records) -> Site:
-    """Return a site with a UTC offset and an elevation, which are derived if its file omits them.
+    """Return a site with a UTC offset and an elevation, derived if the site file omits them.
 
     The derived UTC offset is the whole hour closest to solar time, and only determines the start of
     days. The elevation is derived from the mean pressure (FAO-56 Eq. 7).
@@ -380,8 +380,8 @@ def compute_hargreaves(records: Records, site: Site) -> Values:
 
     The result, shape (hours,), is the site's crop coefficient times the reference
     evapotranspiration, computed from the minimum and maximum temperature of every day in local
-    standard time. It is NaN on a day that is more than three days from a day with at least 18 hours
-    of temperature.
+    standard time. The result is NaN on a day that is more than three days from a day with at least
+    18 hours of temperature.
 
     Raises:
         ConfigurationError: if the file contains no temperature, if the site file lacks the

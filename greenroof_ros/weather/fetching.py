@@ -1,10 +1,11 @@
 """Fetch years of past weather from a service in blocks, which are checked, stored and joined.
 
 **Open-Meteo**'s Historical Weather API provides reanalyses (ERA5, ECMWF IFS) for any place, from
-1940 to a few days ago. It answers one request at a time. It allows 600 requests a minute, 5,000 an
-hour and 10,000 a day, and a request for more than two weeks counts as more than one. If the service
-rejects a request, the required wait is stated only in the text of the response, not in a header.
-The data are licensed under CC BY 4.0, and the service is free for non-commercial use.
+1940 to a few days ago. The service answers one request at a time. Open-Meteo allows 600 requests a
+minute, 5,000 an hour and 10,000 a day, and a request for more than two weeks counts as more than
+one. If the service rejects a request, the required wait is stated only in the text of the response,
+not in a header. The data are licensed under CC BY 4.0, and the service is free for non-commercial
+use.
 
 **ECCC**, the climate archive of Environment and Climate Change Canada, provides bulk files with the
 observations of a station, one file per month. Hours without observations also have rows; for a
@@ -252,8 +253,8 @@ def prepare_directory(directory: Path, source: Source) -> None:
     kept = claim.read_text(encoding="utf-8", errors="replace") if claim.exists() else ""
     if any(directory.glob("*_*")) and kept != asked:
         raise ConfigurationError(
-            f"contains parts from a different request ({_REQUEST}); remove it, or choose another "
-            "output",
+            f"contains parts from a different request ({_REQUEST}); remove this directory, or "
+            "choose another output",
             file=directory,
         )
     replace_text(claim, asked)

@@ -182,8 +182,8 @@ def compute_evapotranspiration(
         site: site with its location and its monthly means.
         method: one of :data:`.evapotranspiration.COMPUTED`. The default is ``fao56``, or
             ``hargreaves`` if the records contain temperature but lack other quantities that
-            ``fao56`` requires. It is ``monthly`` if the records contain no temperature or no
-            complete day of temperatures, or if the site is beyond a polar circle.
+            ``fao56`` requires. The default is ``monthly`` if the records contain no temperature or
+            no complete day of temperatures, or if the site is beyond a polar circle.
 
     Raises:
         ConfigurationError: if the records or the site lack data that the method requires.
@@ -230,7 +230,8 @@ def compute_evapotranspiration(
 def _drop_partial_hours(records: Records) -> Records:
     """Drop the first and last hour if they lack minutes of rain, or quantities after a shift.
 
-    This must be done after joining, because a file may complete the last hour of the previous file.
+    Hours must be dropped after joining, because a file may complete the last hour of the previous
+    file.
     """
     moved = np.array([name in records.shifted for name in records.values])
     known = ~np.isnan([series[[0, -1]] for series in records.values.values()])

@@ -128,7 +128,7 @@ class DistrictWeather:
         "weather file or glob pattern for each cell, by the name of the cell; replaces file",
         default=None,
     )
-    evapotranspiration: str | None = entry("method for evapotranspiration", default=None)
+    evapotranspiration: str | None = entry("method of computing evapotranspiration", default=None)
     gaps: str = entry("treatment of missing hours", choices=GAPS, default=REFUSE)
 
 
