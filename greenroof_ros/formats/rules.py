@@ -113,7 +113,7 @@ def find_much_rain(record: StepRecord, _site: Site) -> Iterator[str]:
     water, limit = float(record.water.sum()), _MAX_A_DAY * max(days, _MIN_DAYS)
     if water > limit:
         yield (
-            f"rain and pumped water are {water:.4g} mm in {days:.3g} days; more than "
+            f"rain is {water:.4g} mm in {days:.3g} days, including pumped water; more than "
             f"{limit:.4g} mm is rare: is the unit of the column right?"
         )
 
@@ -217,7 +217,7 @@ def find_unlike_sun(record: StepRecord, site: Site) -> Iterator[str]:
         ))
     if record.temperature is not None and count >= _MIN_ENERGY_DAYS:
         amounts.append((
-            TEMPERATURE, _find_median(record.temperature), "degC at the median under this sun",
+            TEMPERATURE, _find_median(record.temperature), "degC as a median under this sun",
             -math.inf, _WARMEST + _WARMEST_PER_MJ * energy.mean(),
         ))
     for column, value, what, low, high in amounts:

@@ -108,8 +108,8 @@ def test_units(tmp_path: Path, unit: str, theirs: str, quantity: str, expected: 
         (2, "43.620384", "north", "latitude = 'north': must be a number from -90 to 90"),
         (4, "precipitation (mm)", "rain (mm)", "must have a column 'precipitation (mm)', like"),
         # An unknown unit is never guessed.
-        (4, "(km/h)", "(Bft)", "'wind_speed_10m (Bft)': must be in km/h or m/s or mp/h or kn, in"),
-        (4, "dew_point_2m (°C)", "temperature_2m (°F)", "'temperature_2m (°F)': must be in °C"),
+        (4, "(km/h)", "(Bft)", "'wind_speed_10m (Bft)': must have the unit km/h or m/s"),
+        (4, "dew_point_2m (°C)", "temperature_2m (°F)", "'temperature_2m (°F)': must have the"),
     ],
 )
 def test_refused_files(tmp_path: Path, line: int, old: str, new: str, reason: str) -> None:
@@ -276,7 +276,7 @@ WRONG = {
     ),
     "hours.csv": (
         "\n".join([HEAD, *(f"2024-03-01 {hour:02}:00:00,0,0,0,0,0" for hour in range(2, 7))]),
-        ": must have a value for an hour that starts at 00, 06, 12 or 18 UTC",
+        ": must contain a value for an hour that starts at 00, 06, 12 or 18 UTC",
     ),
 }
 

@@ -211,7 +211,7 @@ def test_sums_of_the_last_rows_are_refused(
         )
     ]
     text = write_rows(540 * rows, step_s, slide(rain, rows), header=f"time,rain [{unit}]\n")
-    assert f"all rain in {rows} rows or more" in refusal(read, tmp_path, text)
+    assert f"no wet spell of fewer than {rows} rows" in refusal(read, tmp_path, text)
 
 
 def test_rain_that_lasts_is_no_sum_of_the_last_rows(tmp_path: Path) -> None:
@@ -323,7 +323,7 @@ def test_fractions_of_humidity(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("rain", "header", "sentence"), [
     (lambda row: 5 + 3 * (row % 7) if row % 10 == 0 else 0, "time,rain [mm]\n", "in tenths"),
-    (lambda row: 0.2 if row % 4 == 0 else 0, "time,rain [mm/h]\n", "The amount of a row is"),
+    (lambda row: 0.2 if row % 4 == 0 else 0, "time,rain [mm/h]\n", "of an amount per row is"),
 ])
 def test_rain_in_another_unit(
     tmp_path: Path, rain: Callable[[int], float], header: str, sentence: str
@@ -393,7 +393,7 @@ def test_a_point_between_thousands_of_one_column(
         header="time,rain [mm],solar radiation [W/m2]\n",
     )
     if is_refused:
-        assert "is its mark a thousands separator?" in refusal(read, tmp_path, text)
+        assert "written with a thousands separator?" in refusal(read, tmp_path, text)
     else:
         read(tmp_path, text)
 
@@ -527,7 +527,7 @@ GEOMET = (
     ('"STATION","DATE","SOURCE","AA1"\n"7","2024-06-01","7","01,0000,9,5"\n', "Integrated Surface"),
     ("STATION,DATE,REPORT_TYPE,HourlyPrecipitation\n1,2,FM-15,T\n", "Local Climatological"),
     ("STATION,STATION_NAME,DATE,HPCP\n1,X,2,0.1\n", "hourly precipitation"),
-    ("STATIONS_ID;MESS_DATUM;  QN;RWS_10;eor\n1;202406010000;3;0.0;eor\n", "other than hourly"),
+    ("STATIONS_ID;MESS_DATUM;  QN;RWS_10;eor\n1;202406010000;3;0.0;eor\n", "without hourly rain"),
     ("BRON: KNMI\n\nSTN,YYYYMMDD,   HH,   DD\n 260,19910101,    1,  200\n", "[mm]' = RH / 10"),
     ("abbr;time;tre200h0;rre150h0\nBAS;201701010000;-3.2;0.0\n", "MeteoSwiss, hourly"),
     ("Station_ID|Station_name|Year|Month\nUSW1|X|2024|1\n", "Climatology Network hourly"),

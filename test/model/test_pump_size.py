@@ -36,7 +36,7 @@ def test_a_tick(tau: float, noted: bool) -> None:
     assert bool(notes) == noted
     if noted:
         assert notes[0].startswith("in a tick of 64 s the pumps can deliver 10% of the target")
-        assert notes[0].endswith("use ticks of up to 63 s")
+        assert notes[0].endswith("use ticks of at most 63 s")
 
 
 def test_shipped_sites() -> None:

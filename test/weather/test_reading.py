@@ -173,7 +173,7 @@ def test_rows_of_a_logger_add_up_to_hours(tmp_path: Path) -> None:
 def test_rows_of_a_logger_that_cannot_be_hours(tmp_path: Path) -> None:
     """A row for each tip of a rain gauge, and times that go back."""
     tips = logged(tmp_path / "tips.csv", *((7 * n + n**2 % 5, "0.2,5") for n in range(40)))
-    refusal(read_weather, [tips], TORONTO, match="write rows at a regular step")
+    refusal(read_weather, [tips], TORONTO, match="write rows at a regular time step")
     back = logged(tmp_path / "back.csv", (0, "0,5"), (5, "0,5"), (0, "0,5"))
     refusal(read_weather, [back], TORONTO, match=r"line 5: .*later than the time of the previous r")
 
