@@ -180,12 +180,12 @@ def quality() -> str:
 
     def messages(topic: Topic) -> str:
         if not topic.publishers:
-            return "published whenever measured, in a live graph only"
+            return "published with each measurement, in a live graph only"
         if not topic.per_tick:
-            return "published when needed, not recorded"
+            return "published as required, not recorded"
         if topic.of_valve:
             return "only at a site with a valve on the low outlet"
-        return "only from controllers that publish it" if topic.optional else ""
+        return "published by some controllers only" if topic.optional else ""
 
     def service(topic: Topic) -> str:
         qos = topic.qos
@@ -411,12 +411,12 @@ def relays() -> str:
             f"### {path.stem}\n\n{cell(relay.make)}: {cell(relay.model)}.\n",
             "**Timer of the relay**\n",
             _advice(("Set it", relay.timer.how_to_set), ("Beware", relay.timer.traps)),
-            "Also set in the relay:\n",
+            "Other settings required on the relay:\n",
             "\n".join(f"- {cell(text)}" for text in relay.set_up) + "\n",
         ]
         if relay.unverified:
             names = ", ".join(f"**`{key}`**" for key in relay.unverified)
-            parts.append(f"Keys that are not verified, and reported at the start: {names}.\n")
+            parts.append(f"Unverified keys, which are reported at startup: {names}.\n")
     return "\n".join(parts)
 
 
@@ -432,17 +432,17 @@ def drives() -> str:
                 ("Set it", timeout.how_to_set), ("Restarted by", timeout.kept_alive_by),
                 ("Beware", timeout.traps),
             )
-            where = "own Ethernet port" if interface == "tcp" else "serial port"
+            where = "drive's Ethernet port" if interface == "tcp" else "serial port"
             ports.setdefault(rows, []).append(where)
         for rows, where in ports.items():
             parts.append(f"**Communication timeout of the {' and the '.join(where)}**\n")
             parts.append(_advice(*rows))
-        parts.append("Also set in the drive:\n")
+        parts.append("Other settings required on the drive:\n")
         parts.append("\n".join(f"- {cell(text)}" for text in drive.set_up) + "\n")
         vital = set(drive.unverified_and_vital)
         names = [f"**`{key}`**" if key in vital else f"`{key}`" for key in drive.unverified]
         parts.append(
-            "Keys that are not verified (those in bold are reported at the start): "
+            "Unverified keys (those in bold are reported at startup): "
             f"{', '.join(names)}.\n"
         )
     return "\n".join(parts)
@@ -465,12 +465,12 @@ def interlocks() -> str | None:
     limits = {entry.name: entry for node in (weather, pump) for entry in node.parameters(site)}
 
     def limit(name: str) -> str:
-        return f"`{name}` {quantity(limits[name].default, limits[name].unit).replace('`', '')}"
+        return f"`{name}` ({quantity(limits[name].default, limits[name].unit).replace('`', '')})"
 
     def row(code: str, entry: Interlock) -> tuple[str, str, str]:
         parts = [meanings[code].meaning]
         if entry.limit:
-            parts.append(f"set by {', '.join(map(limit, entry.limit))}")
+            parts.append(f"parameters: {', '.join(map(limit, entry.limit))}")
         if entry.by or entry.on_page:
             by = entry.by or ("~/reset" if entry.kind == LATCHED else "itself")
             parts.append(f"cleared by {by}{' or the page' * entry.on_page}")
