@@ -31,28 +31,29 @@ HORIZON = Parameter(
 # By default, as many days as the longest forecast covers.
 DAYS_AFTER = Parameter(
     "days_after", 10, "days", 0, 10,
-    "number of days that the plan adds after the forecast, in which the roof dries slowly; set 0 "
-    "if the run ends with the forecast",
+    "number of days by which the plan extends the forecast and during which the roof dries "
+    "slowly; set 0 if the run ends with the forecast",
 )
 
 Array = NDArray[np.float64]
 
 
 class AfterForecast:
-    """Extends a forecast by days in which the roof dries slowly.
+    """Extends a forecast by days during which the roof dries slowly.
 
     Water on the roof at the end of the forecast does not vanish: without rain, this water stays for
     days, since only evapotranspiration removes it. A controller that plans only up to the end of
-    the forecast fills the roof before rain in the last hours, which costs nothing in the plan, and
-    then has too much water on the roof. The shorter the forecast, the larger this error. The plan
-    therefore counts the deviation for ``days_after`` more days, without rain and with 0.3 times the
-    mean evapotranspiration of the past day. In summer, about this share of the evapotranspiration
-    remains after rain is subtracted. The mean covers a whole day, so that the time of day does not
-    matter, and starts from the mean over the first day of the forecast.
+    the forecast fills the roof even if rain is forecast for the last hours, because the excess
+    costs nothing in the plan. The roof then holds too much water. The shorter the forecast, the
+    larger this error. The plan therefore includes the deviation over ``days_after`` more days, and
+    assumes no rain and 0.3 times the mean evapotranspiration of the past day for them. In summer,
+    about this share of the evapotranspiration remains after rain is subtracted. The mean covers a
+    whole day, so that the time of day does not matter, and is initialized with the mean over the
+    first day of the forecast.
 
-    With ``days_after`` = 0, the deviation after the end of the forecast does not count. Such a
-    setting suits a study whose runs end with the forecast, such as the paper's runs of 12 h, but
-    not a real roof.
+    With ``days_after`` = 0, the deviation after the end of the forecast is not counted. This
+    setting suits a study whose runs end with the forecast, such as the paper's 12 h runs, but not a
+    real roof.
 
     Attributes:
         edges: boundaries of the steps of the forecast and of the days after it (s from now),
@@ -80,7 +81,7 @@ class AfterForecast:
         """Return the forecasts as arrays of shape (members, steps) and (steps,), without copying.
 
         Args:
-            rain: forecast of rain (m/s), for all members or for a single one.
+            rain: forecast of rain (m/s), for all members or for a single member.
             evapotranspiration: forecast of evapotranspiration (m3/s).
             max_members: maximum number of members.
 
@@ -94,10 +95,9 @@ class AfterForecast:
         if not fits or len(rains) > max_members:
             raise ConfigurationError(
                 f"the rain forecast has {len(rains)} members of {rains.shape[1]} entries, and the "
-                f"evapotranspiration forecast has {len(evaporated)} entries, but the horizon has "
-                f"{self.steps} steps, and at most {max_members} members are allowed; set the same "
-                "horizon for the weather node and the controller, and use all members only with "
-                "lookahead"
+                f"evapotranspiration forecast has {len(evaporated)} entries, but {self.steps} "
+                f"entries and at most {max_members} members are allowed; set the same horizon "
+                "for the weather node and the controller, and use all members only with lookahead"
             )
         return rains, evaporated
 

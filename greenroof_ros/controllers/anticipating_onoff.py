@@ -25,7 +25,7 @@ _CHECK_S = 60.0
 
 
 class AnticipatingOnOff:
-    """Pumps like the on/off controller, except when coming rain makes pumping unnecessary.
+    """Pumps like the on/off controller, except when forecast rain makes pumping unnecessary.
 
     The paper's Conclusion asks for a 'less expensive, hybrid' design: an on/off controller that
     anticipates the weather. The paper's on/off controller, Eq. (12), fills the roof to its target
@@ -44,22 +44,22 @@ class AnticipatingOnOff:
     t counts in the decision. It is therefore best to pump if the gain exceeds the loss for every t,
     and otherwise to wait. If the pumps can deliver any flow, this rule yields the plan with the
     minimum sum of |x2 - x2*|. If y_i is the volume missing in step i, the total volumes pumped up
-    to each step are the isotonic regression of y in L1, whose first value is the minimum over t of
-    the median of y until t. This value is above zero exactly when the rule says to pump (Stout
-    2008, Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal. 53:289-297).
+    to each step are the L1 isotonic regression of y. Its first value is the minimum over t of the
+    median of y up to t. This value is above zero exactly when the rule says to pump (Stout 2008,
+    Unimodal regression via prefix isotonic regression, Comput. Stat. Data Anal. 53:289-297).
 
     The controller checks the rule once a minute, and in every tick while it pumps.
 
-    The rule ignores that pumping takes time (a minute and a half at full flow for the paper's
+    The rule neglects the time that pumping takes (a minute and a half at full flow at the paper's
     site). With a dry forecast, the controller acts like the paper's on/off controller.
 
-    A microcontroller can apply the rule as follows. Once a minute, go through the hours of the
+    A microcontroller can implement the rule as follows. Once a minute, go through the hours of the
     forecast, and add the rain on the bed minus evapotranspiration to the water on the roof. Keep a
     running sum of the hours with too little water minus the hours with too much. Do not pump if
-    this sum is zero or negative after any hour. A real site needs two more parts, which are updated
-    in every tick: :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` averages the level
-    readings, and :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits the cost of
-    forecast rain that never comes.
+    this sum is zero or negative after any hour. A real site needs two more components, which are
+    updated in every tick: :class:`~greenroof_ros.controllers.roof_observer.RoofObserver` averages
+    the level readings, and :class:`~greenroof_ros.controllers.regret_budget.RegretBudget` limits
+    the cost of forecast rain that never comes.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).
@@ -90,7 +90,7 @@ class AnticipatingOnOff:
             observer_time_constant: averaging time of the roof's level readings (s).
             waiting_budget: maximum cost of waiting for rain (hours of an empty roof).
             waiting_share: additional cost of waiting that is allowed, as a share of the cost of
-                plain on/off.
+                plain on/off control.
         """
         self._site, self._soil = site, soil_of(site)
         self.fraction, self.horizon = fraction, horizon
@@ -102,7 +102,7 @@ class AnticipatingOnOff:
 
     @property
     def learned(self) -> dict[str, float]:
-        """The costs of waiting and of plain on/off so far."""
+        """The costs of waiting and of plain on/off control so far."""
         return self._regret_budget.learned
 
     @learned.setter
@@ -144,12 +144,12 @@ class AnticipatingOnOff:
         return command
 
     def skip(self) -> None:
-        """Let a tick pass without a reading."""
+        """Skip a tick without a reading."""
         self._observer.skip()
         self._regret_budget.skip()
 
     def _stays_dry(self, x2: float, rain: Array, evaporated: Array) -> bool:
-        """Return whether an unwatered roof is too dry for most of the time until each step's end.
+        """Return whether an unwatered roof is mostly too dry until the end of each step.
 
         On field-capacity soil, each step is weighted by the share of the water pumped now that
         would still be on the roof.

@@ -1,4 +1,4 @@
-"""Checks whether a class meets all requirements for a controller, by running the class."""
+"""Checks that run a class to test whether it meets all requirements for a controller."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _EVAPOTRANSPIRATION = (0.0, 3e-6)
 
 
 class _BrokenRuleError(Exception):
-    """The error for a controller that breaks a rule; the message names the fault."""
+    """Error raised when a controller breaks a rule; the message describes the fault."""
 
 
 def trial_values(site: Site) -> Iterator[tuple[float, float, float, float]]:
@@ -55,7 +55,7 @@ class _Trial:
         return len(look_ahead_ends(self.site, horizon)) - 1
 
     def forecast(self, rate: float, members: int = 1) -> Any:
-        """Return a forecast with rain from the second step on, in the controller's shape."""
+        """Return a forecast with rain from the second step on, in the controller's own shape."""
         rates = np.full((members, self.steps), rate)
         rates[:, 0] = 0.0
         return rates if self.choice.ensemble else rates[0].tolist()
@@ -76,16 +76,16 @@ class _Trial:
 def check_controller(choice: ControllerChoice, site: Site) -> list[CheckResult]:
     """Check a controller against :class:`~greenroof_ros.controllers.protocol.Controller`.
 
-    Each check requests commands from new controllers, for levels and forecasts that range from a
-    dry to a flooded site. The checks cover the properties on which the node graph, ``simulate``,
-    studies and reports rely.
+    Each check requests commands from new controller objects, for levels and forecasts that range
+    from those of a dry site to those of a flooded site. The checks cover the properties on which
+    the node graph, ``simulate``, studies and reports rely.
 
     Args:
         choice: the controller.
         site: site for which the controller is tested.
 
     Returns:
-        One result for each check, in the order in which a user should repair failures.
+        One result for each check, in the order in which a user should fix failures.
 
     Raises:
         ConfigurationError: if the class cannot be imported, or lacks an attribute that every
@@ -158,7 +158,7 @@ def _deterministic(trial: _Trial) -> None:
     for first, second in zip(one, other, strict=True):
         if first != second:
             raise _BrokenRuleError(
-                f"two instances command {first!r} and {second!r} for equal inputs"
+                f"two instances return the commands {first!r} and {second!r} for the same inputs"
             )
 
 
@@ -168,7 +168,7 @@ def _inputs_unchanged(trial: _Trial) -> None:
         before = [np.array(forecast) for forecast in inputs[2:]]
         _check_command(controller, *inputs)
         if not all(map(np.array_equal, before, inputs[2:])):
-            raise _BrokenRuleError("command() changes the forecasts passed to it; copy them first")
+            raise _BrokenRuleError("command() modifies the forecasts passed to it; copy them first")
 
 
 def _skip(trial: _Trial) -> None:
@@ -235,14 +235,14 @@ def _outputs(trial: _Trial) -> None:
 
 
 def _outlet(trial: _Trial) -> None:
-    """Check the outlet after skipped ticks, too, because the valve also works in frost."""
+    """Check the outlet after skipped ticks, too, because the valve also operates in frost."""
     if trial.choice.of_valve:
         controller = trial.make()
         _check_command(controller, *next(trial.inputs()))
         if hasattr(controller, "outlet"):
             raise _BrokenRuleError(
-                "only the object has an attribute outlet; define it in the class, too, for example "
-                "outlet = 0.0"
+                "the object has an attribute outlet, but its class does not; define it in the "
+                "class as well, for example outlet = 0.0"
             )
         return
 
@@ -260,7 +260,7 @@ def _outlet(trial: _Trial) -> None:
     for first, second in zip(request_shares(), request_shares(), strict=True):
         if first != second:
             raise _BrokenRuleError(
-                f"two instances open the valve to {first!r} and {second!r} for equal inputs"
+                f"two instances open the valve to {first!r} and {second!r} for the same inputs"
             )
 
 
@@ -275,7 +275,7 @@ def _statistics(trial: _Trial) -> None:
         )
 
 
-# Every check, by what it shows, in the order in which a user should repair failures. A check that
+# Every check, by what it shows, in the order in which a user should fix failures. A check that
 # fails raises a _BrokenRuleError, or whatever the controller raises.
 _CHECKS: dict[str, Callable[[_Trial], object]] = {
     "its parameters have distinct names; each has a unit, a meaning and a default within its range":
@@ -285,13 +285,13 @@ _CHECKS: dict[str, Callable[[_Trial], object]] = {
         lambda trial: trial.request_commands(trial.make()),
     "its commands are also valid with each parameter at either end of its range": _whole_range,
     "two instances give the same commands for the same inputs": _deterministic,
-    "it does not change the forecasts passed to it": _inputs_unchanged,
-    "if ticks are skipped, at the start or later, its commands stay valid": _skip,
+    "it does not modify the forecasts passed to it": _inputs_unchanged,
+    "its commands remain valid if ticks are skipped, at the start or later": _skip,
     "a missing or invalid forecast leads only to a valid command or a ConfigurationError":
         _wrong_forecasts,
     "each parameter that can change during a run is an attribute that can be set": _may_change,
     "each of its outputs is a topic of the interface and has a value after a command": _outputs,
-    "if it commands the outlet valve itself, its attribute outlet is 0 to 1 in every tick":
+    "if it commands the outlet valve itself, its attribute outlet is between 0 and 1 in every tick":
         _outlet,
     "statistics() returns None, or the statistics of its solver": _statistics,
 }

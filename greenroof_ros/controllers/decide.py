@@ -1,6 +1,6 @@
 """Decisions in each tick: whether the controller is called, and the command to the valve.
 
-The module also cuts the forecast to the part that the controller receives.
+The module also truncates the forecast to the part that the controller receives.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from greenroof_ros.controllers.registry import ControllerChoice
 
 
 def may_decide(controller: Controller, allowed: bool, quiet: bool) -> bool:
-    """Return whether a controller decides in a tick; quiet hours require that it uses the time."""
+    """Return whether a controller decides in a tick; in quiet hours, it must use the time."""
     return allowed and (not quiet or hasattr(controller, "time_ns"))
 
 
@@ -37,9 +37,9 @@ def decide(
     """Return the command for a tick: the controller's command if pumping is allowed, otherwise 0.
 
     Pumping is not allowed in frost, which can burst the pipe of a running pump. Pumping is not
-    allowed after an input was rejected either, because a command that is based on an unmeasured
-    level must not reach the pump. In quiet hours the command is also 0, but a controller that uses
-    the time is still called, so that it continues to learn and plan.
+    allowed after an input has been rejected either, because a command based on a level that was not
+    measured must not reach the pump. In quiet hours the command is also 0, but a controller that
+    uses the time is still called, so that it continues to learn and plan.
 
     Args:
         controller: controller that decides, or skips the tick.
@@ -102,7 +102,7 @@ def decide_outlet(
 
 
 def is_finite_number(value: Any) -> bool:
-    """Return whether a value is a real number of Python or numpy that is finite as a float."""
+    """Return whether a value is a real Python or numpy number that is finite as a float."""
     try:
         # Float first: checking for Real alone takes a tenth of a simulated tick.
         is_number = isinstance(value, (float, Real)) and not isinstance(value, bool)
@@ -126,10 +126,11 @@ def read_statistics(controller: Controller) -> dict[str, float] | None:
 def cut_forecast(
     choice: ControllerChoice, steps: int, rain: Any, evapotranspiration: Any
 ) -> tuple[Any, Any]:
-    """Cut forecasts that are longer for a plan of the outlet to the controller's own steps.
+    """Cut forecasts that were extended for the outlet's plan to the controller's own steps.
 
     Args:
-        choice: choice of the controller, which receives only the first member unless it takes all.
+        choice: choice of the controller, which receives only the first member unless it takes all
+            members.
         steps: number of steps that the controller takes.
         rain: forecast of rain, shape (steps,) or (members, steps).
         evapotranspiration: forecast of evapotranspiration, shape (steps,).

@@ -1,4 +1,4 @@
-"""A controller that runs as a node of the user: ``greenroof run --controller external``."""
+"""A controller that runs as the user's own node: ``greenroof run --controller external``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class External(Controller):
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter(
             "horizon", 0.0, "h", 0.0, MAX_HORIZON, "length of the forecasts for the node, in "
-            "growing steps; with 0, the forecasts cover the next M ticks",
+            "growing steps; 0 for forecasts of the next M ticks",
         ),
     )
 

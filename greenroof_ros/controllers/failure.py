@@ -22,9 +22,9 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
     """Return an error that a controller's code raised, with file and line added.
 
     An error of this package that already names the cause is returned unchanged, unless the error
-    comes from a user's code. File and line are those of the last frame in the file in which the
-    user's code was entered. If no user's code was entered, as with a wrong number of arguments,
-    file and line are those of the method that the message names.
+    comes from user code. File and line are those of the last frame in the file in which the user's
+    code was entered. If no user code was entered, as with a wrong number of arguments, file and
+    line are those of the method that the message names.
     """
     name = getattr(kind, "__name__", str(kind))
     file, line = None, None
@@ -36,7 +36,7 @@ def locate_error(kind: Any, error: BaseException) -> ConfigurationError | HangEr
     try:
         text = str(error)
     except Exception:  # its class may be a user's, too
-        text = "the message of the error cannot be read"
+        text = "the error message cannot be read"
     if last is None and kind.__module__.startswith("greenroof_ros."):
         last = traceback.extract_tb(error.__traceback__)[-1]
     if last is not None:
@@ -64,7 +64,7 @@ def not_imported(reference: str, error: BaseException) -> ConfigurationError:
 
 
 def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
-    """Return the last frame of an error in the first user's file that it passed through, if any."""
+    """Return the last frame of an error in the first user file through which it passed, if any."""
     frames = [
         frame for frame in traceback.extract_tb(error.__traceback__)
         if not frame.filename.startswith(_NO_USERS)
@@ -75,7 +75,7 @@ def _last_frame(error: BaseException) -> traceback.FrameSummary | None:
 def find_place(kind: Any, method: str) -> tuple[str | None, int | None]:
     """Return the file and line of a method or property; None for both if it is not in a file.
 
-    If a class wraps a function as ``__wrapped__``, the place of this function is returned.
+    If a class wraps a function as ``__wrapped__``, the location of this function is returned.
     """
     member = getattr(kind, "__wrapped__", getattr(kind, method, None))
     code = getattr(getattr(member, "fget", member), "__code__", None)

@@ -54,22 +54,22 @@ class Lookahead:
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` finds the level, for all members of an
     ensemble of forecasts or for a single forecast, over growing steps and the days after the
     forecast (:class:`~greenroof_ros.controllers.after_forecast.AfterForecast`).
-    :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` contains the assumption about the
-    times at which members are found to be wrong. Without a forecast, the controller fills the roof
-    to its target and holds it there, which is best if no rain comes. If the forecast is lost for a
-    short time, the controller goes on waiting for rain, and follows the last plan until this plan
-    is too old. During the loss, the rain gauge provides the present rain, and evapotranspiration is
-    assumed to be the mean of the past day. A forecast with a missing value is treated as lost.
+    :func:`~greenroof_ros.controllers.order_up_to.halve_by_rain` describes the assumption about when
+    members turn out to be wrong. Without a forecast, the controller fills the roof to its target
+    and holds it there, which is best if no rain comes. If the forecast is lost for a short time,
+    the controller continues to wait for rain, and follows the last plan until this plan is too old.
+    During this time, the rain gauge provides the current rain, and evapotranspiration is assumed to
+    be the mean of the past day. A forecast with a missing value is treated as lost.
 
     The controller makes a new plan when the last plan is older than an hour or a 48th of the
-    horizon, when a member's total rain has changed, and when the budget starts or stops ignoring
-    forecasts of rain. Between plans, the controller follows the levels of the last plan, which are
-    known for every volume on the roof. The steps of a plan for an ensemble are longer than the
-    steps of its forecasts.
+    horizon, whichever is less, when a member's total rain has changed, and when the budget starts
+    or stops ignoring forecasts of rain. Between plans, the controller follows the levels of the
+    last plan, which are known for every volume on the roof. The steps of a plan for an ensemble are
+    longer than the steps of its forecasts.
 
     No pumping is planned in quiet hours: the maximum flow of a step is reduced by the share of the
-    step that is quiet. The controller also makes a new plan when quiet hours begin and when they
-    end.
+    step that falls in quiet hours. The controller also makes a new plan when quiet hours begin and
+    when they end.
 
     Between two starts of the pumps, the controller waits for at least 3600 s / ``starts_per_hour``
     of the site, and it fills the roof slowly enough that the pumps stay on for ``min_on``. Once the
@@ -90,11 +90,11 @@ class Lookahead:
             by then (m; 0 if the roof is left alone). Pump flow and expected level are means over
             the members. The array is empty, with shape (0, 4), while the last plan is still
             followed. If the controller did not decide, the plan has a single row of NaN.
-        planned_deviation: deviation expected in the last plan, as a mean over the horizon, the days
-            after it and all members (m3); NaN before the first plan.
+        planned_deviation: deviation predicted by the last plan, as a mean over the horizon, the
+            days after it and all members (m3); NaN before the first plan.
         solves: number of plans made.
         solve_seconds: wall time of every call of :meth:`command` (s), most of which make no plan.
-        time_ns: present time (ns since 1970), set at a site with quiet hours.
+        time_ns: current time (ns since 1970), set at a site with quiet hours.
         gauge_rain: rain measured by the gauge of a live site (m/s); 0 without a gauge.
     """
 
@@ -106,14 +106,14 @@ class Lookahead:
             "maximum command; a real pump cannot exceed 1",
         ),
         Parameter(
-            "recourse", 48.0, "h", 1.0, MAX_HORIZON, "time for which a common level is chosen for "
-            "all members; after each such period, newer forecasts are assumed to reveal which half "
-            "of the members was wrong",
+            "recourse", 48.0, "h", 1.0, MAX_HORIZON, "period for which a common level is chosen "
+            "for all members; after each such period, later forecasts are assumed to have revealed "
+            "which half of the members is wrong",
         ),
         Parameter(
             "min_on", 0.0, "s", 0.0, 86_400.0, "minimum on-time of the pumps (in a simulation, at "
-            "least pump_min_on); filling is planned to take at least this long, so that the pumps "
-            "do not run on afterwards",
+            "least pump_min_on); filling is planned to take at least this long, so that the "
+            "pumps do not keep running afterwards",
         ),
         OBSERVER_TIME_CONSTANT,
         WAITING_BUDGET,
@@ -179,7 +179,7 @@ class Lookahead:
 
     @property
     def learned(self) -> dict[str, float]:
-        """The costs of waiting and of plain on/off so far."""
+        """The costs of waiting and of plain on/off control so far."""
         return self._regret_budget.learned
 
     @learned.setter
@@ -188,7 +188,7 @@ class Lookahead:
 
     @property
     def plan(self) -> Array:
-        """The plan, computed only when it is read."""
+        """The plan, which is computed only when it is read."""
         if not isinstance(self._rows, np.ndarray):
             self._rows = self._rows()
         return self._rows
@@ -251,7 +251,7 @@ class Lookahead:
         return share
 
     def skip(self) -> None:
-        """Let a tick pass without a reading."""
+        """Skip a tick without a reading."""
         self._observer.skip()
         self._regret_budget.skip()
         self._rows, self.fill_to = _UNDECIDED, math.nan
@@ -338,14 +338,14 @@ class Lookahead:
     def _share(
         self, x1: float, x2: float, level: float, rain: float, evaporated: float
     ) -> float:
-        """Return the command that fills the roof to a level; 0 if the pumps may not start yet.
+        """Return the command that fills the roof to a level; 0 if the pumps must not start yet.
 
         Args:
             x1: volume in the cistern (m3).
             x2: volume on the roof (m3).
             level: volume to which the roof is filled (m3).
-            rain: rain in the present tick (m/s).
-            evaporated: evapotranspiration in the present tick (m3/s).
+            rain: rain in the current tick (m/s).
+            evaporated: evapotranspiration in the current tick (m3/s).
         """
         share = command_to(
             self._site, self._soil, x1, x2, level - BELOW_M3, rain, evaporated
@@ -371,7 +371,7 @@ class Lookahead:
 
 
 def _are_numbers(rain: Array, evaporated: Array, all_of_them: bool) -> bool:
-    """Return whether there is a forecast whose present entries, or all entries, are finite."""
+    """Return whether a forecast exists and its current entries, or all entries, are finite."""
     if not evaporated.size:
         return False
     if all_of_them:

@@ -61,9 +61,10 @@ class Mpc:
         minimise  1/2 U' P U + q' U   subject to  0 <= U <= max_command,
         P = I + G'G / lambda,  q = G'r / lambda,
 
-    whose entries are around 1. (The cost as printed in the paper is around 1e-6, far below OSQP's
-    default tolerances.) If the solver does not report the program as solved, its result is not
-    used: the command is 0, the pumps stay off for a tick, and ``fallbacks`` is increased by 1.
+    whose entries are of the order of 1. (The cost as printed in the paper is of the order of 1e-6,
+    far below OSQP's default tolerances.) If the solver does not report the program as solved, its
+    result is not used: the command is 0, the pumps stay off for a tick, and ``fallbacks`` is
+    increased by 1.
 
     Attributes:
         weight: lambda, the price of pumping (1); it can be changed between two ticks.
@@ -150,9 +151,9 @@ class Mpc:
         if not len(precipitation) == len(evapotranspiration) == site.M:
             raise ConfigurationError(
                 f"the forecast of rain has {len(precipitation)} entries and the forecast of "
-                f"evapotranspiration has {len(evapotranspiration)}, but the controller looks "
-                f"M = {site.M} ticks ahead; use the same site file for the weather node and the "
-                "controller, and use all members only with lookahead"
+                f"evapotranspiration has {len(evapotranspiration)}, but the look-ahead of the "
+                f"controller is M = {site.M} ticks; use the same site file for the weather node "
+                "and the controller, and use all members only with lookahead"
             )
         # Step 6: the operating point. The first disturbance average is 0, as in the paper; f is
         # affine in w, so the average cancels in the prediction and only determines where b is

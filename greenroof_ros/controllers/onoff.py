@@ -20,11 +20,11 @@ LEVEL = Parameter(
 
 
 class OnOff:
-    """Pumps at a fixed command while the roof is too dry and the cistern holds enough water.
+    """Issues a fixed pump command while the roof is too dry and the cistern holds enough water.
 
     The roof is too dry below ``level`` times the target. A level below 1 leaves room for rain, and
     is the only way to leave room without a forecast. ``doc/explanation/controllers.md`` shows the
-    benefit of such a level for different roofs.
+    benefit of a level below 1 for different roofs.
 
     Attributes:
         fraction: v, the command when pumping (share of the maximum flow).

@@ -1,6 +1,6 @@
-"""A dynamic program for the volume to which the roof is filled, for every volume and every step.
+"""A dynamic program that finds how far to fill the roof, for every roof volume and every step.
 
-:func:`halve_by_rain` contains the assumption about when the members of an ensemble can be
+:func:`halve_by_rain` describes the assumption about when the members of an ensemble can be
 distinguished.
 """
 
@@ -50,7 +50,7 @@ class Policy:
 
 
 class Cistern:
-    """Step-by-step balance of a cistern's usable water (m3), which is above the suction level.
+    """Step-by-step balance of a cistern's usable water (m3), the water above the suction level.
 
     A valve on the low outlet is assumed to be closed, because the water that it releases makes room
     for rain that refills the cistern.
@@ -102,7 +102,7 @@ class Cistern:
 
 
 class OrderUpTo:
-    r"""Dynamic program for the minimum mean of \|x2 - x2*\|, backwards from the last step.
+    r"""Dynamic program for the minimum mean of \|x2 - x2*\|, solved backwards from the last step.
 
     Pumps can fill a roof in minutes, so a plan gives a level for each step: the roof is filled to y
     and held there while it dries, or it is left alone. For every member of an ensemble, V_i(x) is
@@ -118,14 +118,14 @@ class OrderUpTo:
     x)/2.
 
     The decision to fill to y or to leave the roof alone is the same for all members of a group, and
-    is based on their mean; every member has its own V. If V were averaged as well, each step would
-    draw a new member, and the total rain of a storm would be lost.
+    is based on their mean; every member has its own V. If V were averaged as well, it would be as
+    if a new member were drawn in each step, and the total rain of a storm would be lost.
 
-    V is stored at nodes of the volume, which include the target and are dense around it, and is
-    interpolated linearly between the nodes.
+    V is stored at volume nodes that include the target and are dense around it, and is interpolated
+    linearly between them.
 
     **Water.** If the cistern can run short, V depends on a second variable s, which is the usable
-    water plus the water that would fill an empty roof to its present volume. Filling does not
+    water plus the water that would fill an empty roof to its current volume. Filling does not
     change s. If there is always enough water, s has one node.
     """
 
@@ -161,8 +161,8 @@ class OrderUpTo:
 
         Between two nodes of the roof's volume, the decision at the lower node applies. Between two
         nodes of the water, the volume is interpolated; if the decision at either node is to leave
-        the roof alone, the decision at the upper node applies. This rule allows the last water to
-        be pumped, although there is no water at the node below.
+        the roof alone, the decision at the upper node applies. This rule allows the last of the
+        water to be pumped, although there is no water at the node below.
 
         Args:
             policy: policy from the last :meth:`solve`.
@@ -319,7 +319,7 @@ class OrderUpTo:
             potential: evapotranspiration from the whole bed in the step (m3).
             flow: flow of the pumps (m3/s).
             seconds: length of the step (s).
-            strong: whether neither the pumps nor the water can be a limit.
+            strong: whether neither the pumps nor the available water can limit the filling.
             groups: indices of the members in each group.
 
         Returns:
@@ -434,9 +434,9 @@ def halve_by_rain(rain: Array, edges: Array, recourse: float) -> Indices:
 
     The members of a group cannot be distinguished yet, so the pumping is the same for all of them.
     At first, all members form one group. After every period of ``recourse``, each group is halved
-    into the members with less rain and the members with more rain so far; ties are decided by the
+    into the members with less rain and the members with more rain so far; ties are broken by the
     rain up to the next step, and so on. If the number of members is odd, the wetter half has one
-    member more. Groups therefore only split, and in the end every member has a group of its own.
+    more member. Groups therefore only split, and in the end every member has a group of its own.
 
     No forecast reveals immediately which member will come true. A controller that assumed otherwise
     would wait, because it would expect to know everything soon. Heitsch and Roemisch (2009,

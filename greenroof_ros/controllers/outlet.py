@@ -47,23 +47,23 @@ PARAMETERS = (
     Parameter(
         "outlet", DRAIN, "", meaning="policy of the outlet valve. closed and open: the valve never "
         "moves; drain: the valve opens in dry weather, until the cistern is down to the reserve; "
-        "plan: the valve opens in dry weather before forecast rain that would not fit, and works "
-        "as with drain if there is no forecast", among=POLICIES,
+        "plan: the valve opens in dry weather before forecast rain for which the cistern has no "
+        "room; without a forecast, plan behaves like drain", among=POLICIES,
     ),
     Parameter(
         "outlet_reserve", math.nan, "m3", 0.0, 1e9, "volume that drain leaves in the cistern; plan "
         "keeps this volume, or the water that the roof needs for outlet_reach if this is more, "
-        "unless forecast rain would not fit; by default, ten days of irrigation at 4 mm a day, but "
-        "at most half the volume of the cistern",
+        "unless the cistern has no room for the forecast rain; by default, ten days of "
+        "irrigation at 4 mm a day, but at most half the volume of the cistern",
     ),
     Parameter(
         "outlet_price", PRICE, "1", 0.0, 1e3, "for plan: cost of one m3 of mains water, "
         "expressed in m3 of discharge in wet weather",
     ),
     Parameter(
-        "outlet_reach", 20.0, "days", 0.0, 365.0, "for plan: time for which plan keeps the water "
-        "that the roof needs; in dry weather, plan releases all water above this need and above "
-        "outlet_reserve",
+        "outlet_reach", 20.0, "days", 0.0, 365.0, "for plan: period for which plan keeps the "
+        "water that the roof needs; in dry weather, plan releases all water above this need and "
+        "above outlet_reserve",
     ),
 )
 """parameters of every controller at a site with a valve"""
@@ -85,7 +85,7 @@ def parameters_on(site: Site, policy: str) -> list[Parameter]:
 
 
 def find_horizon(parameters: Mapping[str, Any]) -> float:
-    """Return the look-ahead of the policy in a controller's parameters (h); 0 without a plan."""
+    """Return the look-ahead (h) of the policy in a controller's parameters; 0 without a plan."""
     return float(HORIZON_H) if parameters.get("outlet") == PLAN else 0.0
 
 
@@ -96,15 +96,15 @@ class OutletPolicy(Protocol):
         self, cistern_level: float, roof_level: float, precipitation: Any,
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Return the share to which the valve is open in the present tick (1).
+        """Return the share to which the valve is open in the current tick (1).
 
         Args:
             cistern_level: water depth in the cistern (m).
             roof_level: water in the roof's substrate, as a depth (m).
             precipitation: forecast of rain (m/s), in the shape that the controller receives; the
-                first entry is the present rain.
+                first entry is the current rain.
             evapotranspiration: forecast of evapotranspiration (m3/s); the first entry is the
-                present value.
+                current value.
         """
         ...
 
@@ -119,7 +119,7 @@ def make_outlet(
         site: site with a valve.
         ends: boundaries of the forecasts' steps (s from now), beginning with 0.
         outlet: name of the policy.
-        outlet_reserve: reserve of the policy drain.
+        outlet_reserve: reserve of the ``drain`` policy.
         outlet_price: price of mains water.
         outlet_reach: time for which stored water has a value.
     """
@@ -177,18 +177,18 @@ class Drain:
     """Opens the valve in dry weather, until the cistern is down to a reserve.
 
     The weather is wet while it rains at 0.1 mm/h or more, during lighter rain within an hour of
-    such rain, and for ``wet_after`` hours afterwards. Water that is released in dry weather meets a
-    sewer without storm water.
+    such rain, and for ``wet_after`` hours afterwards. Water that is released in dry weather enters
+    a sewer that carries no storm water.
     """
 
     def __init__(self, site: Site, reserve: float) -> None:
         """Set the site, and the volume that has to remain in the cistern (m3)."""
         self._site, self.reserve = site, reserve
-        self._without_rain_s = 0.0  # time without rain until the end of the present tick (s)
+        self._without_rain_s = 0.0  # time without rain until the end of the current tick (s)
         self._only_drizzle_s = math.inf  # the same, without rain of 0.1 mm/h or more (s)
 
     def observe(self, rain: float) -> None:
-        """Count the time without rain; call this once per tick, with the present rain (m/s)."""
+        """Count the time without rain; call this once per tick, with the current rain (m/s)."""
         tau = self._site.tau
         self._only_drizzle_s = 0.0 if rain >= MIN_RAIN else self._only_drizzle_s + tau
         rains = rain > 0 and self._only_drizzle_s < _HOUR_S
@@ -202,7 +202,7 @@ class Drain:
 
     @property
     def dry(self) -> bool:
-        """Whether the weather is dry in the present tick."""
+        """Whether the weather is dry in the current tick."""
         return self._without_rain_s > 0 and not self.wet_hours
 
     def command(
@@ -221,10 +221,10 @@ class Drain:
 
 
 class Plan:
-    r"""Opens the valve in dry weather before rain that would not fit; otherwise keeps the water.
+    r"""Opens the valve in dry weather to make room for forecast rain; otherwise keeps the water.
 
     The plan is a stochastic dynamic program over the cistern's volume v, hour by hour to the end of
-    the forecast, but to no more than 48 h. For every member of the forecast,
+    the forecast, but no more than 48 h ahead. For every member of the forecast,
 
         V_t(v) = min over y of  U_t(y),  y from the rest of v after an hour of the open valve to v,
         U_t(y) = c_t max(v' - full, 0) + p max(floor - v', 0) + V_{t+1}(v'),
@@ -243,9 +243,9 @@ class Plan:
     chosen, so that water is kept until it has to be released.
 
     Once the water above the target is used up, the need of the roof is evapotranspiration minus
-    rain. A forecast shows no weather after its end. The plan therefore keeps no more water than the
-    open valve could drain down to the reserve of ``drain`` by that time. With a short forecast or a
-    small valve, the plan equals ``drain``.
+    rain. A forecast says nothing about the weather after its end. The plan therefore keeps no more
+    water than the open valve could drain down to the reserve of ``drain`` by that time. With a
+    short forecast or a small valve, the plan is equivalent to ``drain``.
     """
 
     def __init__(
@@ -257,7 +257,7 @@ class Plan:
             site: site with a valve.
             ends: boundaries of the forecasts' steps (s from now), beginning with 0.
             drain: policy that counts the dry hours, and decides without a forecast.
-            price: price of mains water, in m3 of discharge in wet weather (1).
+            price: price of one m3 of mains water, in m3 of discharge in wet weather (1).
             reach: number of days for which stored water is worth its price.
         """
         self._site, self._drain = site, drain
@@ -290,7 +290,7 @@ class Plan:
 
 
 def find_present(precipitation: Any) -> float:
-    """Return the present rain (m/s) from a forecast; NaN if the forecast is empty."""
+    """Return the current rain (m/s) from a forecast; NaN if the forecast is empty."""
     if not len(precipitation):
         return math.nan
     first = precipitation[0]

@@ -36,7 +36,7 @@ _TOGETHER = 256
 
 
 class PlannedLevels:
-    """The volumes to which cisterns are drained, from plans for all sites in the same ticks."""
+    """Volumes to which cisterns are drained, from plans made in the same ticks for all sites."""
 
     def __init__(
         self, sites: Sites, ends: Array, reserves: Array, prices: Array, reaches: Array,

@@ -1,4 +1,4 @@
-"""A digest of the code of a user's controller, which tells a study when the code changes.
+"""A digest of the code of a user's controller, from which a study detects changes to the code.
 
 The digest does not cover data files that the code reads, or modules that the code imports by a
 computed name.
@@ -49,7 +49,7 @@ def digest_own_code(modules: Sequence[str]) -> str:
 
 
 def _find_file(name: str) -> Path | None:
-    """Return the file of a module; None if the module has no file, like built-in modules."""
+    """Return the file of a module; None if the module has no file, as with built-in modules."""
     try:
         spec = sys.modules[name].__spec__ if name in sys.modules else importlib.util.find_spec(name)
     except (ImportError, AttributeError, ValueError):  # for instance because it is a function
@@ -58,7 +58,7 @@ def _find_file(name: str) -> Path | None:
 
 
 def _is_foreign(name: str) -> bool:
-    """Return whether a module is not the user's own.
+    """Return whether a module does not belong to the user.
 
     The package is checked first, because looking up a module imports its package.
     """

@@ -30,22 +30,22 @@ class Controller(Protocol):
     - ``learned``: a readable and settable property with a dictionary of the numbers that would take
       weeks to learn again. After a restart, the node of a live site restores the last value of this
       property.
-    - ``time_ns``: the present time (ns since 1970), set before every command at a site with quiet
+    - ``time_ns``: the current time (ns since 1970), set before every command at a site with quiet
       hours. A class with this attribute is also called in quiet hours, when its command is replaced
       by 0, and can plan with ``site.quiet``. Any other class skips the ticks in quiet hours.
     - ``forecast_ends``: an array that is set after construction. The array contains the boundaries
-      of the forecasts' steps (s from the present tick), beginning with 0, shape (steps + 1,). Entry
+      of the forecasts' steps (s from the current tick), beginning with 0, shape (steps + 1,). Entry
       i of a forecast is the mean from ``forecast_ends[i]`` to ``forecast_ends[i + 1]``.
     - ``outlet``: the share to which the valve of the low outlet is open, from 0 to 1, for a class
       that commands this valve itself. The attribute is read in every tick, after ``command`` or
-      ``skip``, because the valve also works in frost and in quiet hours. The valve keeps its
+      ``skip``, because the valve also operates in frost and in quiet hours. The valve keeps its
       position unless ``skip`` changes the attribute. The class must have the attribute, not only
       its objects. At a site with a valve, any other class also has the parameters of
       :mod:`greenroof_ros.controllers.outlet`.
     - ``outlet_policy``: the name of the policy that commands the valve by default; ``drain`` if the
       attribute is not set.
     - ``gauge_rain``: rain measured by the gauge of a live site (m/s; 0 without a gauge), set before
-      every command. Without a forecast, this measurement serves as the present rain.
+      every command. Without a forecast, this measurement serves as the current rain.
 
     Attributes:
         parameters: parameters of the controller. A parameter named ``horizon`` (h) sets the length
@@ -64,15 +64,15 @@ class Controller(Protocol):
         precipitation: Sequence[Any],
         evapotranspiration: Sequence[float],
     ) -> float:
-        """Decide the command for the present tick.
+        """Decide the command for the current tick.
 
         Args:
             cistern_level: water depth in the cistern (m).
             roof_level: water in the roof's substrate, as a depth (m).
             precipitation: forecast of rain (m/s), shape (steps,), or (members, steps) with
-                ``ensemble = True``; the first entry is the present rain.
+                ``ensemble = True``; the first entry is the current rain.
             evapotranspiration: forecast of evapotranspiration from the whole bed (m3/s), shape
-                (steps,); the first entry is the present value.
+                (steps,); the first entry is the current value.
 
         A forecast can be missing, which means that it is empty, has another length, or contains
         NaN. In this case, the method must return a command or raise a
@@ -86,7 +86,7 @@ class Controller(Protocol):
         ...
 
     def skip(self) -> None:
-        """Let a tick pass in which the command is 0, in frost or because an input was rejected.
+        """Skip a tick in which the command is 0 because of frost or a rejected input.
 
         If an input was rejected, the command to the valve is also 0.
 
@@ -97,9 +97,9 @@ class Controller(Protocol):
         ...
 
     def statistics(self) -> dict[str, float] | None:
-        """Return the solver's figures, or None if there is no solver.
+        """Return the solver's statistics, or None if there is no solver.
 
-        The figures are ``solves``, ``fallbacks``, and the wall times of ticks (s) ``mean_s``,
+        The statistics are ``solves``, ``fallbacks``, and the wall times of ticks (s) ``mean_s``,
         ``p99_s`` and ``max_s``, which also cover ticks without a solve.
         """
         ...

@@ -95,8 +95,8 @@ class ControllerChoice:
         clash = of_node.intersection(parameter.name for parameter in kind.parameters)
         if clash:
             raise ConfigurationError(
-                f"has a parameter {clash.pop()}, a name that its node already uses; rename the "
-                "parameter",
+                f"has a parameter {clash.pop()}, but its node already has a parameter of this "
+                "name; rename the controller's parameter",
                 key="controller", value=self.reference,
             )
         policy = _policy_of(kind)
@@ -139,7 +139,7 @@ class ControllerChoice:
 
     @property
     def uses_forecast(self) -> bool:
-        """Whether the controller uses a forecast, as it needs one or has a ``horizon``."""
+        """Whether the controller uses a forecast, because it needs one or has a ``horizon``."""
         return self.needs_forecast or "horizon" in self.parameters
 
     @property
@@ -158,7 +158,7 @@ class ControllerChoice:
         return digest_own_code([self.path.partition(":")[0], cast(type, self.kind).__module__])
 
     def make(self, site: Site, parameters: dict[str, Any]) -> Controller:
-        """Make the controller; if the valve is always open, for a site without a valve.
+        """Make the controller; a valve that is always open is treated as no valve.
 
         Raises:
             ConfigurationError: if the library of the solver cannot be imported, or the controller's
@@ -266,8 +266,9 @@ class ControllerChoice:
     def read_parameters(self, path: Path, namespace: str = "") -> dict[str, Any]:
         """Return the values that a ROS 2 parameter file sets for the controller's node.
 
-        A dump of the node contains more parameters. Those that rclpy declares in every node are
-        ignored. The site file is ignored with a warning, since an option of the command sets it.
+        A dump of the node's parameters contains additional parameters. Those that rclpy declares in
+        every node are ignored. The parameter ``site_file`` is ignored with a warning, since a
+        command-line option sets it.
 
         Args:
             path: the file.
@@ -329,7 +330,8 @@ def find_controller(reference: str) -> ControllerChoice:
     name = _node_name(reference.partition(":")[2])
     if name in BUILT_IN or name in _OTHER_NODES:
         raise ConfigurationError(
-            f"the controller's node would have the name of another node, {name}; rename the class",
+            f"the controller's node would have the same name as another node, {name}; rename the "
+            "class",
             key="controller", value=reference,
         )
     return ControllerChoice(name, reference, reference)

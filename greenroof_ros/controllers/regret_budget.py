@@ -18,24 +18,25 @@ _LOST_S = 604_800.0
 
 WAITING_BUDGET = Parameter(
     "waiting_budget", 72.0, "h", 0.0, 1e6,
-    "maximum extra cost of waiting for rain compared with plain on/off, in hours of an empty roof; "
-    "if the cost is above this plus waiting_share, forecasts of rain are ignored",
+    "maximum extra cost of waiting for rain compared with plain on/off control, in hours of an "
+    "empty roof; if the cost exceeds waiting_budget plus waiting_share, forecasts of rain are "
+    "ignored",
 )
 WAITING_SHARE = Parameter(
     "waiting_share", 0.05, "1", 0.0, 1.0,
-    "addition to waiting_budget, as a share of the cost of plain on/off so far",
+    "addition to waiting_budget, as a share of the cost of plain on/off control so far",
 )
 
 
 class RegretBudget:
-    """Limits the extra cost of waiting for rain, compared with plain on/off.
+    """Limits the extra cost of waiting for rain, compared with plain on/off control.
 
     A controller that leaves room for rain that does not come is worse off than the on/off
     controller, which has filled the roof. No rule can avoid this loss: while the controller waits,
     a true forecast and a false one look the same. But the loss can be limited. This class tracks
     how the volumes on the roof and in the cistern would differ now under on/off control, Eq. (12).
-    Since only the differences are tracked, errors of model and sensor affect both controllers
-    alike. The class adds up
+    Since only the differences are tracked, errors of the model and the sensor affect both
+    controllers alike. The class adds up
 
         L = sum of tau (|x2 - x2*| - |x2_onoff - x2*|),   D = sum of tau |x2_onoff - x2*|.
 
@@ -52,12 +53,12 @@ class RegretBudget:
         (1 + waiting_share) D + waiting_budget x2*,
 
     apart from the loss in one tick, the pumps' wait for their next start, and the time by which
-    evapotranspiration slows the filling. The reason is that L is below the limit while forecasts
+    evapotranspiration prolongs the filling. The reason is that L is below the limit while forecasts
     count, and that the limit already covers the filling of the roof when forecasts cease to count.
     Such a guarantee is called the robustness of an online algorithm with predictions; making good
     use of a good forecast is called its consistency (Lykouris and Vassilvitskii 2021, Competitive
-    Caching with Machine Learned Advice, J. ACM 68(4), doi:10.1145/3447579). In frost nothing may be
-    pumped, so the loss goes on.
+    Caching with Machine Learned Advice, J. ACM 68(4), doi:10.1145/3447579). In frost, pumping is
+    not allowed, so the loss continues.
 
     If the cistern overflows while the controller waits, the site loses water that on/off control
     would have pumped by then. The lost water costs nothing until a drought empties the cistern.
@@ -74,8 +75,9 @@ class RegretBudget:
 
     The budget belongs to a site: a restarted live controller continues with its previous L and D.
 
-    The comparison assumes that the pumps follow their commands. With minimum on- and off-times, or
-    with a flow other than that in the site file, L and D are wrong by the difference.
+    The comparison assumes that the pumps follow their commands. With minimum on-times and
+    off-times, or with a pump flow other than the one in the site file, L and D are wrong by the
+    difference.
 
     Attributes:
         loss: L so far (m3 s); a negative value is a gain.
@@ -113,7 +115,7 @@ class RegretBudget:
         self.loss, self.onoff_cost = (values[name] for name in self.learned)
 
     def judge(self, x1: float, x2: float, fraction: float) -> bool:
-        """Count the present tick, and return whether forecasts of rain are to be ignored.
+        """Count the current tick, and return whether forecasts of rain are to be ignored.
 
         Args:
             x1: volume in the cistern (m3).
@@ -136,7 +138,8 @@ class RegretBudget:
             if self._budget > 0 and not drained and not self._warned:
                 self._warned = True
                 _log.warning(
-                    "waiting for rain has cost %.0f m3 s more than plain on/off, and the budget "
+                    "waiting for rain has cost %.0f m3 s more than plain on/off control, and the "
+                    "budget "
                     "for this cost is used up; forecasts of rain are ignored until the budget has "
                     "grown enough (reported once)", self.loss,
                 )
@@ -146,7 +149,7 @@ class RegretBudget:
         return self.exhausted
 
     def skip(self) -> None:
-        """Let a tick pass without pumping and without a decision."""
+        """Account for a tick without pumping and without a decision."""
         self._unseen += 1
 
     def move(
@@ -161,8 +164,8 @@ class RegretBudget:
             fraction: as for :meth:`judge`.
             command: the actual command.
             precipitation: rain in the tick (m/s).
-            evapotranspiration: evapotranspiration from the whole bed (m3/s), for plants that do not
-                lack water.
+            evapotranspiration: evapotranspiration from the whole bed (m3/s), for plants without
+                water stress.
         """
         theirs, ours = self._theirs, self._ours
         ours.x1, ours.x2 = x1, x2
@@ -182,7 +185,7 @@ class RegretBudget:
         return behind * (missing + behind / 2) / stays
 
     def _drained(self, x1: float, x2: float) -> float:
-        """Return the cost (m3 s) of water that a low outlet drains and on/off would have pumped."""
+        """Return the cost (m3 s) of drained water that on/off control would have pumped."""
         site = self._site
         if not site.always_drains or site.low_outlet_level is None:
             return 0.0

@@ -1,4 +1,4 @@
-"""Estimates the water on the roof from the model and the level sensor together."""
+"""Estimation of the water on the roof from both the model and the level sensor."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ class RoofObserver:
     """Follows the roof's mass balance, Eq. (1), and corrects it toward the sensor's readings.
 
     A controller that pumps whenever a reading is below the target follows the lowest readings: with
-    a noise of 0.5 mm, the roof soon holds a millimetre too much, and nothing removes this excess.
-    The observer therefore predicts the volume from rain, evapotranspiration, drainage and pumping,
-    and every reading corrects the prediction by tau / observer_time_constant of the difference.
-    This is a first-order observer, or the steady-state Kalman filter for this ratio of trust in
-    model and sensor. The observer starts with the mean of the first readings, like a Kalman filter
-    without prior knowledge. If model and sensor are exact, the estimate equals the reading, apart
-    from rounding.
+    noise of 0.5 mm, the roof soon holds a millimetre too much, and nothing removes this excess. The
+    observer therefore predicts the volume from rain, evapotranspiration, drainage and pumping, and
+    every reading corrects the prediction by tau / observer_time_constant of the difference. This is
+    a first-order observer, or the steady-state Kalman filter for this ratio of trust in model and
+    sensor. The observer starts with the mean of the first readings, like a Kalman filter without
+    prior knowledge. If model and sensor are exact, the estimate equals the reading, apart from
+    rounding.
 
     If the pumps delivered more than the model assumes, the observer would lag behind, and the pumps
-    would stay on too long. So if all readings over fifteen seconds (at least ten readings) are off
-    by more than a millimetre in the same direction, the estimate moves by their mean difference in
-    one step. A single outlier counts like any other reading. After more than fifteen seconds
-    without a reading, the observer starts again.
+    would stay on too long. Therefore, if all readings over fifteen seconds (at least ten readings)
+    are off by more than a millimetre in the same direction, the estimate moves by their mean
+    difference in one step. A single outlier counts like any other reading. After more than fifteen
+    seconds without a reading, the observer restarts.
     """
 
     def __init__(self, site: Site, observer_time_constant: float) -> None:
@@ -59,7 +59,7 @@ class RoofObserver:
         self._gap = 0.0  # since the last reading (s)
 
     def correct(self, roof_level: float) -> float:
-        """Return the volume (m3) in the present tick, given the sensor's level (m)."""
+        """Return the volume (m3) in the current tick, given the sensor's level (m)."""
         reading = self._site.roof_volume(roof_level)
         if self._gain == 1.0:
             return reading
@@ -85,7 +85,7 @@ class RoofObserver:
         return min(last) > self._lost or max(last) < -self._lost
 
     def skip(self) -> None:
-        """Let a tick pass without a reading and without pumping."""
+        """Skip a tick without a reading and without pumping."""
         self._gap += self._site.tau
 
     def predict(

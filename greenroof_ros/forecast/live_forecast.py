@@ -32,7 +32,7 @@ class ForecastFile:
     Attributes:
         issues: issues of the newest file that could be read, beginning with the issue that was the
             newest at that time; empty before the first file.
-        problem: description of the fault in the present file; empty without a fault.
+        problem: description of the fault in the current file; empty without a fault.
     """
 
     def __init__(self, path: Path) -> None:
@@ -108,10 +108,10 @@ class LiveForecast:
 
         Args:
             now: the time.
-            observed_rain: rain in the present hour from a gauge (m/s); None if there is no gauge.
+            observed_rain: rain in the current hour from a gauge (m/s); None if there is no gauge.
 
         Raises:
-            NoForecastError: if there is no issue that is new enough and covers the present hour.
+            NoForecastError: if there is no issue that is new enough and covers the current hour.
         """
         issue = self._newest(now)
         present = (now - issue.issued) // HOUR

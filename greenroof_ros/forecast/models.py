@@ -1,8 +1,8 @@
 """Models of hourly forecasts: from records, exactly or with errors, and from an archive.
 
 :mod:`greenroof_ros.formats.forecasts` describes when forecasts are issued; a perfect forecast has
-no issues, and a file states its own issues. The present hour is observed, not forecast;
-:class:`greenroof_ros.forecast.resampling.SteppedForecast` takes the present hour from the records.
+no issues, and a file states its own issues. The current hour is observed, not forecast;
+:class:`greenroof_ros.forecast.resampling.SteppedForecast` takes the current hour from the records.
 
 **Forecasts with errors** are wrong in the ways real forecasts are: missed rain, false alarms, wrong
 times and wrong amounts. The number z behind the records' rain (see

@@ -29,16 +29,16 @@ _ROUNDING_S = 1e-6
 
 @dataclass(frozen=True)
 class Outlook:
-    """The present weather and the forecast in steps, as a controller receives them.
+    """The current weather and the forecast in steps, as a controller receives them.
 
     Attributes:
         rain: mean rain in the steps of the look-ahead (m/s), shape (steps,), or (members, steps)
             for all members.
         evapotranspiration: mean evapotranspiration of the whole bed (m3/s), shape (steps,).
-        rain_now: present rain (m/s).
-        evapotranspiration_now: present evapotranspiration of the whole bed (m3/s).
+        rain_now: current rain (m/s).
+        evapotranspiration_now: current evapotranspiration of the whole bed (m3/s).
         issued: nominal time of the issue; None if the forecast has no issue.
-        temperature: present air temperature (degC); NaN if unknown.
+        temperature: current air temperature (degC); NaN if unknown.
     """
 
     rain: Rain
@@ -65,11 +65,11 @@ class HourForecast:
 
         Args:
             issued: nominal time of the issue; see :class:`Outlook`.
-            rain: rain (mm/h), shape (members, hours), the present hour first.
+            rain: rain (mm/h), shape (members, hours), the current hour first.
             evapotranspiration: evapotranspiration (mm/day), shape (hours,).
             area: area of the bed, to convert depths to volumes (m2).
             ends: boundaries of the steps; see :func:`look_ahead_ends`.
-            rain_now: rain in the present hour from a gauge (m/s); None if there is no gauge.
+            rain_now: rain in the current hour from a gauge (m/s); None if there is no gauge.
             temperature: air temperature; see :class:`Outlook`.
         """
         self._issued, self._temperature = issued, temperature
@@ -90,7 +90,7 @@ class HourForecast:
         """Return the outlook at a given time.
 
         Args:
-            since: time since the start of the present hour (s).
+            since: time since the start of the current hour (s).
             all_members: whether to return the rain of all members, or of the first member only.
         """
         if not self._from <= since < self._until:
@@ -135,7 +135,7 @@ class PerfectForecast:
         """Set the run's weather and the look-ahead M (ticks)."""
         self._series = series
         self._look_ahead = look_ahead
-        self._ticks = range(0)  # ticks for which the present window is valid
+        self._ticks = range(0)  # ticks for which the current window is valid
         self._rain = self._evapotranspiration = array("d")
         self.repeats_from = series.repeats_from
 
@@ -166,7 +166,7 @@ class PerfectForecast:
 class SteppedForecast:
     """Means of an hourly forecast over steps.
 
-    The present hour is observed rather than forecast, so its rates come from the records.
+    The current hour is observed rather than forecast, so its rates come from the records.
 
     Attributes:
         repeats_from: as for :class:`PerfectForecast`.
@@ -182,13 +182,13 @@ class SteppedForecast:
 
         Args:
             model: model of the hourly forecasts.
-            weather: the records, which provide the present hour.
+            weather: the records, which provide the current hour.
             site: site with the tick, and the area of the bed, which converts depths to volumes.
             start: time of tick 0.
             ends: boundaries of the steps; see :func:`look_ahead_ends`.
             steps: N of the run (ticks).
             all_members: whether to return the rain of all members, or of a single member.
-            rain_now: present rain in every tick (m/s), if the rain is known by the minute.
+            rain_now: current rain in every tick (m/s), if the rain is known by the minute.
 
         Raises:
             ConfigurationError: if there is no forecast for a part of the run.

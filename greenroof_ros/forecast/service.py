@@ -109,10 +109,10 @@ class Service:
         )
 
     def fetch(self, now: datetime) -> IssuedForecast:
-        """Return the newest forecast, issued in the present hour, with evapotranspiration.
+        """Return the newest forecast, issued in the current hour, with evapotranspiration.
 
         Args:
-            now: the present time, with its offset from UTC.
+            now: the current time, with its offset from UTC.
 
         Raises:
             ServiceError: if there is no usable forecast.

@@ -34,7 +34,9 @@ def planning(plan: str) -> tuple[str, str]:
 FINITE = "its commands are finite and not negative, at all levels and for all forecasts"
 OUTPUTS = "each of its outputs is a topic of the interface and has a value after a command"
 NO_PLAN = "the attribute plan must be a numpy array of floats of shape (n, 4)"
-VALVE = "if it commands the outlet valve itself, its attribute outlet is 0 to 1 in every tick"
+VALVE = (
+    "if it commands the outlet valve itself, its attribute outlet is between 0 and 1 in every tick"
+)
 
 
 def opening(share: str) -> tuple[str, str]:
@@ -52,11 +54,11 @@ BROKEN = [
     ),
     (
         returning("import random; return command * random.random()"),
-        "two instances give the same commands for the same inputs", "for equal inputs",
+        "two instances give the same commands for the same inputs", "for the same inputs",
     ),
     (
         returning("evapotranspiration[0] = 1.0; return command"),
-        "it does not change the forecasts passed to it", "copy them first",
+        "it does not modify the forecasts passed to it", "copy them first",
     ),
     (
         returning("precipitation[3]; return command"),
@@ -84,7 +86,7 @@ BROKEN = [
         opening("self.__dict__.setdefault('shares', [1.0, 0.5]).pop()"), VALVE,
         "Proportional.outlet: raises IndexError: pop from empty list",
     ),
-    (opening("__import__('random').random()"), VALVE, "for equal inputs"),
+    (opening("__import__('random').random()"), VALVE, "for the same inputs"),
     (
         opening("self.gain / 20"),
         "its commands are also valid with each parameter at either end of its range",

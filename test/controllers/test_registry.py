@@ -110,8 +110,8 @@ def test_wrong_files(tmp_path: Path, name: str, text: str, message: str) -> None
         ("onof", r"is unknown; did you mean onoff\?$"),
         ("pid", "must be one of mpc, onoff, anticipating_onoff, lookahead, or"),
         ("a b:C", "must be of the form package.module:Class"),
-        ("package:Plant", "the controller's node would have the name of another node, plant"),
-        ("package:Mpc", "the controller's node would have the name of another node, mpc"),
+        ("package:Plant", "the controller's node would have the same name as another node, plant"),
+        ("package:Mpc", "the controller's node would have the same name as another node, mpc"),
     ],
 )
 def test_wrong_references(reference: str, message: str) -> None:
