@@ -232,7 +232,7 @@ def controllers() -> str:
         elsewhere = [each for each in parameters if each not in first]
         if elsewhere:
             names = ", ".join(f"`{each.name}`" for each in elsewhere)
-            parts.append(f"As for `{described[elsewhere[0]]}`: {names}.\n")
+            parts.append(f"Also, as for `{described[elsewhere[0]]}`: {names}.\n")
     return "\n".join(parts)
 
 
@@ -524,7 +524,7 @@ def plausible_values() -> str:
     return markdown(
         (
             "column", "units", "record", "accepted range",
-            "tolerance, within which a value is set to the limit",
+            "tolerance beyond this range, within which a value is set to the limit",
         ),
         (
             (
@@ -540,9 +540,10 @@ def plausible_values() -> str:
 
 
 def _attributes(kind: type) -> list[tuple[str, str]]:
-    """Return the attributes in a class's docstring, a line each, with their meanings."""
+    """Return the attributes in a class's docstring, with their meanings."""
     described = inspect.cleandoc(kind.__doc__ or "").partition("Attributes:\n")[2]
-    pairs = (line.strip().partition(": ") for line in described.splitlines())
+    entire = re.sub(r"\n {8,}", " ", described)  # an entry may continue on further lines
+    pairs = (line.strip().partition(": ") for line in entire.splitlines())
     return [(name, _json_words(text)) for name, _, text in pairs]
 
 
@@ -628,7 +629,7 @@ def _command(
         if rows:
             parts.append(entries(rows))
         parts += [
-            f"As for {_section(command)}: {', '.join(same)}.\n"
+            f"Also, as for {_section(command)}: {', '.join(same)}.\n"
             for command, same in elsewhere.items()
         ]
     return "\n".join(parts)
