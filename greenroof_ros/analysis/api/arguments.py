@@ -50,7 +50,7 @@ def read_weather(inputs: Mapping[str, Any]) -> Weather:
     """Read the weather of a run from the keyword arguments.
 
     Raises:
-        ConfigurationError: if an input is wrong.
+        ConfigurationError: if an input is invalid.
     """
     known = make_inputs(choose_class(FunctionController), inputs)
     return known.read_records(known.read_site())[0]
@@ -67,7 +67,7 @@ def build_run(
         warned: warnings that were issued before and are not repeated; new warnings are added.
 
     Raises:
-        ConfigurationError: if an input is wrong.
+        ConfigurationError: if an input is invalid.
     """
     run = make_inputs(controller, inputs).build()
     for note in (*run.notes(), *run.weather.notes, *run.series.notes, *run.forecast.notes):

@@ -26,8 +26,8 @@ def district(
         ``.save(directory)``, which writes the page to a new or empty directory.
 
     Raises:
-        ConfigurationError: if a file is wrong; the message names the file and states what would be
-            right.
+        ConfigurationError: if a file is invalid; the message names the file and states what
+            would be right.
 
     Example:
         >>> import greenroof_ros as gr

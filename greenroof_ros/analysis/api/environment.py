@@ -106,7 +106,7 @@ class Environment:
                 ticks in which :meth:`step` does not command it.
 
         Raises:
-            ConfigurationError: if an input is wrong.
+            ConfigurationError: if an input is invalid.
         """
         self._run = build_run(choose_class(FunctionController), inputs, set())
         self.site = self._run.site

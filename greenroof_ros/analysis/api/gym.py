@@ -110,7 +110,7 @@ class GreenRoofEnv(gymnasium.Env[Values, Values]):
                 can also be ``"random"``.
 
         Raises:
-            ConfigurationError: if an input is wrong.
+            ConfigurationError: if an input is invalid.
         """
         for name in map(attrgetter("name"), choose_class(FunctionController).of_valve):
             if inputs.get(name) is not None:

@@ -261,7 +261,7 @@ def evaluate(
             name.
 
     Raises:
-        ConfigurationError: if an input is wrong.
+        ConfigurationError: if an input is invalid.
         NoBoundError: if the solver does not find the bound.
     """
     result = simulate(controller, **{**scenario.inputs, **inputs})

@@ -253,8 +253,8 @@ def simulate(
         The metrics and the trajectory, with methods that draw and save them.
 
     Raises:
-        ConfigurationError: if an input is wrong; the message names the input and states what would
-            be right.
+        ConfigurationError: if an input is invalid; the message names the input and states what
+            would be right.
 
     Warns:
         UserWarning: for each note that the command would print before the results, for example
@@ -372,7 +372,7 @@ def compare(
         The results, with a common table and a common chart.
 
     Raises:
-        ConfigurationError: if an input is wrong, or if polars is not installed.
+        ConfigurationError: if an input is invalid, or if polars is not installed.
 
     Example:
         >>> import greenroof_ros as gr

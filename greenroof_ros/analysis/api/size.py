@@ -39,8 +39,8 @@ def size(**options: Any) -> Sizes:
         ``.save(directory)``, which writes the page.
 
     Raises:
-        ConfigurationError: if an input is wrong; the message names the input and states what would
-            be right.
+        ConfigurationError: if an input is invalid; the message names the input and states what
+            would be right.
 
     Example:
         >>> import greenroof_ros as gr

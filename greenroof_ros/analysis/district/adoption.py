@@ -1,7 +1,7 @@
 """Adoption: which buildings have a green roof and a cistern, and which of them have a valve.
 
-Buildings adopt in a random order: a building that has a green roof at a low adoption also has a
-green roof at every higher adoption. Buildings that adopt at the same share form a group. Every
+Buildings adopt in a random order: a building that has a green roof at a low level of adoption also
+has a green roof at every higher level. Buildings that adopt at the same share form a group. Every
 building is simulated once, and the district at any adoption is a sum of groups.
 """
 
@@ -20,7 +20,7 @@ class Adoption:
     """The groups of a district.
 
     Attributes:
-        buildings: number of all buildings.
+        buildings: total number of buildings.
         shares: shares of the buildings with a green roof and a cistern (1), in ascending order.
         valve_share: share of these buildings that have a valve (1).
     """
@@ -40,17 +40,17 @@ class Adoption:
         For a building that never has a green roof, the index is the number of shares.
 
         Args:
-            ranks: places of the buildings in the order of adoption.
+            ranks: positions of the buildings in the order of adoption.
         """
         return np.searchsorted(self.counts, ranks, side="right")
 
     def have_valve(self, ranks: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Return a mask of the buildings that have a valve once they have a cistern.
 
-        The share of these buildings is the same at every adoption, to within one building.
+        The share of these buildings is the same at every level of adoption, to within one building.
 
         Args:
-            ranks: places of the buildings in the order of adoption.
+            ranks: positions of the buildings in the order of adoption.
         """
         return np.asarray(
             np.floor((ranks + 1) * self.valve_share + 1e-9)

@@ -32,12 +32,12 @@ class Buildings:
     Attributes:
         ids: names of the buildings.
         cells: indices of the buildings' weather cells.
-        ranks: places of the buildings in the order of adoption.
+        ranks: positions of the buildings in the order of adoption.
         values: values in which the buildings differ, by key.
-        file: file that lists the buildings, or the district's file if the buildings are drawn.
+        file: file that lists the buildings, or the district file if the buildings are drawn.
         lines: lines of the buildings in the file; None if the buildings are drawn.
-        drawn: lines of the distributions in the district's file, by key.
-        district_file: path of the district's file.
+        drawn: lines of the distributions in the district file, by key.
+        district_file: path of the district file.
     """
 
     ids: Sequence[str]
@@ -54,7 +54,7 @@ class Buildings:
         return len(self.ids)
 
     def part(self, places: slice) -> Buildings:
-        """Return the buildings in a range of places."""
+        """Return the buildings in a range of positions."""
         return replace(
             self, ids=self.ids[places], cells=self.cells[places], ranks=self.ranks[places],
             values={key: values[places] for key, values in self.values.items()},
@@ -64,11 +64,11 @@ class Buildings:
     def refuse(self, place: int, error: ConfigurationError) -> ConfigurationError:
         """Return an error about a building's site that names the building and the value's source.
 
-        The source of a drawn value is the district's file. If all buildings share the key, its
-        value is wrong because of other keys, so the error names the drawn values.
+        The source of a drawn value is the district file. If all buildings share the key, its value
+        is invalid because of other keys, so the error names the drawn values.
 
         Args:
-            place: the building's place in the sequences.
+            place: the building's position in the sequences.
             error: error about the building's site.
         """
         building, key = f"building {self.ids[place]}", error.key
@@ -105,7 +105,7 @@ def make_buildings(
         notes: list to which notes on unused columns are added.
 
     Raises:
-        ConfigurationError: if the CSV file is wrong, or a value is out of the range of its key.
+        ConfigurationError: if the CSV file is invalid, or a value is outside the range of its key.
     """
     if district.file is not None:
         file = district.find_files("file", district.file)[0]
@@ -125,7 +125,7 @@ def make_buildings(
             factor = {**listed, **values}.get(draw.times, getattr(site, draw.times, None))
             if not np.issubdtype(np.asarray(factor).dtype, np.number):
                 raise district.refuse(
-                    f"draw.{name}.times", "must be a key that has a number in every building"
+                    f"draw.{name}.times", "must be a key with a number for every building"
                 )
             values[name] = (np.asarray(values[name]) * np.asarray(factor, dtype=float)).tolist()
         if bool(draw.names) != bool(known[name].among):
@@ -202,7 +202,7 @@ def _read(
             for name in others if (alike := find_similar(name, known))
         ]
         notes.append(
-            f"{file.name}: these columns are not keys of a site and are not used: "
+            f"{file.name}: these columns are not site keys and are ignored: "
             + ", ".join(others)
             + f" ({'; '.join(meant)})" * bool(meant)
         )
@@ -212,7 +212,7 @@ def _read(
     for row in table.rows:
         name, line = table.cell(row, ID), row.line or 0
         if not name:
-            raise table.refuse("must be a name or number for every building", ID, row)
+            raise table.refuse("must contain a name or number for every building", ID, row)
         if name in ids:
             raise table.refuse(f"is also the name of the building in line {ids[name]}", ID, row)
         ids[name] = line

@@ -1,4 +1,4 @@
-"""Reading and checking of a district's file: its buildings, weather, adoption and sewer."""
+"""Reading and checking of district files: buildings, weather, adoption and sewer."""
 
 from __future__ import annotations
 
@@ -188,8 +188,8 @@ class District:
         choices=(PERFECT, NO_FORECAST), default=PERFECT,
     )
     sewer_capacity: float | None = entry(
-        "capacity of the sewer per connected area of all buildings; at a higher flow, the sewer "
-        "overflows", 1e-6, 1000.0, unit="mm/h", default=None,
+        "capacity of the sewer per unit of the connected area of all buildings; the sewer "
+        "overflows at higher flows", 1e-6, 1000.0, unit="mm/h", default=None,
     )
     path: Path = Path()
     """path of the file"""
@@ -212,7 +212,7 @@ class District:
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """The shares of adoption in ascending order, without repetitions."""
+        """The shares of adoption in ascending order, without duplicates."""
         return tuple(sorted({*self.adoption}))
 
     def refuse(self, key: str, expected: str, value: Any = None) -> ConfigurationError:
@@ -229,10 +229,10 @@ class District:
         return find(self.content, key)[0]
 
     def find_files(self, key: str, name: str, places: Sequence[Path] = ()) -> list[Path]:
-        """Return the files with a name or pattern, next to the district's file or in this package.
+        """Return files that match a name or pattern, next to the district file or in this package.
 
         Args:
-            key: key that contains the name, for the error.
+            key: key that contains the name, for the error message.
             name: name or pattern of the files.
             places: additional directories to search.
 
@@ -251,11 +251,11 @@ class District:
 
 
 def read_district(path: Path) -> tuple[District, Site]:
-    """Read and check the file of a district, and its site.
+    """Read and check a district file and its site file.
 
     Raises:
         ConfigurationError: if a key is unknown, missing or wrong, if two keys contradict each
-            other, or if the site is wrong.
+            other, or if the site is invalid.
     """
     content = YamlMapping()
 
@@ -310,7 +310,7 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
             if draw.times not in known:
                 yield f"draw.{name}.times", suggest_names(draw.times, known)
             elif draw.times == name or (other is not None and other.times is not None):
-                yield f"draw.{name}.times", "must be a key whose value is not multiplied itself"
+                yield f"draw.{name}.times", "must be a key whose value is not itself multiplied"
     if not district.adoption:
         yield "adoption", "must list at least one share"
     named: dict[str, float] = {}
@@ -318,11 +318,11 @@ def _find_mistakes(district: District) -> Iterator[tuple[str, str]]:
         first = named.setdefault(code_share(share), share)
         if first != share:
             yield "adoption", (
-                f"lists {first!r} and {share!r}, which differ too little: the results of both "
+                f"lists {first!r} and {share!r}, which are too close together: the results of both "
                 f"would be named {code_share(share)}"
             )
 
 
 def code_share(share: float) -> str:
-    """Return the name of a level of adoption in columns and files: ``050`` for half."""
+    """Return the name of an adoption level in columns and files: ``050`` for half the buildings."""
     return f"{100 * share:03g}"

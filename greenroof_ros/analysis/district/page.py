@@ -27,7 +27,7 @@ from greenroof_ros.common.times import to_people
 LABELS = {
     NONE: "overflow only", ORIFICE: "orifice", DRAIN: "valve, drain", PLAN: "valve, plan",
 }
-"""Labels of the kinds of outlets."""
+"""Labels of the kinds of outlet."""
 AS_IS_LABEL = "as it is"
 """Label of the district without green roofs and cisterns."""
 # The drawn storm: hours before and after its peak, and minutes between two points.
@@ -74,7 +74,7 @@ COLUMNS = {
 
 
 def summarise(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> str:
-    """Return the main result in a sentence or two: the best outlet, at two adoptions."""
+    """Return the main result in a sentence or two: the best outlet, at two levels of adoption."""
     reference, *others = (row for row in rows if row["buildings"] or not row["adoption"])
     if not others:
         return "No building has a green roof: there is nothing to compare."
@@ -99,7 +99,7 @@ def name_share(adoption: float, count: int) -> str:
 
     Args:
         adoption: share of the buildings (1).
-        count: number of all buildings.
+        count: total number of buildings.
     """
     if Adoption(count, (adoption,), 1.0).counts[0] < count:
         return f"{percent(adoption)} of the {number_of(count, 'building')}"
@@ -138,7 +138,7 @@ def _compare(reference: dict[str, Any], row: dict[str, Any]) -> str:
 
 
 def describe_valves(rows: Sequence[dict[str, Any]], count: int) -> list[str]:
-    """Return sentences about the time and the rate at which each valve policy lets water out.
+    """Return sentences about the time and the rate at which each valve policy releases water.
 
     Args:
         rows: rows of the results.
@@ -155,15 +155,15 @@ def describe_valves(rows: Sequence[dict[str, Any]], count: int) -> list[str]:
             wet = row["wet_low_outlet_m3"] / row["low_outlet_m3"]
             sentences.append(
                 f"{LABELS[outlet].capitalize()}, {name_share(row['adoption'], count)}: "
-                f"{percent(wet) if wet else 'none'} of the water that the valves let out flows "
-                f"in wet weather. Together, the valves let out at most {peak:.3g} mm/h"
+                f"{percent(wet) if wet else 'none'} of the water from the valves is released in "
+                f"wet weather. Together, the valves release at most {peak:.3g} mm/h"
                 + (f", which is {percent(peak / storm)} of the storm's peak." if storm else ".")
             )
     return sentences
 
 
 def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a warning if all valves let out more in dry weather than the sewer can take."""
+    """Return a warning if all valves together exceed the sewer's capacity in dry weather."""
     capacity = run.district.sewer_capacity
     if capacity is None:
         return []
@@ -172,17 +172,17 @@ def warn(run: DistrictRun, rows: Sequence[dict[str, Any]]) -> list[str]:
         return []
     worst = max(over, key=lambda row: float(row["dry_peak_5min_mm_h"]))
     return [
-        "the cisterns empty at the same time: in dry weather they let out up to "
+        "the cisterns empty at the same time: in dry weather they release up to "
         f"{worst['dry_peak_5min_mm_h']:.3g} mm/h ({LABELS[worst['outlet']]}, "
-        f"{name_share(worst['adoption'], len(run.buildings))}), which is more than the sewer's "
-        f"{capacity:g} mm/h; choose a smaller low_outlet_radius"
+        f"{name_share(worst['adoption'], len(run.buildings))}), which exceeds the sewer's "
+        f"capacity of {capacity:g} mm/h; choose a smaller low_outlet_radius"
     ]
 
 
 def percent(share: float) -> str:
     """Return a share (1) in per cent, with a decimal if it would round to 0 or 100.
 
-    A no-break space keeps the number and the sign on one line.
+    A non-breaking space keeps the number and the per cent sign on one line.
     """
     text = f"{round(100 * share)}"
     if text in ("0", "100") and f"{100 * share:.1f}" not in ("0.0", "-0.0", "100.0"):
@@ -209,7 +209,7 @@ def draw_figures(
     capacity = run.district.sewer_capacity
     amounts = [
         ("wet_discharge_m3", "Discharge in wet weather", "m³", None),
-        *((("sewer_overflow_m3", "Overflow of the sewer", "m³", None),) if capacity else ()),
+        *((("sewer_overflow_m3", "Sewer overflow", "m³", None),) if capacity else ()),
         ("peak_60min_mm_h", "Peak over 60 minutes", "mm/h", capacity),
         ("mains_m3", "Mains water for irrigation", "m³", None),
     ]

@@ -50,11 +50,11 @@ class Part:
     """Some buildings, and the outlets with which they are simulated.
 
     Attributes:
-        places: places of the buildings among all buildings of the district.
+        places: positions of the buildings among all buildings of the district.
         district: the district, with the values that all buildings share.
-        outlets: kinds of outlets to simulate, one after the other.
+        outlets: kinds of outlet to simulate, one after the other.
         buildings: the buildings.
-        groups: groups of adoption to which the buildings belong.
+        groups: adoption groups to which the buildings belong.
         group_count: number of groups; buildings that are in no group stay as they are.
         valves: whether each building has a valve, or an orifice in its place.
         progress: file to which the completed share is written.
@@ -105,7 +105,7 @@ def simulate_part(directory: Path, part: Part) -> PartResult:
         part: the part to simulate.
 
     Raises:
-        ConfigurationError: if a building's site is wrong.
+        ConfigurationError: if a building's site is invalid.
     """
     buildings, count = part.buildings, part.group_count
     sites = [*make_sites(directory / SITE_FILE, buildings)]
@@ -169,7 +169,7 @@ def make_sites(file: Path, buildings: Buildings) -> Iterator[Site]:
         buildings: the buildings.
 
     Raises:
-        ConfigurationError: if a building's site is wrong.
+        ConfigurationError: if a building's site is invalid.
     """
     names = [name for name in buildings.values if not is_of_policy(name)]
     common = SiteFile(file)
@@ -200,10 +200,10 @@ def with_outlet(
         outlet: kind of outlet.
         sites: sites of the buildings.
         buildings: the buildings.
-        place: place of the building among ``buildings``.
+        place: position of the building among ``buildings``.
 
     Raises:
-        ConfigurationError: if the building's site is wrong with this outlet.
+        ConfigurationError: if the building's site is invalid with this outlet.
     """
     site = sites[place]
     given = {

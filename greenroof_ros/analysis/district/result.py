@@ -56,7 +56,7 @@ class DistrictResult:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """Rows for every adoption and kind of outlet, beginning with the district as it is."""
+        """Rows for each adoption level and kind of outlet, beginning with the district as it is."""
         return self.totals.rows()
 
     @property
@@ -76,7 +76,7 @@ class DistrictResult:
 
     @property
     def buildings(self) -> pl.DataFrame:
-        """A row for every building: the adoption from which it takes part, and its results."""
+        """A row for every building: the share of adoption at which it adopts, and its results."""
         return pl.DataFrame(list(self._list_buildings()), infer_schema_length=None)
 
     @property

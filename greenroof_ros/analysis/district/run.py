@@ -54,12 +54,12 @@ class DistrictRun:
     """A district that has been read and can be simulated.
 
     Attributes:
-        district: contents of the district's file.
+        district: contents of the district file.
         site: the site that all buildings have in common.
         buildings: all buildings.
         runs: run of the site in each cell, with the weather of the cell.
         cells: names of the cells; empty if all buildings have the same weather.
-        notes: sentences that a reader must read before the results.
+        notes: notes that the reader must see before the results.
     """
 
     district: District
@@ -82,7 +82,7 @@ class DistrictRun:
 
     @property
     def outlets(self) -> tuple[str, ...]:
-        """Kinds of outlets; ``none`` is always included, since some cisterns have no valve."""
+        """Kinds of outlet; ``none`` is always included, since some cisterns have no valve."""
         return tuple(name for name in OUTLETS if name in (NONE, *self.district.outlets))
 
     @property
@@ -127,14 +127,14 @@ class DistrictRun:
 
 
 def read_run(path: Path, places: Sequence[Path] = ()) -> DistrictRun:
-    """Read the file of a district, and all files that it names.
+    """Read a district file and all files that it names.
 
     Args:
-        path: path of the district's file.
+        path: path of the district file.
         places: additional directories to search for weather files.
 
     Raises:
-        ConfigurationError: if a file is wrong.
+        ConfigurationError: if a file is invalid.
     """
     district, site = read_district(path)
     weather, notes = district.weather, list[str]()
@@ -180,7 +180,7 @@ def simulate_district(
         check: callback that is called often; an error that it raises stops the run.
 
     Raises:
-        ConfigurationError: if a building's site is wrong.
+        ConfigurationError: if a building's site is invalid.
         WorkersLostError: if no worker is left.
     """
     totals = Totals(

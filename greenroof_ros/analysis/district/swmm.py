@@ -24,7 +24,7 @@ _DATE, _TIME = "%m/%d/%Y", "%H:%M:%S"
 def format_series(start: datetime, seconds: float, volumes: Values, about: str) -> str:
     """Return the text of a time series (m3/s) for a network with FLOW_UNITS CMS.
 
-    Lines that interpolation does not need are left out.
+    Lines that interpolation makes redundant are left out.
 
     Args:
         start: time at which the first interval begins; SWMM's clock has the same offset from UTC.
@@ -50,7 +50,7 @@ def format_network(start: datetime, hours: float, series: str) -> str:
     Args:
         start: time at which the period begins.
         hours: length of the period (h).
-        series: name of the time series' file.
+        series: name of the time series file.
     """
     end = start + timedelta(hours=hours)
     text = (shared_directory() / "config" / "swmm" / NETWORK).read_text(encoding="utf-8")

@@ -1,7 +1,7 @@
-"""The sums over a district: the discharge at every adoption with every kind of outlet.
+"""The sums over a district: the discharge at each level of adoption with each kind of outlet.
 
-Flows are added without routing, so the peaks in a real sewer are lower and later. Weather is wet if
-it is wet in any cell, because all cells share one sewer.
+Flows are added without routing, so the peaks in a real sewer are attenuated and delayed. Weather is
+wet if it is wet in any cell, because all cells share one sewer.
 """
 
 from __future__ import annotations
@@ -53,21 +53,21 @@ AS_IS = Flow(NONE, 0.0)
 class Totals:
     """The sums of the results of parts, which can be added in any order.
 
-    Volumes are added as whole multiples of 2^-40 m3, which makes the sums identical to the bit in
-    any order. The results of every building are stored at its own place.
+    Volumes are added as whole multiples of 2^-40 m3, which makes the sums bit-identical in any
+    order of addition. The results of each building are stored at its own position.
     """
 
     def __init__(
         self, site: Site, buildings: Buildings, adoption: Adoption, outlets: Sequence[str],
         rain: Values, capacity: float | None,
     ) -> None:
-        """Begin with sums of zero.
+        """Initialize all sums to zero.
 
         Args:
             site: the site that all buildings have in common.
             buildings: all buildings.
             adoption: groups of the buildings.
-            outlets: kinds of outlets, including ``none``.
+            outlets: kinds of outlet, including ``none``.
             rain: depth of rain in each cell and interval (m), shape (cells, intervals).
             capacity: capacity of the sewer, over the connected area (mm/h); None if unknown.
         """
@@ -95,10 +95,10 @@ class Totals:
         """whether the weather is wet in each interval, shape (intervals,)"""
 
     def add(self, places: slice, result: PartResult) -> None:
-        """Add the result of a part; every place and outlet may be added only once.
+        """Add the result of a part; no building may be added twice with the same outlet.
 
         Args:
-            places: places of the part's buildings.
+            places: positions of the part's buildings.
             result: result of the part.
         """
         self.areas[places] = result.areas
@@ -117,7 +117,7 @@ class Totals:
 
     @property
     def flows(self) -> list[Flow]:
-        """The district as it is, and every kind of outlet at every adoption."""
+        """The district as it is, and every kind of outlet at every level of adoption."""
         return [AS_IS, *(
             Flow(outlet, share) for outlet in self.outlets for share in self.adoption.shares
         )]
@@ -125,8 +125,8 @@ class Totals:
     def discharge(self, flow: Flow) -> Values:
         """Return the discharge to the sewer in each interval (m3), shape (intervals,).
 
-        Buildings without a low outlet discharge the same with every kind of outlet. All rain on
-        buildings without a green roof runs off immediately.
+        Buildings without a low outlet discharge the same volume with every kind of outlet. All rain
+        on buildings without a green roof runs off immediately.
         """
         others = np.where(self._groups < self._adopted(flow), 0.0, self.areas)
         areas = np.bincount(self._buildings.cells, others, len(self.rain))

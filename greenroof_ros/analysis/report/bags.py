@@ -46,10 +46,10 @@ def _bag_in(path: Path) -> Path:
 
 
 def _closed_and_repair(bag: Path, run: Path) -> tuple[Path | None, str]:
-    """Return the closed bag to read, if any, and the way to repair it, for a message.
+    """Return the closed bag to read, if any, and a repair instruction for a message.
 
     The bag that ``recover`` made is used if nothing has been recorded since, or if no other bag is
-    closed. A single file counts as a bag.
+    closed. A single file is treated as a bag.
     """
     new = name_recovered_bag(bag)
     repair = f"greenroof recover {run} recovers a complete bag from the remaining data"
@@ -75,8 +75,8 @@ def read_run(path: Path, site: Path | Site | None = None) -> ReportedRun:
 
     Raises:
         ConfigurationError: if the bag is damaged or was not recorded by this package, or if there
-            is neither a bag nor a result. If the run was not finished, the message begins with the
-            way it ended.
+            is neither a bag nor a result. If the run was not finished, the message begins with a
+            statement of how it ended.
     """
     about = read_about(run_directory(path))
     try:
@@ -177,7 +177,7 @@ def _moment(seconds: float, zone: tzinfo | None) -> str:
 def complete_row(known: Row, site: Site, trajectory: Trajectory, samples: Samples) -> Row:
     """Return a run's row: the known results, and all other results from its trajectory.
 
-    Sums are Euler sums, in which a value is constant from its sample to the next. The sums do not
+    Sums are Euler sums, in which each value is constant until the next sample. The sums do not
     include the flows of the last sample, because the run ends in the state of this sample.
     """
     frost = trajectory.frost[:-1] > 0
@@ -194,7 +194,7 @@ def complete_row(known: Row, site: Site, trajectory: Trajectory, samples: Sample
 def make_samples(
     site: Site, trajectory: Trajectory, unknown: Collection[str] = ()
 ) -> Samples:
-    """Return a whole run as samples, without the information whether a tank's flows were limited.
+    """Return a whole run as samples, which do not show whether a tank's flows were limited.
 
     The drainage layer of field-capacity soil is computed from percolation; it begins with the
     site's ``initial_layer``.

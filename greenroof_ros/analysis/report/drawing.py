@@ -136,7 +136,7 @@ class Figure:
 def distinguish_series(name: str, values: list[str]) -> dict[str, Any]:
     """Distinguish the series of a field by colour and by dashes; see :func:`cycle_choices`.
 
-    Without series there is no legend, because the size of an empty legend is not a number in Vega.
+    Without series there is no legend, because the size of an empty legend is NaN in Vega.
     """
     legend = alt.Legend(symbolSize=600, symbolType="stroke") if values else None
     return {
@@ -163,9 +163,9 @@ def distinguish_points(name: str, values: list[str]) -> dict[str, Any]:
 
 
 def make_tooltips(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tooltip]:
-    """Return the tooltips for some fields; numbers of a field with a title have six digits.
+    """Return the tooltips for some fields; numeric fields with a title show six digits.
 
-    The tooltips are made here because Altair would search all of its classes for a channel given
+    The tooltips are built here because Altair would search all of its classes for a channel given
     only by name, which takes longer than the rest of a chart.
     """
     def tooltip(shown: str | tuple[str, str] | alt.Tooltip) -> alt.Tooltip:
@@ -178,7 +178,7 @@ def make_tooltips(*fields: str | tuple[str, str] | alt.Tooltip) -> list[alt.Tool
 
 
 def cycle_choices(choices: Sequence[Any], values: Sequence[str]) -> alt.Scale:
-    """Return a scale that maps values to choices; choices repeat if there are more values."""
+    """Return a scale that maps values to choices, which are reused if there are more values."""
     chosen = dict(zip(values, itertools.cycle(choices)))
     return alt.Scale(domain=list(chosen), range=list(chosen.values()))
 

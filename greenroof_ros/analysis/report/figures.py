@@ -163,7 +163,7 @@ def draw_events(events: Mapping[str, Sequence[EventRow]], name: str, title: str)
     Args:
         events: events of every case, by its label.
         name: name of the figure.
-        title: end of the figure's title.
+        title: last part of the figure's title.
     """
     rows = [
         {
@@ -243,7 +243,7 @@ def _draw_rows(dataset: str, rows: Rows, reference: float | None) -> Chart:
     """Return a chart with a row for every case: its value, and a line from low to high.
 
     Args:
-        dataset: name of the rows.
+        dataset: name of the data set with the rows.
         rows: rows from :func:`_make_row`.
         reference: value of the dashed line; None for no line.
     """

@@ -39,7 +39,8 @@ class CaseRuns:
         row: the row of the first run, in which every result is the mean over the seeds of each year
             and then over the years; None if no run has the result.
         deviations: deviations of every seed and, for a season, of every week.
-        relative: comparison of the season with plain on/off control, if both ran in the same years.
+        relative: comparison of the season with plain on/off control, if both controllers ran in the
+            same years.
     """
 
     runs: list[ReportedRun]
@@ -54,7 +55,7 @@ class CaseRuns:
 
     @property
     def place(self) -> tuple[str, str]:
-        """Window and initial state: cases are compared within a place."""
+        """Window and initial state; only cases that share both are compared."""
         return str(self.row["window"]), str(self.row["initial"])
 
 
@@ -98,7 +99,7 @@ def _grouped(items: Sequence[Item], key: Callable[[Item], object]) -> list[list[
 
 
 def _case(runs: list[ReportedRun]) -> CaseRuns:
-    """Return the case of some runs."""
+    """Combine some runs into a case."""
     years: dict[int, list[Row]] = {}
     season = runs[0].row["season"]
     for run in runs:
@@ -139,9 +140,9 @@ _AVERAGED = (
 
 
 def _derived(run: ReportedRun) -> Row:
-    """Return the changes of storage and the mass balance errors, derived from the results.
+    """Return the changes in storage and the mass balance errors, derived from the results.
 
-    The mass balance error is the change of storage that the flows do not explain. In a simulation
+    The mass balance error is the change in storage that the flows do not explain. In a simulation
     it is a rounding error. At a real site it is all the water that was not measured.
     """
     row, site = {**run.row, "mains_m3": run.row.get("mains_m3") or 0.0}, run.site
@@ -162,7 +163,7 @@ def _derived(run: ReportedRun) -> Row:
 
 
 def _sum(row: Row, terms: Mapping[str, float]) -> float | None:
-    """Return a sum of results, each times a factor; None if a result is missing."""
+    """Return a sum of results, each multiplied by a factor; None if a result is missing."""
     if any(row.get(name) is None for name in terms):
         return None
     return float(sum(factor * row[name] for name, factor in terms.items()))

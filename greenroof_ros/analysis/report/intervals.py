@@ -1,12 +1,12 @@
 """The statistics of a report: the uncertainty of the difference between two controllers.
 
-Years are the sample. Hours within a year depend on each other, and forecasts with several seeds
-depend on the same weather. Therefore, a year has one value, the mean over its seeds, and whole
-years are resampled. Seeds are not resampled within years, because this would count their variance
-twice: the mean over the seeds already contains it.
+The years form the sample. Hours within a year depend on each other, and forecasts with several
+seeds depend on the same weather. Therefore, each year contributes one value, the mean over its
+seeds, and whole years are resampled. Seeds are not resampled within years, because this would count
+their variance twice: the mean over the seeds already contains it.
 
-Every interval is valid for a single comparison. If a table contains many intervals, some exclude 1
-by chance: even if there are no differences at all, one interval in twenty does.
+Each interval is valid only for a single comparison. If a table contains many intervals, some
+exclude 1 by chance: even if there are no differences at all, one interval in twenty does.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class SeasonComparison(NamedTuple):
 
 
 def compare(own: Deviations, other: Deviations) -> SeasonComparison | None:
-    """Compare two controllers; None if fewer than two years are common, or a divisor is 0."""
+    """Compare two controllers; None if they share fewer than two years, or a divisor is 0."""
     years = [year for year in own.totals if year in other.totals]
     means, others = (
         np.array([deviations.totals[year].mean() for year in years]) for deviations in (own, other)

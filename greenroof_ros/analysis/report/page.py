@@ -1,4 +1,4 @@
-"""The page of a report: one file that needs nothing but a browser."""
+"""The page of a report: a single file that needs only a browser."""
 
 from __future__ import annotations
 

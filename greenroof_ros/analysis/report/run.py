@@ -74,7 +74,9 @@ def load_trajectory(path: Path) -> Trajectory:
     """Read the trajectory of a simulation in one process."""
     trajectory = read_trajectory(path)
     if len(trajectory.time) < 2 or not (np.diff(trajectory.time) > 0).all():
-        raise ConfigurationError("must contain at least two samples, in order of time", file=path)
+        raise ConfigurationError(
+            "must contain at least two samples, in chronological order", file=path
+        )
     return trajectory
 
 
@@ -93,7 +95,7 @@ class About:
         row: settings of the run and, if it is finished, its results.
         own: whether the run is a simulation by this package.
         external_pump: whether a pump driver reported the pump flow.
-        ending: end of an unfinished run, as a sentence without a subject and a full stop.
+        ending: how an unfinished run ended, as a sentence without a subject and a full stop.
         notes: notes about the run for the reader.
         events: rain events of the run; None if it has no results.
     """
@@ -110,7 +112,7 @@ class About:
 
 
 def read_about(run: Path) -> About:
-    """Read the summary of a run directory; a note states if it cannot be used."""
+    """Read the summary of a run directory; if it cannot be used, a note is returned instead."""
     file = run / summary.SUMMARY
     if not file.is_file():
         return About()
@@ -118,7 +120,8 @@ def read_about(run: Path) -> About:
         return _understood(json.loads(read_text(file)), run)
     except Exception:  # a foreign file can be wrong in any way
         return About(notes=(
-            f"{file.name} next to the bag is damaged or from another program, and was not used",
+            f"{file.name} next to the bag is damaged or was written by another program, and was "
+            "not used",
         ))
 
 
@@ -178,11 +181,11 @@ def _external_pump(run: Path) -> bool:
 
 
 def _changes(content: Mapping[str, Any]) -> list[str]:
-    """Return a note for every change of a parameter that the summary lists."""
+    """Return a note for every parameter change that the summary lists."""
     changes = content.get("parameter_changes") or []
     left_out = int(content.get("parameter_change_count") or len(changes)) - len(changes)
     return [
-        *([f"{left_out} earlier changes of parameters are not listed"] if left_out > 0 else []),
+        *([f"{left_out} earlier parameter changes are not listed"] if left_out > 0 else []),
         *(f"{change['parameter']} was changed from {change['before']} to {change['value']} at tick "
           f"{change['tick']}" for change in changes),
     ]

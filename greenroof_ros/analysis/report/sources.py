@@ -84,7 +84,7 @@ def find_runs(
             been read.
 
     Raises:
-        ConfigurationError: if a path is none of these, if its content is wrong, if two paths have
+        ConfigurationError: if a path is none of these, if its content is invalid, if two paths have
             the same name, or if no run has results.
     """
     named: dict[str, Path] = {}
@@ -188,7 +188,7 @@ def _read_results(file: Path) -> list[Row]:
     """Return the rows of a study's table; an empty cell of a numeric column becomes None.
 
     Raises:
-        ConfigurationError: if the file is not a study's table, was cut short, or contains a wrong
+        ConfigurationError: if the file is not a study's table, is truncated, or contains an invalid
             value.
     """
     text = read_text(file)
@@ -228,7 +228,7 @@ def _read_results(file: Path) -> list[Row]:
 
 
 def _find_damage(row: Row, earlier: Container[str]) -> Iterable[tuple[str, str]]:
-    """Yield the columns with values that no study writes, each with the correct value."""
+    """Yield the columns with values that no study writes, each with the rule that it breaks."""
     if not row["run"].strip(".") or "/" in row["run"] or row["run"] in earlier:
         yield "run", "must be the name of a directory under runs/, and must appear in one row only"
     if row["status"] not in ("done", "failed", "not run"):

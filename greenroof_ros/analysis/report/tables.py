@@ -15,7 +15,7 @@ Table = list[dict[str, str]]
 
 
 class _Result(NamedTuple):
-    """The presentation of a result: header, format of numbers, and maximum value without a mark."""
+    """The presentation of a result: header, number format, and largest value that is not marked."""
 
     header: str
     form: str = ".4g"
@@ -108,7 +108,7 @@ def make_tables(report: Report) -> dict[str, Table]:
 
 
 def _named(report: Report, case: CaseRuns) -> dict[str, str]:
-    """Return the cells that name a case and, if any run is unfinished, the way its run ended."""
+    """Return the cells that name a case and, if any run is unfinished, state how its run ended."""
     ended = any(run.row.get("ended") for run in report.runs)
     window, initial = case.place
     return {

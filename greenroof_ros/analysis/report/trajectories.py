@@ -138,7 +138,8 @@ def _lines(
         quantity: quantity to draw.
         runs: runs by the names of their lines; the time axis is in the time zone of the first run.
         x: time axis.
-        data: name of the data set with the points; if it is empty, the chart contains the points.
+        data: name of the data set with the points; if it is empty, the chart itself contains the
+            points.
     """
     known, (first, *others) = _QUANTITIES[quantity], runs.values()
     rows: Rows = [
@@ -172,7 +173,8 @@ def overlay_simulations(simulations: Mapping[str, tuple[Site, Trajectory]]) -> a
     for name, run in runs.items():
         if run.start != start:
             raise ConfigurationError(
-                f"begins at {to_minutes(run.start)}, but {first} at {to_minutes(start)}: all runs "
+                f"begins at {to_minutes(run.start)}, but {first} begins at {to_minutes(start)}: "
+                "all runs "
                 "in a chart must begin at the same time", key=name,
             )
     longest = max(runs.values(), key=lambda run: run.hours)
@@ -206,8 +208,8 @@ def figures_over_time(
 
     Args:
         runs: runs of one window, by the names of their lines.
-        name: end of the figures' names.
-        title: end of the figures' titles.
+        name: last part of the figures' names.
+        title: last part of the figures' titles.
     """
     first = next(iter(runs.values()))
     x = _time(first.start, max(run.hours for run in runs.values()))
@@ -232,14 +234,14 @@ _WHEN = alt.Tooltip(
 
 
 def _origin(start: datetime) -> float:
-    """Return a time (ms) for a UTC axis, so that every browser shows the clock of the run."""
+    """Return a time (ms) for a UTC axis, so that every browser shows the run's local time."""
     offset = start.utcoffset()
     assert offset is not None, "the start of a run must have an offset from UTC"
     return (start.timestamp() + offset.total_seconds()) * 1000
 
 
 def _points(run: Drawn, start: datetime, quantity: str, factor: float) -> Rows:
-    """Return the points of a curve, in the UTC offset of ``start``.
+    """Return the points of a curve, at the UTC offset of ``start``.
 
     Args:
         run: run with the curve.

@@ -1,4 +1,4 @@
-"""Choice of the recommended design: the target from water stress, the cistern from its last m3.
+"""Choice of the recommended design: the target by water stress, the cistern by marginal savings.
 
 The knee is the smallest cistern beyond which every additional m3 saves less than a stated amount.
 For volumes V_1 < V_2 < ... that save the water or the money S_1, S_2, ... in a season,
@@ -32,8 +32,8 @@ class Prices:
     """Prices of water and cistern, in any currency; without prices no costs are calculated.
 
     Waste-water fees are charged on the metered mains water, and storm-water fees on the connected
-    area. No meter counts what a cistern lets out, in dry or in wet weather, so the price of storm
-    water is usually a price that a city sets for the water it must treat or store.
+    area. No meter measures the discharge of a cistern, in dry or in wet weather, so the price of
+    storm water is usually one that a city sets for the water that it must treat or store.
     """
 
     mains_price: float = entry(
@@ -73,7 +73,7 @@ def find_knee(volumes: Sequence[float], saved: Values, amount: float) -> int | N
         volumes: volumes of the cisterns (m3), in ascending order.
         saved: savings of each cistern in a season, relative to any one of the cisterns (m3, or
             money), shape (n,).
-        amount: minimum savings of another m3 of cistern (m3, or money).
+        amount: minimum savings per additional m3 of cistern (m3, or money).
     """
     brings = np.diff(saved) / np.diff(volumes)
     enough = np.flatnonzero(brings >= amount)

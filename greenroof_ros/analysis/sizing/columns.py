@@ -61,7 +61,7 @@ COLUMNS = {
     KEPT: Column("storm water kept out of the sewer", "%", format_share),
     "overflow_days": _of_metric("overflow_days", "days", _format_count),
     "stress_hours": _of_metric("stress_hours", "h", _format_count),
-    COST: Column("cost of a season", "in the prices' currency", _format_volume),
+    COST: Column("cost of a season", "in the currency of the prices", _format_volume),
 }
 """the results, by name"""
 

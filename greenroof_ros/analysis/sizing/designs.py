@@ -60,7 +60,7 @@ class Design:
 def choose_volumes(site: Site) -> list[float]:
     """Return the default volumes (m3).
 
-    The volumes are eight preferred numbers, which hold from 4 to about 100 mm of rain on the
+    The volumes are eight preferred numbers, which correspond to rain of 4 to about 100 mm on the
     connected area.
     """
     smallest = _SMALLEST_M * connected_area(site)
@@ -182,7 +182,7 @@ def _make_design(site: Site, volume: float, target: float, outlet: str) -> Desig
 
 
 def _add_mains(site: Site, notes: list[str]) -> Site:
-    """Return a site with a mains top-up, which the share of the demand that is met requires."""
+    """Return a site with a mains top-up, which is needed to compute the share of the demand met."""
     if site.mains_level is not None:
         return site
     above = min(_MAINS_ABOVE_SUCTION_M, (site.min_outlet_level - site.suction_level) / 2)

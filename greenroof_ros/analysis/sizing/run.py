@@ -55,7 +55,7 @@ def size_site(given: Mapping[str, Any], progress: Progress) -> Sizes:
         progress: display of the progress, which can stop the runs.
 
     Raises:
-        ConfigurationError: if an input is wrong; the key of the error is the option's name.
+        ConfigurationError: if an input is invalid; the key of the error is the option's name.
         WorkersLostError: if a process ended unexpectedly.
     """
     values = {name: value for name, value in given.items() if value is not None}

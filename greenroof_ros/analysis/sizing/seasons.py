@@ -73,13 +73,13 @@ def find_seasons(
     """Return the run of every complete season, and the gap in every other season, both by name.
 
     Args:
-        inputs: inputs of a run of the site, whose start and length do not matter.
+        inputs: inputs of a run of the site; the start and the length of this run are ignored.
         site: the site, with the ticks that all designs share.
         weather: the record.
         window: the days of a season.
 
     Raises:
-        ConfigurationError: if no season is complete, or a value of the weather is rejected.
+        ConfigurationError: if no season is complete, or if a value in the weather is rejected.
     """
     runs: dict[str, Run] = {}
     incomplete: dict[str, str] = {}
@@ -129,7 +129,7 @@ def _find_reason(
 
 
 def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
-    """Return the notes about the site and the weather for the reader, every sentence once.
+    """Return the notes about the site and the weather for the reader, without duplicates.
 
     Args:
         runs: the runs of the seasons, by name.
@@ -147,7 +147,7 @@ def list_notes(runs: Mapping[str, Run], site: Site) -> list[str]:
     ]
     if filled:
         notes.append(
-            "missing hours of weather were filled, and missing rain counts as no rain: "
+            "missing hours of weather were filled, and missing rain was treated as no rain: "
             + ", ".join(filled)
         )
     return list(dict.fromkeys(notes))

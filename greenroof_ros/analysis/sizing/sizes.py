@@ -63,11 +63,12 @@ class Sizes:
             name.
         notes: assumptions, and notes about the weather for the reader.
         prices: prices of water and cistern; None if no costs are calculated.
-        knee_m3: minimum water that another m3 of cistern must save in a season (m3).
+        knee_m3: minimum volume of water that each additional m3 of cistern must save per season
+            (m3).
         tried: designs that were also run from other initial states: every second cistern, with
             one target and the recommended outlet.
-        starts: means of every metric of the designs in ``tried``, which begin with an empty and
-            with a full cistern, by name, shape (2, designs).
+        starts: means of every metric of the designs in ``tried``, which begin with an empty or a
+            full cistern, by name, shape (2, designs).
     """
 
     site: Site
@@ -105,7 +106,7 @@ class Sizes:
 
     @property
     def columns(self) -> dict[str, Column]:
-        """Results that are printed and drawn; costs are included only if there are prices."""
+        """Results that are printed and drawn; costs are included only if prices are given."""
         return {name: column for name, column in COLUMNS.items() if name in self.values}
 
     def spread(self, name: str, design: Design) -> Spread:
@@ -158,7 +159,7 @@ class Sizes:
 
     @cached_property
     def recommended(self) -> Design:
-        """The recommended design: the lowest target without stress, the site's outlet, the knee."""
+        """The recommended design: lowest target without stress, the site's outlet, and the knee."""
         target = find_target(self.targets, np.array(list(map(self._stress, self.targets))))
         return self.find_knee(target, self.outlet) or self.select(target, self.outlet)[-1]
 
@@ -280,12 +281,12 @@ class Sizes:
 
     @property
     def table(self) -> polars.DataFrame:
-        """Results, with one row per design: the means, lowest and highest values of the seasons.
+        """Results, with one row per design: the mean, lowest and highest value over the seasons.
 
         The columns are named as in ``summary.json``, with ``_min`` and ``_max`` added for the
         lowest and the highest season. ``storm_water_kept_share`` is the share of the rain on roof
-        and catchment that did not reach the sewer in wet weather. If there are prices, ``cost`` is
-        the cost of a season's water and of the cistern for a year.
+        and catchment that did not reach the sewer in wet weather. If prices are given, ``cost`` is
+        the cost of one season's water plus the annual cost of the cistern.
 
         Raises:
             ConfigurationError: if polars is not installed.

@@ -48,7 +48,7 @@ class Case:
     Attributes:
         inputs: complete inputs of the run, with values for everything that the grid leaves out.
         site: site file.
-        weather: weather files, in order of time, which are joined.
+        weather: weather files, which are joined in chronological order.
         weather_name: common name of the weather files, unique in the study.
         forecast_files: files of forecasts, by the attribute of the forecast choice that contains
             the path.
@@ -115,7 +115,7 @@ class Case:
 
     @property
     def plain(self) -> Case:
-        """The same case with on/off control, without a forecast, and with exact sensor and pump."""
+        """The same case with on/off control, no forecast, and an ideal sensor and pump."""
         return replace(self, forecast_files={}, inputs=replace(
             self.inputs, controller=find_controller("onoff"), parameters={},
             forecast=ForecastChoice(), sensor_and_pump=SensorAndPump(),

@@ -105,7 +105,7 @@ def run_case(directory: Path, case: Case, trajectory_every: float | None) -> Out
             whole tick; None to keep only the results.
 
     Raises:
-        ConfigurationError: if the case is wrong.
+        ConfigurationError: if the case is invalid.
     """
     run = case.find_inputs(directory).build()
     simulation, files = Simulation(run), dict[str, bytes]()
@@ -125,7 +125,7 @@ def _make_outcome(results: Mapping[str, Any], files: Mapping[str, bytes]) -> Out
 
 
 def bound_case(directory: Path, case: Case) -> float:
-    """Return the minimum total deviation that a controller with commands up to 1 could reach (m3).
+    """Return the minimum total deviation achievable by a controller with commands up to 1 (m3).
 
     See :func:`greenroof_ros.experiment.clairvoyant.clairvoyant_bound`.
     """

@@ -80,7 +80,7 @@ def read_grid(path: Path, weather: Path | None = None) -> list[Case]:
         sensor_and_pump, controllers with their parameters, forecasts.
 
     Raises:
-        ConfigurationError: if the grid, or a file that it names, is wrong; this is checked before
+        ConfigurationError: if the grid, or a file that it names, is invalid; this is checked before
             the first run.
     """
     cases = list(_Grid(path, weather).cases())
@@ -145,7 +145,7 @@ class _Grid:
         """Check a run, and return its case.
 
         Raises:
-            ConfigurationError: if the run is wrong.
+            ConfigurationError: if the run is invalid.
         """
         parameters = inputs.controller.complete_parameters(site, inputs.parameters)
         # Runs that need the same records are built once; forecasts with errors need the same
@@ -273,7 +273,7 @@ class _Grid:
                 yield _Setting(controller, YamlMapping(parameters, block.lines), forecasts)
 
     def _bound_block(self, site: Site) -> float:
-        """Return ``bound_block:`` (s), in whole ticks of a site, or 0; a minute without the key."""
+        """Return ``bound_block:`` (s), in whole ticks of a site, or 0; the default is a minute."""
         if "bound_block" not in self._mapping:
             return BLOCK_S
         seconds = self._number(self._mapping, "bound_block")
@@ -288,7 +288,7 @@ class _Grid:
         return any((place / name).is_dir() for place in self._places)
 
     def _find(self, mapping: YamlMapping, key: str, name: str | None = None) -> list[Path]:
-        """Return the files with a name or pattern, from the first directory with such files.
+        """Return the files that match a name or pattern, from the first directory with such files.
 
         Args:
             mapping: a mapping in the grid.
@@ -360,9 +360,9 @@ class _Grid:
         Args:
             mapping: mapping that contains the key.
             key: key of a block or of a list of blocks; a text stands for a block that contains
-                only the first needed key.
+                only the first required key.
             needed: keys that a block must contain.
-            further: keys that a block may contain.
+            further: additional keys that a block may contain.
             whole: keys whose lists do not multiply the runs.
         """
         for block in self._list(mapping, key):
@@ -401,10 +401,10 @@ class _Grid:
     def _check_keys(
         self, mapping: YamlMapping, needed: Collection[str], further: Collection[str]
     ) -> None:
-        """Reject a mapping in which a needed key is missing or a key is unknown.
+        """Reject a mapping in which a required key is missing or a key is unknown.
 
         Raises:
-            ConfigurationError: if a needed key is missing or a key is unknown.
+            ConfigurationError: if a required key is missing or a key is unknown.
         """
         known = dict.fromkeys((*needed, *further))
         for key in mapping:
@@ -428,7 +428,7 @@ class _Grid:
     def _at(
         self, lines: Mapping[str, int], otherwise: str, prefix: str = ""
     ) -> Iterator[None]:
-        """Add the line of the grid to an error that is raised elsewhere.
+        """Add the line number in the grid to an error that is raised elsewhere.
 
         Args:
             lines: lines of the inputs, by their names in errors.
@@ -444,7 +444,7 @@ class _Grid:
 
 
 def _label(value: Any) -> str:
-    """Return a value of a site as part of a file's name; quiet hours are a list."""
+    """Return a site value as part of a file name; quiet hours are a list."""
     if isinstance(value, list):
         return "+".join(map(_label, value))
     return value if isinstance(value, str) else format_exactly(value)

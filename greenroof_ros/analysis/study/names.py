@@ -1,4 +1,4 @@
-"""Names of a study's runs, made from their differences, and the groups that a report compares."""
+"""Names of a study's runs, based on their differences, and the groups that a report compares."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ several years"""
 
 
 class Names:
-    """Names of a study's cases: the controller, and the facts in which the cases differ."""
+    """Names of a study's cases: the controller, and the properties in which the cases differ."""
 
     def __init__(self, cases: Sequence[Case]) -> None:
         """Find the differences between all cases, and between the cases of each controller."""
@@ -48,13 +48,13 @@ class Names:
         }
 
     def _name_setting(self, case: Case) -> str:
-        """Return the controller with its parameters and those of sensor and pump, without seeds."""
+        """Return the controller with all parameters, including sensor and pumps, but no seeds."""
         values, name = _read_values(case), case.controller
         shown = (key for key in self._values[name] if key != "noise_seed")
         return _add_values(name, {key: values[key] for key in shown})
 
     def _name_window(self, case: Case) -> dict[str, str]:
-        """Return, in words, the facts that a run shares with the runs to which it is compared."""
+        """Return, in words, the properties shared by a run and the runs compared with it."""
         facts = {
             "site": case.site.name, "weather": case.weather_name,
             "start": f"from {case.inputs.start}", "hours": f"{format_exactly(case.hours)} h",

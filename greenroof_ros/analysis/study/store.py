@@ -52,9 +52,9 @@ class StudyStore:
         *,
         trajectory_every: float | None,
     ) -> None:
-        """Begin a study, or continue one.
+        """Start a new study, or continue an existing study.
 
-        A damaged outcome, for instance after a power cut, does not count: the run is repeated, and
+        A damaged outcome, for instance after a power cut, is discarded: the run is repeated, and
         the new outcome replaces the damaged one.
 
         Args:
@@ -62,13 +62,14 @@ class StudyStore:
                 study.
             grid: file of the grid.
             cases: runs of the study.
-            trajectory_every: time between the samples of each trajectory, as in the attribute.
+            trajectory_every: time between the samples of each trajectory, as for the attribute of
+                this name.
 
         Raises:
             ConfigurationError: if the directory contains other files, or a study with another grid,
                 trajectories or code; if it cannot be written to; if another process uses it; or if
-                an outcome exists but cannot be read, for instance on a network drive. The outcome
-                is kept then.
+                an outcome exists but cannot be read, for instance on a network drive. Such an
+                outcome is kept.
         """
         self.directory = directory
         self.cases, self.trajectory_every = cases, trajectory_every
@@ -129,7 +130,7 @@ class StudyStore:
             ) from None
 
     def _check(self, file: Path, identity: dict[str, Any]) -> None:
-        """Reject a study that was begun with another identity.
+        """Reject a study that was started with another identity.
 
         Raises:
             ConfigurationError: if the study's file is damaged, or differs in the identity.
@@ -145,8 +146,8 @@ class StudyStore:
         ):
             if not isinstance(begun, dict) or begun.get(key) != identity[key]:
                 raise ConfigurationError(
-                    f"contains a study that was begun with {what}; continue the study as it was "
-                    "begun, or choose another directory",
+                    f"contains a study that was started with {what}; continue it with the "
+                    "original inputs, or choose another directory",
                     key="--output", value=str(self.directory),
                 )
 

@@ -1,4 +1,4 @@
-"""Checks for likely errors in an archive: leads that lack water, or rain for another place."""
+"""Checks for likely errors in an archive: leads that lack water, or rain for another location."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def check_forecasts(tallies: Mapping[Class, Tally], *, previous_runs: bool) -> l
     if known and max(known) < _MIN_R:
         warnings.append(
             f"the forecasts are unrelated to the records: no correlation reaches {_MIN_R:g}. Are "
-            "both for the same place, and are the times of both right?"
+            "the forecasts and the records for the same location, and are their times correct?"
         )
     return warnings
 

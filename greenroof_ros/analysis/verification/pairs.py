@@ -37,9 +37,9 @@ class IssuedForecasts:
         hours: length of the longest forecast (h).
         finest_lead: finest resolution of the lead (h); more than 1 for previous runs.
         span: period that the forecasts cover, in words.
-        issues: issues in order of time, each with the hour of the records in which it begins
-            (negative if it begins before the records) and its rain (mm/h), shape (members, hours),
-            NaN if missing.
+        issues: forecasts in chronological order of issue, each with the hour of the records in
+            which it begins (negative if it begins before the records) and its rain (mm/h), shape
+            (members, hours), NaN if missing.
         notes: sentences about the data that could not be used unchanged.
     """
 
@@ -64,11 +64,11 @@ def read_issued_forecasts(
     Args:
         file: the archive, a file or a directory of files.
         weather: the records.
-        site: site with its place on earth.
+        site: site with its location.
         horizon: number of hours of every forecast to compare.
 
     Raises:
-        ConfigurationError: if the archive is wrong.
+        ConfigurationError: if the archive is invalid.
     """
     archive = read_archive(file, site)
     verified = align_to_hours(archive.verified, weather)
@@ -117,10 +117,10 @@ def tally_pairs(
 ) -> dict[Class, Tally]:
     """Add up all pairs of forecasts and records.
 
-    A pair consists of a sum over consecutive hours of an issue, and the sum over the same hours of
-    the records. An issue is divided from its start: for sums of 12 h, into its first 12 hours, the
-    next 12 hours, and so on. Every sum belongs to the class of leads that contains it. A sum is
-    left out if the issue or the records lack one of its hours.
+    A pair consists of a sum over consecutive hours of a forecast, and the sum over the same hours
+    of the records. A forecast is divided from its start: for sums of 12 h, into its first 12 hours,
+    the next 12 hours, and so on. Every sum belongs to the class of leads that contains it. A sum is
+    left out if the forecast or the records lack one of its hours.
 
     Args:
         forecasts: forecasts to compare with the records.

@@ -33,10 +33,10 @@ def compute_event_scores(
     ETS is 1 for a perfect forecast, and 0 for a forecast without skill.
 
     Args:
-        hits: pairs with the event both forecast and observed.
-        false_alarms: pairs with the event forecast, not observed.
-        misses: pairs with the event observed, not forecast.
-        correct_negatives: pairs without the event.
+        hits: number of pairs in which the event was both forecast and observed.
+        false_alarms: number of pairs in which the event was forecast but not observed.
+        misses: number of pairs in which the event was observed but not forecast.
+        correct_negatives: number of pairs without the event.
     """
     observed, forecast = hits + misses, hits + false_alarms
     chance = _ratio(observed * forecast, observed + false_alarms + correct_negatives)
@@ -82,14 +82,14 @@ SHOWN = {
 
 
 class Tally:
-    """Sums that yield all scores, so that memory does not grow with the number of pairs.
+    """Sums that suffice for all scores, so that memory does not grow with the number of pairs.
 
     Attributes:
         table: numbers of hits, false alarms, misses and correct negatives, shape (4,).
     """
 
     def __init__(self, event: float) -> None:
-        """Start without pairs; an event is a sum (mm) of at least ``event``."""
+        """Start without pairs; an event is a sum of at least ``event`` (mm)."""
         self._event = event
         self._moments = np.zeros(5)
         self._errors = np.zeros(2)

@@ -73,7 +73,7 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
             on a worker differ from those of this process.
         WorkersLostError: if the scheduler or all its workers disappeared during the work.
     """
-    lost = WorkersLostError(f"the connection to the Dask scheduler at {address} is lost")
+    lost = WorkersLostError(f"the connection to the Dask scheduler at {address} was lost")
     try:
         client = Client(address, timeout=_CONNECT_S)
     except (OSError, ValueError, TypeError) as error:
@@ -136,7 +136,7 @@ def cluster(address: str, files: Mapping[str, bytes]) -> Iterator[Workers]:
 
 
 def _check_versions(workers: Mapping[str, Mapping[str, str]]) -> None:
-    """Reject workers with other versions, which could compute other numbers.
+    """Reject workers with other versions, whose results could differ.
 
     Args:
         workers: versions of the packages on each worker, by its address.

@@ -88,7 +88,7 @@ def processes(
         # The other errors occur if a worker is killed while it starts.
         except (BrokenProcessPool, EOFError, ConnectionError) as error:
             raise WorkersLostError(
-                "a worker process was killed; if memory ran out, use fewer --jobs"
+                "a worker process was killed; if memory ran out, reduce --jobs"
             ) from error
         finally:
             for process in multiprocessing.active_children():
@@ -139,7 +139,7 @@ def _from_file(future: Future[Path]) -> Any:
 
 
 def _prepare(scratch: str) -> None:
-    """Prepare a worker: set its temporary directory, silence warnings, and end it with the command.
+    """Prepare a worker: set its temporary directory, silence warnings, and tie it to the command.
 
     Warnings from single runs would break the progress bar. The worker has to end with the command
     itself, because its parent, the fork server, continues to run while any of its children runs.

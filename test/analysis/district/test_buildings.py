@@ -104,7 +104,7 @@ def test_listed_buildings(tmp_path: Path, form: str) -> None:
     assert list(buildings.values["catchment_area"]) == [240.5, 120, 90]
     assert set(buildings.values["substrate_depth"]) <= {0.08, 0.108}
     assert run.notes[-1] == (
-        "buildings.csv: these columns are not keys of a site and are not used: address"
+        "buildings.csv: these columns are not site keys and are ignored: address"
     )
 
 
@@ -173,7 +173,7 @@ WRONG_CSV = {
     "line 2: catchment_area = '': must be a number from": CSV.replace("120", ""),
     "line 2: catchment_area = 'nan': must be a number from": CSV.replace("120", "nan"),
     "line 3: cell = 'north': must be one of the cells east, west": CSV.replace("east", "north"),
-    "line 3: id = '': must be a name or number": CSV.replace("B,", ","),
+    "line 3: id = '': must contain a name or number": CSV.replace("B,", ","),
     "line 3: must have 5 cells, like the header, but has 4": CSV.replace(",Lane 2", ""),
     "has a header but no records": CSV.partition("\n")[0] + "\n",
     "is empty": "",
@@ -202,7 +202,7 @@ WRONG = {
     "adoption.3 = 1.5: must be a number from 0 to 1": ("0.5, 1.0]", "0.5, 1.5]"),
     "adoption.1 = -0.25: must be": ("[0.25", "[-0.25"),
     "adoption: must list at least one share": ("[0.25, 0.5, 1.0]", "[]"),
-    "adoption: lists 0.1 and 0.10000001, which differ too little": ("0.25,", "0.1, 0.10000001,"),
+    "adoption: lists 0.1 and 0.10000001, which are too close": ("0.25,", "0.1, 0.10000001,"),
     "valve_share = 2: must be": ("valve_share: 0.5", "valve_share: 2"),
     "sewer_capacity = 0: must be": ("sewer_capacity: 2.0", "sewer_capacity: 0"),
     "sewer_capacity = 'five': must be": ("sewer_capacity: 2.0", "sewer_capacity: five"),
@@ -226,7 +226,7 @@ WRONG = {
     "draw.substrate_depth.values: must list at least one": ("[0.08, 0.108]", "[]"),
     "draw.substrate_depth.values.2 = 'deep': must be": ("0.108", "deep"),
     "draw.cistern_volume.times = 'cistern_volume': "
-    "must be a key whose value is not multiplied itself": (
+    "must be a key whose value is not itself multiplied": (
         "high: 6.0", "high: 6.0, times: cistern_volume",
     ),
     "draw.cistern_volume.times = 'roof': did you mean roof_area": (

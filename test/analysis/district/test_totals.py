@@ -117,13 +117,13 @@ def test_a_warning_of_valves_that_are_too_large(simulated: Simulated) -> None:
     assert 2.0 < drain["low_outlet_peak_5min_mm_h"] < highest
     (warning,) = warn(run, rows)
     assert warning.startswith(
-        "the cisterns empty at the same time: in dry weather they let out up to "
-        f"{drain['dry_peak_5min_mm_h']:.3g} mm/h (valve, drain, all 8 buildings), which is more "
-        "than the sewer's 2 mm/h"
+        "the cisterns empty at the same time: in dry weather they release up to "
+        f"{drain['dry_peak_5min_mm_h']:.3g} mm/h (valve, drain, all 8 buildings), which exceeds "
+        "the sewer's capacity of 2 mm/h"
     )
     (of_drain, of_plan) = describe_valves(rows, 8)
     assert of_drain.startswith(
-        "Valve, drain, all 8 buildings: none of the water that the valves let out flows in "
+        "Valve, drain, all 8 buildings: none of the water from the valves is released in "
         "wet weather."
     )
     assert of_plan.startswith("Valve, plan")

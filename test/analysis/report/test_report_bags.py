@@ -289,7 +289,7 @@ def test_events_of_a_run_directory(tmp_path: Path) -> None:
     for wrong in ("rain", None, [{"rain_mm": 1.0}], [{**rain, "rain_mm": None}]):
         file.write_text(json.dumps({**content, "events": wrong}))
         notes = read_run(tmp_path / "done").notes
-        assert any("damaged or from another program" in note for note in notes)
+        assert any("damaged or was written by another" in note for note in notes)
 
 
 def test_results_of_a_run_that_is_done_are_its_own(tmp_path: Path) -> None:
@@ -331,7 +331,7 @@ def test_a_foreign_summary_leaves_the_numbers(tmp_path: Path) -> None:
         (run,) = find_runs([tmp_path / "run"]).runs
         labels = [run.row[key] for key in ("run", "controller", "initial")]
         assert labels == ["run", "unknown", "the recorded volumes"]
-        reason = "summary.json next to the bag is damaged or from another program"
+        reason = "summary.json next to the bag is damaged or was written by another"
         assert any(note.startswith(reason) for note in run.notes), text
         assert run.row["pumped_m3"] == pytest.approx(0.002)
 
@@ -439,7 +439,7 @@ def test_a_changed_parameter(tmp_path: Path) -> None:
     ]
     notes = make_notes(both)
     assert notes["weight was changed from 0.001 to 1e-05 at tick 300"] == ["run"]
-    assert notes["2999 earlier changes of parameters are not listed"] == ["run"]
+    assert notes["2999 earlier parameter changes are not listed"] == ["run"]
     # Another site is another window.
     site = paths[1] / "configuration" / "site.yaml"
     site.write_text(format_site(read_site(site, {"a2": 50.0})))

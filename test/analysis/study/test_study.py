@@ -126,15 +126,15 @@ def test_killed_while_it_began(tmp_path: Path) -> None:
 def test_what_was_begun_is_not_mixed_with_something_else(finished: Path) -> None:
     """Another grid, other trajectories, other versions."""
     before = (finished / "out" / "results.csv").read_bytes()
-    assert "begun with other trajectories, or without" in refusal(finished, trajectory_every=None)
+    assert "started with other trajectories, or without" in refusal(finished, trajectory_every=None)
     grid(finished, edit_grid("hours: 0.25", "hours: 0.5"))
-    assert "begun with another grid, or other files" in refusal(finished)
+    assert "started with another grid, or other files" in refusal(finished)
     grid(finished)
     file = finished / "out" / "configuration" / "study.json"
     begun = file.read_text()
     for what in ("osqp", "source", "skill"):
         file.write_text(begun.replace(f'"{what}": "', f'"{what}": "0.'))
-        assert "begun with other versions of the code or its packages" in refusal(finished)
+        assert "started with other versions of the code or its packages" in refusal(finished)
     file.write_text("{")
     assert "study.json: is not valid JSON" in refusal(finished)
     assert (finished / "out" / "results.csv").read_bytes() == before

@@ -74,7 +74,7 @@ def test_a_killed_worker_ends_the_study(tmp_path: Path) -> None:
     shown, errors = process.communicate(timeout=300)
     done = len(stored(tmp_path))
     assert errors.splitlines()[-1] == (
-        "error: a worker process was killed; if memory ran out, use fewer "
+        "error: a worker process was killed; if memory ran out, reduce "
         f"--jobs: {done} of 6 cases are stored; run the same command again to continue"
     )
     assert (process.returncode, shown) == (1, "")
@@ -243,7 +243,7 @@ def test_dask(dask: Dask, tmp_path: Path) -> None:
     done = len(stored(tmp_path))
     assert "Traceback" not in errors
     assert errors.splitlines()[-1] == (
-        f"error: the connection to the Dask scheduler at {dask.address} is lost: {done} of 12 "
+        f"error: the connection to the Dask scheduler at {dask.address} was lost: {done} of 12 "
         "cases are stored; run the same command again to continue"
     )
     assert (process.returncode, shown) == (1, "")
