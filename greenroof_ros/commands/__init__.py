@@ -1,1 +1,1 @@
-"""One module for each command of ``greenroof``; ``run`` and ``live`` are in ``bringup``."""
+"""One module for each command except ``run`` and ``live``, which are in ``bringup``."""

@@ -50,16 +50,18 @@ def _table(result: dict[str, Any]) -> Table:
         ("bound", f"{result['bound_m3']:.2f}", "m3, total deviation that no controller can beat"),
         (
             "plan", f"{result['plan_m3']:.2f}",
-            "m3, total deviation of lookahead's plan with all weather known, in the exact plant",
+            "m3, total deviation in the exact plant under lookahead's plan with all weather "
+            "known in advance",
         ),
         (
             "gap", "-" if gap is None else f"{100 * gap:.4f} %",
             "between the bound and the plan; the optimum lies within this gap. On field-capacity "
-            "soil, the gap is mostly due to the bound, which replaces the soil with straight lines",
+            "soil, the gap is mostly due to the bound, which approximates the soil with straight "
+            "lines",
         ),
         (
             "pumped", f"{result['pumped_m3']:.4f}",
-            f"m3 in the plan, with commands of at most {result['max_command']:g}",
+            f"m3, pumped in the plan, with commands of at most {result['max_command']:g}",
         ),
         (
             "block", f"{result['block_s']:g} s",
@@ -76,10 +78,10 @@ def make_parser() -> Parser:
         usage="%(prog)s [options]",
         description="Compute a lower bound on the total deviation that any controller could "
         "achieve if it knew all weather in advance, and simulate lookahead's plan in the exact "
-        "plant. The optimum lies between the bound and the result of the plan, and is the same for "
-        "every controller. With --of discharge, for a site with an outlet valve, compute a lower "
-        "bound on the discharge in wet weather for some amounts of mains water, however the valve "
-        "is commanded, with the irrigation of on/off control.",
+        "plant. The optimum lies between the bound and the result of the plan, and does not "
+        "depend on the controller. With --of discharge, for a site with an outlet valve, compute "
+        "a lower bound on the discharge in wet weather, whatever the commands to the valve, for "
+        "some amounts of mains water and for the irrigation under on/off control.",
         epilog="examples:\n"
         "  greenroof bound --start 2021-07-08T05:00\n"
         "  greenroof bound --block 1 --hours 2 --max-command 0.1\n"
@@ -95,8 +97,8 @@ def make_parser() -> Parser:
     group.add_argument(
         "--block", type=make_number_type(1e-9, 1e9), metavar="S",
         help="length of the blocks of ticks that share one variable (s). Shorter blocks yield a "
-        "tighter bound and take longer; a block of one tick is exact and takes a minute for 12 h "
-        f"(default: {BLOCK_S:g}, or one tick if that is longer)",
+        "tighter bound but take longer to solve; blocks of one tick are exact and take a minute "
+        f"for 12 h (default: {BLOCK_S:g}, or one tick if a tick is longer)",
     )
     group.add_argument(
         "--max-command", type=make_number_type(1e-9, 100.0), default=1.0, metavar="U",

@@ -1,4 +1,4 @@
-"""Publish a site on MQTT, for Home Assistant and others: ``greenroof bridge``."""
+"""Publish a site over MQTT, for Home Assistant and other clients: ``greenroof bridge``."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from greenroof_ros.watch.store import GraphStore
 _NICENESS = 10
 
 _DESCRIPTION = """\
-Publish the values from the page of 'greenroof watch' on MQTT: levels, pump, rain, frost, the
-controller's plan, and alarms by code. Home Assistant discovers the site automatically. The bridge
-works alongside any graph in this ROS domain, simulated or live. The bridge may be started and
-stopped at any time, since nothing waits for it.
+Publish the values shown on the page of 'greenroof watch' over MQTT: levels, pump, rain, frost, the
+controller's plan, and alarms with their codes. Home Assistant discovers the site automatically. The
+bridge works alongside any graph in this ROS domain, simulated or live. The bridge may be started
+and stopped at any time, since no node waits for it.
 
-Anyone who may write to the topic greenroof/SITE/stop can stop the pump. Nothing can be released or
-started over MQTT.
+Anyone who may publish on the topic greenroof/SITE/stop can stop the pump. The pump cannot be
+released or started over MQTT.
 """
 _EPILOG = """\
 examples:
@@ -31,10 +31,10 @@ examples:
   greenroof bridge --broker mqtts://home.example --login login.yaml
   greenroof bridge --broker mqtt://127.0.0.1 --namespace north
 
-With a namespace, the topics contain it: greenroof/north/...
+If there is a namespace, it is part of the topics: greenroof/north/...
 
-A login file has two lines, username: NAME and password: WORD. No one else may be able to read the
-file (chmod 600). If the bridge cannot reach the broker, it reports this and keeps trying. Ctrl-C
+A login file has two lines, username: NAME and password: WORD. The file must be readable only by its
+owner (chmod 600). If the bridge cannot reach the broker, it reports this and keeps trying. Ctrl-C
 stops the bridge.
 
 exit codes: 0 ended on request, 1 failed, 2 bad usage or configuration

@@ -1,4 +1,4 @@
-"""Fits a site's roof to a measured record: ``greenroof calibrate MEASURED``."""
+"""Fit a site's roof to a measured record: ``greenroof calibrate MEASURED``."""
 
 from __future__ import annotations
 
@@ -36,21 +36,22 @@ from greenroof_ros.formats.step_record import DAY_S, StepRecord, Steps, name_tim
 from greenroof_ros.model.site import Site, read_site
 
 _DESCRIPTION = """\
-Fit the roof of a site to a measured record: its field capacity, wilting point, depletion fraction,
-drainage time and crop coefficient, as far as the record determines them. The fit uses the first
-half of the rain, and the second half validates it. If the record contains the pumps' state and the
-cistern's level, the pump curve is fitted first, to the rate at which the cistern's level falls.
+Fit a site's roof parameters to a measured record: field capacity, wilting point, depletion
+fraction, drainage time and crop coefficient, as far as the record determines them. The model is
+fitted to the first half of the rain and validated on the second half. If the record contains the
+pumps' state and the cistern's level, the pump curve is fitted first, to the rate at which the
+cistern's level falls.
 """
 _EPILOG = """\
-MEASURED is a bag of this project, or a CSV file with rows at most a day apart. Empty cells and
-missing rows are gaps. The columns are:
+MEASURED is a bag recorded by this project, or a CSV file with rows at most a day apart. Empty cells
+and missing rows are treated as gaps. The columns are:
 
   time, rain [mm], runoff [mm], level [m], temperature [degC]
 
 The model does not include snow. If the record covers winters, specify the months to use, as in
 --months 4-10.
 
-The command writes the site file and, next to it, a page of the same name that ends in .html.
+The command writes the site file and, next to it, a page with the same name but the extension .html.
 
 examples:
   greenroof calibrate roof_2025.csv --site my_site.yaml -o fitted_site.yaml
@@ -75,8 +76,8 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--months", metavar="FIRST-LAST",
-        help="fit and validate with only these months of the record, such as 4-10, or 11-3 across "
-        "the new year; the other months are only simulated (default: all)",
+        help="fit and validate with only these months of the record, such as 4-10, or 11-3 for a "
+        "period across the new year; the other months are only simulated (default: all)",
     )
     return parser
 
@@ -99,7 +100,7 @@ def main() -> None:
 
 
 def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str, str]:
-    """Fit a record, print the result, and return the texts of site file and page.
+    """Fit a record, print the result, and return the texts of the site file and the page.
 
     Args:
         measured: the record.
@@ -156,7 +157,7 @@ def _calibrate(measured: Path, months: str | None, site_file: Path) -> tuple[str
 def _list_notes(
     record: StepRecord, halves: Mapping[str, Steps], before: Site, fitted: Site, pumps: PumpFit
 ) -> list[str]:
-    """Return notes to the user about the fit, in addition to parameters and scores."""
+    """Return notes to the user about the fit, in addition to the parameters and scores."""
     days = record.step_s / DAY_S
     compared = sum(int(np.count_nonzero(steps)) for steps in halves.values()) * days
     notes = [
@@ -168,8 +169,7 @@ def _list_notes(
         notes.append(
             f"target: z_veg was {before.z_veg:g} m, and the fitted roof holds "
             f"{fitted.roof_level(fitted.z_cap):.3g} m; z_veg is set to {fitted.z_veg:g} m, where "
-            "half of the water available to plants is left (FAO-56, chapter 8); choose your own "
-            "target"
+            "half of the plant-available water is left (FAO-56, chapter 8); choose your own target"
         )
     if pumps.runs:
         notes.append(
@@ -186,13 +186,13 @@ def _list_notes(
 
 
 def _refuse_dry(record: StepRecord, halves: Mapping[str, Steps]) -> None:
-    """Reject a record with nothing to fit, or nothing with which to validate the fit."""
+    """Reject a record that contains nothing to fit, or nothing to validate the fit against."""
     for half, steps in zip(("first", "second"), halves.values(), strict=True):
         if not steps.any() or all(np.ptp(each[steps]) == 0 for each in record.measured.values()):
             raise ConfigurationError(
                 f"in the {half} half of its rain, no measured quantity changes, but fit and "
-                "validation both need changes in runoff or levels; leave out rows at the dry "
-                "end, or record for longer with fewer gaps", file=record.source,
+                "validation both need changes in runoff or levels; leave out the dry rows at the "
+                "end, or use a longer record with fewer gaps", file=record.source,
             )
 
 

@@ -22,20 +22,21 @@ from greenroof_ros.model.site import read_site
 _CLASS = (
     "Check that a controller behaves as the node graph, simulate, studies and reports require: "
     "its commands are finite, not negative, and the same for the same inputs, and it copes with "
-    "skipped ticks, missing forecasts and parameters. Every failure is listed together with the "
-    "correct behaviour."
+    "skipped ticks, with missing forecasts and with its parameters. Every failure is listed "
+    "together with the required behaviour."
 )
 _NODE = (
     "With --node, check a running node, written in any language, for use with 'greenroof run "
     "--controller external'. The node must obey four rules. (1) Every topic uses reliable, "
-    "transient-local quality of service with a history depth of 64, and a liveliness lease of 1 s "
-    "for its publisher. (2) For each tick, once all inputs of the tick have arrived, the node "
-    "publishes exactly one message on /pump/command and, at a site with an outlet valve, one on "
-    "/outlet/command. (3) Every tick has an answer. All commands are finite and not negative, and "
-    "commands to the valve are at most 1. Commands are 0 if a level or frost is not finite, and "
+    "transient-local quality of service with a history depth of 64, and its publisher has a "
+    "liveliness lease of 1 s. (2) For each tick, once all inputs of the tick have arrived, the "
+    "node publishes exactly one message on /pump/command and, at a site with an outlet valve, "
+    "exactly one on /outlet/command. (3) The node answers every tick. All commands are finite and "
+    "not negative, and commands to the valve are at most 1. Commands are 0 if a level or frost is "
+    "not finite, and "
     "the pump's command is also 0 in frost. (4) The node stops when /clock no longer has a "
-    "publisher. The check replaces plant and weather, so do not start a run. The check stops the "
-    "node."
+    "publisher. The check takes the place of the plant node and the weather node, so do not "
+    "start a run. At the end, the check stops the node."
 )
 
 
@@ -48,7 +49,9 @@ def _options(reference: str) -> CheckResult:
         add_output_arguments(parser)
     except argparse.ArgumentError as error:
         problem = f"{error}; rename the parameter"
-    return CheckResult("its parameters do not have the names of the commands' options", problem)
+    return CheckResult(
+        "none of its parameters has the same name as an option of the commands", problem
+    )
 
 
 def make_parser() -> Parser:
@@ -60,7 +63,7 @@ def make_parser() -> Parser:
         "  python my_controller_node.py &\n"
         "  greenroof check-controller --node controller\n\n"
         "exit codes: 0 all checks passed, 1 a check failed, 2 the controller cannot be "
-        "imported, or there is no such node, 3 a graph is running",
+        "imported or the node was not found, 3 a graph is running",
     )
     subject = parser.add_mutually_exclusive_group(required=True)
     subject.add_argument(

@@ -16,21 +16,21 @@ _INVENTED = (
     "THE PUMP WILL RUN. The check sends invented levels and invented weather, so it would let the "
     "pump run a cistern dry, or pump into a frozen pipe. With a real pump, make sure that there is "
     "water in the cistern, room on the roof and no frost, and set --period to the site's tau (1). "
-    "With a period of 0.1, the minimum on and off times pass ten times as fast for the motor, "
-    "which is started ten times."
+    "With a period of 0.1, the motor's actual minimum on and off times are only a tenth of those "
+    "configured, and the motor is started ten times."
 )
 _SUBJECT = (
     "Check through topics whether a running pump driver follows the interface. The driver can be "
-    "this package's or your own in any language. The check covers the stopped pump at the "
-    "start, one flow for each command, rejected values, the watchdog, a second publisher, frost, "
-    "unknown levels and frost, a cistern at the suction level, and the restart of the pump after "
-    "each of these. The check replaces plant, weather and controller, so do not start a run. Use "
-    "--live for the driver of a live graph, such as this package's pump node, which publishes its "
-    "flow every tau without being asked."
+    "this package's or your own in any language. The check covers a stopped pump at the start, "
+    "one flow for each command, rejected values, the watchdog, a second publisher, frost, "
+    "unknown levels, unknown frost, a cistern at the suction level, and the restart of the pump "
+    "after each of these. The check takes the place of the plant node, the weather node and the "
+    "controller, so do not start a run. Use --live for the driver of a live graph, such as this "
+    "package's pump node, which publishes its flow every tau without waiting for a command."
 )
 _LIMIT = (
-    "The flows in the answers are the only evidence: topics do not show whether the pump's shaft "
-    "has really stopped, so watch the pump."
+    "The flows that the driver reports are the only evidence: topics cannot show whether the "
+    "pump's shaft has really stopped, so watch the pump."
 )
 
 
@@ -42,8 +42,8 @@ def make_parser() -> Parser:
         epilog="example:\n  python my_driver.py &\n"
         "  greenroof check-pump --node pump\n"
         "  greenroof check-pump --node pump --live --period 1    # the package's pump node\n\n"
-        "exit codes: 0 all checks passed, 1 a check failed, 2 there is no such driver, 3 a graph "
-        "is running",
+        "exit codes: 0 all checks passed, 1 a check failed, 2 the driver was not found, 3 a "
+        "graph is running",
     )
     parser.add_argument(
         "--node", required=True, metavar="NAME",

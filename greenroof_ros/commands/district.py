@@ -30,15 +30,15 @@ from greenroof_ros.common.progress import ProgressBar
 
 _DESCRIPTION = """\
 Simulate a district of many buildings with green roofs and cisterns, which are drawn from
-distributions or listed in a CSV file. The discharge of all buildings to the sewer is added up for
-every kind of outlet and every adoption (the share of buildings that take part). The result is one
-page for a browser, with the discharge in wet weather, its peaks, the overflow of a sewer of a
+distributions or listed in a CSV file. The discharge from all buildings to the sewer is added up for
+every type of outlet and every adoption rate (the share of buildings that take part). The result is
+one page for a browser, with the discharge in wet weather, its peaks, the overflow of a sewer of a
 specified capacity, and the mains water.
 """
 _EPILOG = """\
-The output is page.html, its figures as SVG and PNG, results.csv (one row per adoption and outlet),
-buildings.csv (one row per building), hydrographs.parquet (flows in m3/s, by interval), and with
---swmm a folder for EPA SWMM.
+The output consists of page.html, its figures as SVG and PNG, results.csv (one row per adoption rate
+and outlet), buildings.csv (one row per building), hydrographs.parquet (flows in m3/s in each
+interval) and, with --swmm, a folder for EPA SWMM.
 
 exit codes: 0 done, 1 the workers were lost, 2 bad usage or configuration, 130 interrupted
 
@@ -53,7 +53,8 @@ def make_parser() -> Parser:
     parser = Parser(prog="greenroof district", description=_DESCRIPTION, epilog=_EPILOG)
     parser.add_argument(
         "district", type=Path, metavar="DISTRICT.yaml",
-        help="file that describes buildings, weather, adoption and sewer, such as "
+        help="district file, which describes the buildings, the weather, the adoption rates and "
+        "the sewer, such as "
         "config/districts/example.yaml",
     )
     parser.add_argument(
@@ -67,8 +68,8 @@ def make_parser() -> Parser:
     add_worker_arguments(parser, "parts of the district")
     parser.add_argument(
         "--swmm", action="store_true",
-        help="also write the hydrographs as time series for EPA SWMM, with a network that receives "
-        "them",
+        help="also write the hydrographs as time series for EPA SWMM, with a drainage network "
+        "that receives the flows",
     )
     return parser
 
@@ -108,7 +109,7 @@ def main() -> int:
 
 # Columns of the printed table: their headers, and the names of the results.
 _SHOWN = {
-    "in wet weather (m3)": "wet_discharge_m3", "peak of 60 min (mm/h)": "peak_60min_mm_h",
+    "in wet weather (m3)": "wet_discharge_m3", "60 min peak (mm/h)": "peak_60min_mm_h",
     "sewer overflow (m3)": "sewer_overflow_m3", "mains water (m3)": "mains_m3",
 }
 

@@ -1,4 +1,4 @@
-"""Fetches a forecast from the internet into a file: ``greenroof fetch-forecast``."""
+"""Fetch a forecast from the internet into a file: ``greenroof fetch-forecast``."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ def make_parser() -> Parser:
         "  greenroof fetch-forecast --site site.yaml --keep forecasts/    # every hour, from cron\n"
         "  greenroof verify forecasts/ --site site.yaml --weather gauge.csv\n\n"
         "'greenroof live --forecast open-meteo' fetches the forecast every half hour.\n\n"
-        "exit codes: 0 done, 1 the service returned no forecast, 2 wrong usage or configuration, "
-        "130 ended by Ctrl-C",
+        "exit codes: 0 done, 1 the service returned no forecast, 2 bad usage or configuration, "
+        "130 interrupted",
     )
-    add_site(parser, "site file, which states the place and the plants")
+    add_site(parser, "site file, which gives the location and the vegetation")
     parser.add_argument(
         "--ensemble", action="store_true",
         help="request all members of an ensemble, for lookahead (default: a single forecast)",
     )
     parser.add_argument(
         "--model", default="", metavar="NAME",
-        help="use this weather model, named as by the service, such as icon_seamless (default: the "
-        "service's choice for the place)",
+        help="use this weather model, specified by the service's own name for it, such as "
+        "icon_seamless (default: the model that the service chooses for the location)",
     )
     parser.add_argument(
         "--days", type=make_number_type(1, MAX_DAYS, int), default=7, metavar="N",
@@ -56,7 +56,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--url", default="",
-        help="use another server with the same interface, if necessary with a key, such as "
+        help="use another server with the same API, with an API key if necessary, such as "
         "https://customer-api.open-meteo.com/v1/forecast?apikey=KEY; the key is neither printed "
         "nor stored (default: Open-Meteo's server)",
     )

@@ -38,18 +38,18 @@ from greenroof_ros.weather.fetching import (
 )
 
 _DESCRIPTION = """\
-Fetch several years of hourly weather, with all data that evapotranspiration needs, into one CSV
-file that every command can read with --weather. By default, the data are Open-Meteo's reanalysis
-for the site's place. The reanalysis contains the mean rain over a grid cell, so its peaks are lower
-than those of a rain gauge; the file and all results state this. In Canada, --eccc fetches the
-observations of a station instead.
+Fetch several years of hourly weather, with all the data needed to compute evapotranspiration, into
+one CSV file that every command can read with --weather. By default, the data are Open-Meteo's
+reanalysis for the site's location. The reanalysis contains the mean rain over a grid cell, so its
+peaks are lower than those recorded by a rain gauge; the file and all results state this. In Canada,
+--eccc fetches the observations of a station instead.
 
 Each year or month of data is kept in FILE.part until all data have arrived. If the command is
-interrupted, run it again to fetch the missing data. It pauses between requests, and waits after a
-failure, as the services ask.
+interrupted, run it again to fetch the missing data. The command pauses between requests, and waits
+after a failure, as the services request.
 
 Open-Meteo: CC BY 4.0; the service is free for non-commercial use (https://open-meteo.com/en/terms).
-Environment and Climate Change Canada: Open Government Licence - Canada. Name the source.
+Environment and Climate Change Canada: Open Government Licence - Canada. Credit the source.
 """
 _EPILOG = """\
 examples:
@@ -57,8 +57,8 @@ examples:
   greenroof fetch-weather --site my_site.yaml --years 2015-2024 --eccc 48549 --output toronto.csv
   greenroof weather weather.csv --site my_site.yaml       # describe the new file
 
-exit codes: 0 done, 1 the service did not send everything, 2 wrong usage or configuration,
-130 stopped with Ctrl-C
+exit codes: 0 done, 1 the service did not send all the data, 2 bad usage or configuration, 130
+interrupted
 """
 # Maximum number of gaps that are listed.
 _MAX_NAMED = 3
@@ -70,8 +70,8 @@ def make_parser() -> Parser:
     add_site(parser, "site file, with latitude and longitude; --eccc also needs utc_offset")
     parser.add_argument(
         "--years", type=_parse_years, required=True, metavar="YEARS",
-        help="fetch this year, or all years from the first to the last, such as 2015-2024; of the "
-        "current year, the hours that the service already provides are fetched",
+        help="fetch this year, or all years from the first to the last, such as 2015-2024; for "
+        "the current year, the hours already available from the service are fetched",
     )
     parser.add_argument(
         "-o", "--output", type=Path, required=True, metavar="FILE.csv",
@@ -90,7 +90,7 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--url", default="",
-        help="fetch from another server with the same interface, if necessary with a key, such as "
+        help="fetch from another server with the same API, with an API key if necessary, such as "
         "https://customer-archive-api.open-meteo.com/v1/archive?apikey=KEY; the key is neither "
         "printed nor stored (default: the service's own address)",
     )
@@ -157,8 +157,8 @@ def main() -> int:
             print(f"error: {error}", file=sys.stderr)
         if 0 < kept < len(source.blocks):
             print(
-                f"{kept} of {len(source.blocks)} parts are kept in {part}; run the same command "
-                "again to fetch the others", file=sys.stderr,
+                f"{kept} of {len(source.blocks)} parts have been saved in {part}; run the same "
+                "command again to fetch the rest", file=sys.stderr,
             )
         if isinstance(error, ServiceError):
             return EXIT_FAILED

@@ -1,4 +1,4 @@
-"""Write a site file from a few answers: ``greenroof new-site``."""
+"""Write a site file from the answers to a few questions: ``greenroof new-site``."""
 
 from __future__ import annotations
 
@@ -54,10 +54,9 @@ _SOUTH, _NORTH = -60.0, 79.0
 _MAX_FROM_SOLAR, _USUAL_FROM_SOLAR = 3.5, 1.6
 
 _DESCRIPTION = """\
-Write a site file for your house. On a terminal, the command asks for --roof,
---catchment, --cistern and --place if they are left out. Everything else is assumed,
-and the file names the source of every assumption. Read the file, and change the values
-that you know better.
+Write a site file for your house. On a terminal, the command asks for --roof, --catchment, --cistern
+and --place if they are left out. Everything else is assumed, and the file states the source of
+every assumption. Read the file, and replace assumed values with your own where you know them.
 """
 _EPILOG = f"""\
 examples:
@@ -71,12 +70,12 @@ substrates:
 {chr(10).join(textwrap.fill(f"{name}: {each.about}", 78, initial_indent="  ",
               subsequent_indent="    ") for name, each in SUBSTRATES.items())}
 
-exit codes: 0 done, 2 wrong usage or answers, 130 stopped with Ctrl-C
+exit codes: 0 done, 2 bad usage or answers, 130 interrupted
 """
 
 
 class Place(NamedTuple):
-    """A place on earth (degrees)."""
+    """A location on Earth (degrees)."""
 
     latitude: float
     longitude: float
@@ -118,16 +117,16 @@ def make_parser() -> Parser:
     )
     group.add_argument(
         "--time-zone", type=_read_zone, metavar="NAME",
-        help="IANA name of the time zone, such as America/Toronto (default: the one stated in the "
+        help="IANA time zone, such as America/Toronto (default: the time zone stated in the "
         "weather file)",
     )
     group.add_argument(
         "--valve", action="store_true",
-        help="fit a valve to a low outlet, which empties the cistern before rain",
+        help="add a low outlet with a valve, which drains the cistern before rain",
     )
     group.add_argument(
         "--no-mains", action="store_true",
-        help="do not let mains water into the cistern when it is empty",
+        help="do not top up an empty cistern with mains water",
     )
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("my_site.yaml"), metavar="FILE.yaml",
@@ -161,7 +160,7 @@ def _add_option(
 
 
 def _reader(key: str) -> Callable[[str], float]:
-    """Return a function that reads the number of a key from a text."""
+    """Return a function that parses the numeric value of a key."""
     entry = KEYS[key]
     return make_number_type(entry.low, entry.high, int if key == "emitters" else float)
 
@@ -172,10 +171,10 @@ def _describe_unit(entry: Parameter) -> str:
 
 
 def _read_place(text: str) -> Place:
-    """Read a place.
+    """Parse a location.
 
     Raises:
-        argparse.ArgumentTypeError: if the text is not a place, or no house can be there.
+        argparse.ArgumentTypeError: if the text is not a location, or if no house can be there.
     """
     parts = re.split(r"[,;\s]+", text.strip())
     try:
@@ -184,10 +183,10 @@ def _read_place(text: str) -> Place:
         raise argparse.ArgumentTypeError(f"must be {_PLACE_FORM}, not {text}") from None
     if not (_SOUTH <= latitude <= _NORTH and -180 <= longitude <= 180):
         swapped = _SOUTH <= longitude <= _NORTH and -180 <= latitude <= 180
-        meant = f"; is it {longitude:g},{latitude:g}?" if swapped else ""
+        meant = f"; did you mean {longitude:g},{latitude:g}?" if swapped else ""
         raise argparse.ArgumentTypeError(
-            f"must be {_PLACE_FORM}, from {_SOUTH:g} to {_NORTH:g} and from -180 to 180, not "
-            f"{text}{meant}"
+            f"must be {_PLACE_FORM}, with a latitude from {_SOUTH:g} to {_NORTH:g} and a "
+            f"longitude from -180 to 180, not {text}{meant}"
         )
     return Place(latitude, longitude)
 
@@ -223,7 +222,7 @@ def main() -> None:
         site = read_site(file)
     except ConfigurationError as error:
         raise ConfigurationError(
-            f"a site cannot be made from these answers: {error.wrong}"
+            f"no valid site file can be written from these answers: {error.wrong}"
         ) from error
     for option, key in (*_ASKED.items(), *_ASSUMED.items()):
         _note_unusual(option, KEYS[key], getattr(arguments, key))
@@ -255,7 +254,7 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
     missing = [each for each in questions if getattr(arguments, each[1]) is None]
     if missing and not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise ConfigurationError(
-            "must be specified, because there is no terminal for questions",
+            "must be specified, since there is no terminal on which to ask for missing values",
             key=", ".join(each[0] for each in missing),
         )
     for option, key, read, meaning, about in missing:
@@ -265,7 +264,9 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
             while not select.select([sys.stdin], [], [], 1.0)[0]:
                 pass
             if not (answer := sys.stdin.readline()):
-                raise ConfigurationError("is missing, because there was no answer", key=option)
+                raise ConfigurationError(
+                    "is missing, since the question was not answered", key=option
+                )
             try:
                 setattr(arguments, key, read(answer.strip()))
             except argparse.ArgumentTypeError as error:
@@ -273,7 +274,7 @@ def _ask_what_is_missing(arguments: argparse.Namespace) -> None:
 
 
 def _collect(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the values of the options and answers, by the keys of a site file."""
+    """Return the values of the options and answers by site-file key."""
     keys = (*_ASKED.values(), *_ASSUMED.values(), "time_zone", "d")
     given = {key: value for key in keys if (value := getattr(arguments, key)) is not None}
     if arguments.target is not None:
@@ -282,11 +283,11 @@ def _collect(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _check_flow(arguments: argparse.Namespace) -> None:
-    """Reject a pump's flow that is specified in more than one way, or incompletely.
+    """Reject a pump flow that is specified in more than one way or incompletely.
 
     Raises:
-        ConfigurationError: if the flow is specified twice, or if one of a pair of options is
-            missing.
+        ConfigurationError: if the flow is specified twice, or if only one of a pair of options is
+            given.
     """
     emitters = ("emitters", "emitter_flow")
     values = {
@@ -296,7 +297,8 @@ def _check_flow(arguments: argparse.Namespace) -> None:
     options = [f"--{key.replace('_', '-')}" for key in values]
     if len(values) > 1 and tuple(values) != emitters:
         raise ConfigurationError(
-            "all set the pump's flow: use only one of them", key=" and ".join(options)
+            "set the same quantity, the pump's flow: use only one of these "
+            "options", key=" and ".join(options)
         )
     for key, other in (emitters, emitters[::-1]):
         if key in values and other not in values:
@@ -306,14 +308,14 @@ def _check_flow(arguments: argparse.Namespace) -> None:
 
 
 def _check_clock(place: Place, zone: str | None) -> None:
-    """Reject a place that is far from its time zone, since its coordinates may be swapped.
+    """Reject a location far from its time zone, since its coordinates may be swapped.
 
     Args:
-        place: the place.
+        place: the location.
         zone: name of the time zone; None if it is not known.
 
     Raises:
-        ConfigurationError: if the place cannot be in the time zone.
+        ConfigurationError: if the location cannot be in the time zone.
     """
     if zone is None:
         return
@@ -331,17 +333,17 @@ def _check_clock(place: Place, zone: str | None) -> None:
 
 
 def _note_target(site: Site) -> Iterator[str]:
-    """Yield a note if plants lack water at the target, because the target's unit may be wrong."""
+    """Yield a note if plants lack water at the target, since the target's unit may be wrong."""
     onset = site.wilting_volume + site.stress_onset * site.available_volume
     if site.x2_star < onset:
         yield (
-            f"plants lack water at the target of {1000 * site.z_veg:g} mm; they begin to lack "
-            f"water at {1000 * site.roof_level(onset):.1f} mm"
+            f"plants lack water at the target of {1000 * site.z_veg:g} mm; water stress begins "
+            f"at {1000 * site.roof_level(onset):.1f} mm"
         )
 
 
 def _note_unusual(option: str, entry: Parameter, value: Any) -> None:
-    """Print a note about a number far outside its usual range, because its unit may be wrong.
+    """Print a note about a number far outside its usual range, since its unit may be wrong.
 
     Args:
         option: name of the option, without dashes.

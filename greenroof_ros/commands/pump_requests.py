@@ -33,18 +33,18 @@ _POLL_S = 0.1
 # Longest hold with an end (h): ten years.
 _MAX_HOLD_H = 87_600
 _QUESTION = (
-    "The pump may start as soon as the fault is cleared. Has its cause been remedied, and is no "
-    "one working on the pump? [y/N] "
+    "The pump may start as soon as the fault is cleared. Have you remedied its cause, and made "
+    "sure that no one is working on the pump? [y/N] "
 )
 
 
 @dataclass(frozen=True)
 class PumpRequest:
-    """A command that makes one request to the pump node, and prints the outcome.
+    """A command that sends one request to the pump node, and prints the outcome.
 
     Attributes:
         name: name of the command.
-        done: state of the pump after a granted request, for the list of exit codes.
+        done: state of the pump after a successful request, for the list of exit codes.
         description: description for the help.
         request: function that makes the request, given the command line and the nodes' reports, and
             returns the outcome.
@@ -95,8 +95,8 @@ def _add_hold_options(parser: Parser) -> None:
     end = parser.add_mutually_exclusive_group()
     end.add_argument(
         "--until", type=_parse_future_time, metavar="TIME",
-        help="end the hold at this future time (ISO 8601), such as 2026-12-24T08:00-05:00; without "
-        "an offset from UTC, the time is on this machine's clock (default: no end)",
+        help="end the hold at this future time (ISO 8601), such as 2026-12-24T08:00-05:00; a "
+        "time without a UTC offset is this machine's local time (default: no end)",
     )
     end.add_argument(
         "--for", dest="hours", type=make_number_type(0.001, _MAX_HOLD_H), metavar="HOURS",
@@ -104,12 +104,12 @@ def _add_hold_options(parser: Parser) -> None:
     )
     parser.add_argument(
         "--reason", default="", metavar="TEXT",
-        help="show this reason with the hold (default: none)",
+        help="state this reason for the hold (default: none)",
     )
 
 
 def _parse_future_time(text: str) -> float:
-    """Return a future time (s since 1970); in an hour that the clock repeats, the later time."""
+    """Return a future time (s since 1970); of two times with the same clock reading, the later."""
     try:
         end = max(parse_time(text).replace(fold=fold).astimezone() for fold in (0, 1))
     except ValueError:
@@ -193,7 +193,7 @@ def _reset(client: GraphClient, arguments: argparse.Namespace, reports: Registry
 
 
 def _ask_to_confirm() -> bool:
-    """Ask for confirmation on the terminal; no answer counts as no."""
+    """Ask for confirmation on the terminal; treat a missing answer as no."""
     try:
         return input(_QUESTION).strip().lower() in ("y", "yes")
     except EOFError:
@@ -204,8 +204,8 @@ def _ask_to_confirm() -> bool:
 HOLD = PumpRequest(
     "hold", "held",
     "Keep the pump off, regardless of its command and even after a restart, until 'greenroof "
-    "release' or a given time. There is only one hold at a time: a new hold replaces the owner and "
-    "the reason of an earlier hold, and never ends sooner than the earlier hold.",
+    "release' or a given time. There is only one hold at a time: a new hold replaces the owner "
+    "and the reason of the earlier hold, but never ends before the earlier hold would have ended.",
     _hold, _add_hold_options,
     "examples:\n  greenroof hold --reason 'the roof is being repaired'\n"
     "  greenroof hold --until 2026-12-24T08:00\n  greenroof hold --for 48\n\n",
@@ -218,17 +218,19 @@ RELEASE = PumpRequest(
 )
 RESET = PumpRequest(
     "reset", "cleared",
-    "Clear a latched fault of the pump, in the pump node and in its drive, once the cause of the "
-    "fault is remedied. The command is for the person at the pump, and asks for confirmation "
-    "first. A hold remains until 'greenroof release'. After a reset, the pump starts when the "
+    "Clear a latched fault of the pump, in the pump node and in the drive, once the cause of the "
+    "fault has been remedied. The command is intended for a person standing at the pump, and "
+    "asks for confirmation first. A hold stays in force until 'greenroof release'. After a "
+    "reset, the pump starts when the "
     "controller requires it and nothing else keeps it off.",
     _reset, _add_reset_options,
 )
 DOSE = PumpRequest(
     "dose", "delivered",
     "Deliver a volume now, regardless of the controller's command, if the site file allows "
-    "doses (max_dose) and no interlock is active. A dose never fills the roof above its target. An "
-    "interlock ends a dose permanently, and so does a pump that cannot start within a minute. "
-    "Ctrl-C ends this command but not the dose; to end the dose, stop the pump.",
+    "doses (max_dose) and no interlock is active. A dose never fills the roof above its target. "
+    "If an interlock becomes active, or if the pump cannot start within a minute, the dose is "
+    "abandoned and does not resume. Ctrl-C ends this command but not the dose; to end the dose, "
+    "stop the pump.",
     _dose, _add_dose_options, "example:\n  greenroof dose --volume 0.2\n\n",
 )

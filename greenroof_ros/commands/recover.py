@@ -32,7 +32,7 @@ class Recovered(NamedTuple):
     Attributes:
         bag: the new bag.
         messages: number of messages in the new bag.
-        losses: descriptions of the losses, in one sentence each.
+        losses: descriptions of the losses, one sentence each.
     """
 
     bag: Path
@@ -55,7 +55,7 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
     files = find_files(bag) or sorted(bag.glob("*.mcap"))  # other recorders may not number them
     if not files:
         raise ConfigurationError(
-            "must be the directory of a run or its bag, but contains no .mcap file", file=directory
+            "must be a run directory or a bag, but contains no .mcap file", file=directory
         )
     target = output or name_recovered_bag(bag)
     if target.exists():
@@ -90,7 +90,7 @@ def recover(directory: Path, output: Path | None = None) -> Recovered:
 
 
 def _count_recorded(bag: Path) -> dict[str, int]:
-    """Return the number of messages in each closed file, from the bag's metadata if intact."""
+    """Return the number of messages in each closed file, if the bag's metadata are intact."""
     with suppress(ConfigurationError, KeyError, TypeError, ValueError):
         about = read_yaml(bag / METADATA)["rosbag2_bagfile_information"]
         return {str(file["path"]): int(file["message_count"]) for file in about["files"]}
@@ -140,7 +140,7 @@ def _copy_file(file: Path, copy: Path) -> tuple[int, list[str]]:
 
 
 def _describe_loss(file: Path, size: int, before: int | None, after: int | None) -> str:
-    """Describe a loss, given the times of the messages before and after it (ns)."""
+    """Describe a loss, given the times of the messages before and after the loss (ns)."""
     start = "the beginning" if before is None else to_people(from_epoch_ns(before))
     end = "the end" if after is None else to_people(from_epoch_ns(after))
     return f"{file.name}: {size} bytes are lost between {start} and {end}"
@@ -152,13 +152,13 @@ def make_parser() -> Parser:
         prog="greenroof recover",
         description="Repair a damaged bag, or the bag of a run that was killed or ran out of disk "
         "space. All intact data are copied to a new bag next to the old bag, which is left "
-        "unchanged. A report on the run then uses the new bag.",
+        "unchanged. A later report on the run uses the new bag.",
         epilog="exit codes: 0 the new bag contains all recorded data, 1 some data were lost, as "
-        "the messages state, 2 nothing could be recovered, or bad usage",
+        "stated in the output, 2 nothing could be recovered, or bad usage",
     )
     parser.add_argument(
         "directory", type=Path, metavar="DIR",
-        help="bag to repair, or run directory with the bag to repair",
+        help="bag to repair, or run directory that contains the bag to repair",
     )
     parser.add_argument(
         "--output", type=Path, metavar="BAG",

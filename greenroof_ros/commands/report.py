@@ -1,4 +1,4 @@
-"""A report on runs: ``greenroof report PATH [PATH ...]``."""
+"""Evaluate and plot runs in a report: ``greenroof report PATH [PATH ...]``."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from greenroof_ros.experiment.run_directory import writable
 _PAGE = "report.html"
 
 _DESCRIPTION = """\
-Evaluate and plot runs on one page that needs nothing but a browser. The page contains figures of
-deviation, levels and flows, and tables of deviation, water balance, energy and pump starts.
+Evaluate and plot runs on a single page that can be viewed in any browser. The page contains figures
+of deviation, levels and flows, and tables of deviation, water balance, energy and pump starts.
 """
 _EPILOG = """\
-The output consists of report.html, and all figures as SVG and PNG in figures/. A bag needs
-/cistern/level, /roof/level, /pump/command and /pump/flow, possibly in a namespace. Any other topic
-that is missing is treated as 0, and the report notes this. The pumps' efficiency is the site's
-pump_efficiency.
+The output consists of report.html, and all figures as SVG and PNG in figures/. A bag must contain
+/cistern/level, /roof/level, /pump/command and /pump/flow, possibly in a namespace. If any other
+topic is missing, its values are taken to be 0, and the report notes this. The pumps' efficiency is
+taken from pump_efficiency in the site file.
 
 examples:
   greenroof report studies/paper                   a study
@@ -40,13 +40,13 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH",
-        help="directory of a study, a run or a bag, or an .mcap file",
+        help="directory of a study or a run, a bag, or an .mcap file",
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="write the report to this directory, which may be new or empty, or hold an earlier "
-        "report, which is replaced. A directory with other files is rejected (default: report in "
-        "the first PATH)",
+        help="write the report to this directory, which may be new or empty, or may contain an "
+        "earlier report, which is replaced. A directory with other files is rejected (default: "
+        "report in the first PATH)",
     )
     parser.add_argument(
         "--site", type=Path, metavar="FILE",
@@ -61,7 +61,7 @@ def _former_figures(directory: Path, own: Callable[[str], bool]) -> list[Path]:
 
     Args:
         directory: directory of the new report.
-        own: function that returns whether a file name in ``figures/`` is that of a report's figure.
+        own: function that tells whether a file name in ``figures/`` is that of a report figure.
 
     Raises:
         ConfigurationError: if the directory contains other files.
@@ -71,7 +71,7 @@ def _former_figures(directory: Path, own: Callable[[str], bool]) -> list[Path]:
     others += [file for file in figures.glob("*") if not (file.is_file() and own(file.name))]
     if others:
         raise ConfigurationError(
-            f"contains {min(others).relative_to(directory)}, which does not belong to a report; "
+            f"contains {min(others).relative_to(directory)}, which is not part of a report; "
             "choose another directory", key="--output", value=str(directory),
         )
     return list(figures.glob("*"))
@@ -103,7 +103,7 @@ def main() -> None:
             file.unlink()
     for run in report.runs:
         if run.row.get("ended"):
-            print(f"{run.name} {run.row['ended']}; all results are for the recorded part only")
+            print(f"{run.name} {run.row['ended']}; all results cover only the recorded part")
     if report.failed:
-        print(f"runs that failed or did not run: {len(report.failed)}; the report lists them")
+        print(f"runs that failed or were not started: {len(report.failed)}; the report lists them")
     print(f"written to {output.resolve() / _PAGE}")

@@ -1,4 +1,4 @@
-"""Simulates a run in one process, without ROS: ``greenroof simulate``."""
+"""Simulate a run in one process, without ROS: ``greenroof simulate``."""
 
 from __future__ import annotations
 
@@ -36,27 +36,29 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof simulate",
         usage="%(prog)s [options]",
-        description="Run cistern, roof, pumps and controller with real weather in one process, "
-        "without ROS. The numbers equal those of the node graph (greenroof run), bit for bit.",
+        description="Simulate the cistern, roof, pumps and controller with real weather "
+        "in a single process, without ROS. The results are bit-for-bit identical to those of the "
+        "node graph (greenroof run).",
         epilog="examples:\n"
         "  greenroof simulate --controller lookahead --horizon 12 --trajectory\n"
         "  greenroof simulate --start 2021-07-08T05:00 --hours 6 --trajectory\n"
         "  greenroof simulate --controller lookahead --horizon 24 \\\n"
         "      --forecast errors --forecast-skill real --forecast-seed 3\n"
         "  greenroof simulate --weather 'hourly_*.csv' --start 2021-07-01\n\n"
-        "exit codes: 0 done, 2 bad usage, configuration or code of a controller, 130 interrupted",
+        "exit codes: 0 done, 2 bad usage or configuration, or error in a controller's code, 130 "
+        "interrupted",
     )
     add_run_arguments(parser)
     group = add_output_arguments(parser)
     group.add_argument(
         "--trajectory", action="store_true",
-        help="write every tick from 0 to N, with exact numbers, to trajectory.csv in the run's "
-        "directory; greenroof report draws its figures from this file",
+        help="write every tick from 0 to N, with numbers in full precision, to trajectory.csv in "
+        "the run's directory; greenroof report draws its figures from this file",
     )
     group.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
         help="write only one tick every S seconds, and the last tick, instead of all ticks. At a "
-        "hundred bytes per tick, all ticks of a year take gigabytes",
+        "hundred bytes per tick, all ticks of a year take up gigabytes",
     )
     return parser
 
@@ -85,7 +87,7 @@ def main() -> None:
 
 @contextmanager
 def _described(run: Run, simulation: Simulation, directory: Path) -> Iterator[None]:
-    """Keep a summary of an unfinished run: its status, and the reason if it ended early."""
+    """Keep a summary of an unfinished run: its status, and the reason for an early end."""
     def write(status: str, reason: str | None = None) -> None:
         last = simulation.site.tick - 1
         summary.write(summary.make_unfinished_summary(

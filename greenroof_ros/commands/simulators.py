@@ -34,18 +34,18 @@ def make_parser() -> Parser:
         usage="%(prog)s [options]",
         description="Simulate the devices of a live site in real time: cistern and roof with their "
         "sensors on Modbus or MQTT, and the pump with its drive on Modbus or its relay on MQTT. "
-        "Registers, control word, ramp, fault codes and communication timeout are those of the "
-        "make that the drive file describes. The air temperature is 15 degC.",
+        "The registers, control word, ramp, fault codes and communication timeout are those of "
+        "the make described by the drive file. The air temperature is 15 degC.",
         epilog="examples:\n"
         "  greenroof simulators site\n"
         "  greenroof simulators site --drive abb_acs880 --at gateway://127.0.0.1:5020\n"
         "  greenroof simulators site --drive tasmota --at mqtt://127.0.0.1/roof-pump\n\n"
-        "The first line states that the simulator is ready, and its addresses. Ctrl-C stops the "
-        "simulator.\n\n"
-        "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 wrong usage or configuration",
+        "The first line of output states that the simulator is ready, and lists its addresses. "
+        "Ctrl-C stops the simulator.\n\n"
+        "exit codes: 0 ended by Ctrl-C or SIGTERM, 2 bad usage or configuration",
     )
     devices = parser.add_argument_group(
-        "devices", "Anyone who can reach the devices' addresses can operate the devices.",
+        "devices", "Anyone who can reach the addresses of the simulated devices can operate them.",
     )
     devices.add_argument(
         "--drive", default="danfoss_fc202", metavar="NAME",
@@ -64,7 +64,7 @@ def make_parser() -> Parser:
     )
     add_site_arguments(parser.add_argument_group(
         "the site",
-        "After --hours, the simulator continues with the last values of the weather.",
+        "After --hours, the simulator continues with the last weather values.",
     ))
     return parser
 

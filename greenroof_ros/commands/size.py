@@ -38,12 +38,12 @@ of the irrigation that the cistern meets and by the storm water that it keeps ou
 result is a sentence, a page for a client, and a table. No forecast is used.
 """
 _EPILOG = """\
-The outlets are none; drain, a valve that empties the cistern to a reserve in dry weather; and plan,
-a valve that keeps the water that the roof needs for 20 days. A mains top-up or an outlet
+The outlets are: none; drain, a valve that drains the cistern down to a reserve in dry weather; and
+plan, a valve that retains the water that the roof needs for 20 days. A mains top-up or an outlet
 valve that the site file lacks is assumed, and the results state this.
 
-The output is sizes.html, which can be printed as a PDF, sizes.csv with one row per design and
-season, and the figures as SVG and PNG.
+The output consists of sizes.html, which can be printed to PDF, sizes.csv with one row per design
+and season, and the figures as SVG and PNG.
 
 exit codes: 0 done, 1 a process was lost, 2 bad usage or configuration, 130 interrupted
 
@@ -76,43 +76,43 @@ def make_parser() -> Parser:
     group.add_argument(
         "--volumes", nargs="+", type=make_number_type(VOLUMES.low, VOLUMES.high), metavar="M3",
         help="compare cisterns of these volumes up to the overflow (m3; default: eight preferred "
-        "numbers, equal to about 4 to 100 mm of rain on roof and catchment)",
+        "numbers, equivalent to about 4 to 100 mm of rain on the roof and catchment)",
     )
     group.add_argument(
         "--targets", nargs="+", type=make_number_type(TARGETS.low, TARGETS.high), metavar="MM",
-        help="compare these depths of water to keep on the roof (mm; default: z_veg of the site, "
-        "and the depths 4 mm, one day's irrigation, below and above z_veg)",
+        help="compare these target depths of water on the roof (mm; default: the site's z_veg, "
+        "and the depths 4 mm, or one day's irrigation, below and above z_veg)",
     )
     group.add_argument(
         "--outlets", nargs="+", choices=OUTLETS,
-        help="compare these kinds of outlet of the cistern (default: all)",
+        help="compare these types of cistern outlet (default: all)",
     )
     group = parser.add_argument_group("value of a larger cistern")
     group.add_argument(
         "--knee", type=make_number_type(KNEE_RANGE.low, KNEE_RANGE.high), metavar="M3",
-        help="recommend the smallest cistern for which one more m3 would save less than this "
-        "amount of mains water and storm water in the sewer per season (m3; default: "
-        f"{KNEE:g}, one filling). If there are prices, the smallest cistern is recommended for "
-        "which one more m3 would save less than it costs",
+        help="recommend the smallest cistern for which an additional m3 would save less than "
+        "this amount per season of mains water and of storm water in the sewer (m3; default: "
+        f"{KNEE:g}, one filling). If prices are given, the recommended cistern is the smallest "
+        "one for which an additional m3 would save less than it costs",
     )
     for parameter in PRICES.values():
         add_option(group, parameter)
     group = parser.add_argument_group("output and pace")
     group.add_argument(
         "--output", type=Path, default=Path("sizes"), metavar="DIR",
-        help=f"write {PAGE}, {TABLE} and the figures to DIR, which may be new or empty, or hold an "
-        "earlier sizing (default: %(default)s)",
+        help=f"write {PAGE}, {TABLE} and the figures to DIR, which may be new or empty, or may "
+        "contain an earlier sizing (default: %(default)s)",
     )
     group.add_argument(
         "--jobs", type=make_number_type(JOBS.low, JOBS.high, int), metavar="N",
-        help="run N processes (default: one per core)",
+        help="run N processes in parallel (default: one per core)",
     )
     return parser
 
 
 @command
 def main() -> int:
-    """Size the cistern of the site on the command line."""
+    """Size the cistern of the site named on the command line."""
     arguments = make_parser().parse_args()
     with require_extra("study"):
         import altair  # noqa: F401 - before the runs, not after them
@@ -136,23 +136,24 @@ def main() -> int:
 
 
 def _refuse_other_files(directory: Path) -> None:
-    """Reject a directory with files that no sizing has written.
+    """Reject a directory that contains files from anything but a sizing.
 
     Raises:
-        ConfigurationError: if there is such a file, or the directory cannot be written to.
+        ConfigurationError: if the directory contains other files or cannot be written to.
     """
     with writable(directory):
         directory.mkdir(parents=True, exist_ok=True)
         others = [file.name for file in directory.iterdir() if not file.name.startswith("sizes")]
     if others:
         raise ConfigurationError(
-            f"holds {min(others)}, which is not the result of a sizing; choose another directory",
+            f"contains {min(others)}, which is not the result of a sizing; choose another "
+            "directory",
             key="--output", value=str(directory),
         )
 
 
 def show(sizes: Sizes, page: Path) -> None:
-    """Print the sentence and the designs with the recommended target."""
+    """Print the recommendation and the designs with the recommended target."""
     console, own = Console(), sizes.recommended
     console.print(sizes.sentence, style="bold", highlight=False)
     seasons = sizes.seasons[0]
@@ -192,7 +193,7 @@ def show(sizes: Sizes, page: Path) -> None:
     if others:
         many = "s" * (len(others) > 1)
         console.print(
-            f"The page also shows the tables for the target{many} {', '.join(others)}.",
+            f"The page also contains the tables for the target{many} {', '.join(others)}.",
             highlight=False,
         )
     console.print(f"written to {page} and {TABLE}", soft_wrap=True, highlight=False)

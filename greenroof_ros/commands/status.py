@@ -1,4 +1,4 @@
-"""Print the present state of a run or a site, and exit with a code: ``greenroof status``."""
+"""Print the current state of a run or a site, and exit with a code: ``greenroof status``."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ _TILES = "roof", "cistern", "pump", "rain", "controller"
 # For a pump that should be off: its drive reports standstill, or its timeout must have stopped it.
 _STANDS = {
     True: "stopped, according to the drive",
-    False: "the pump may still turn; if it should be off, stop it at the drive or the main switch",
+    False: "the pump may still be turning; if it should be off, stop it at the drive or the main "
+    "switch",
     None: "",
 }
 _LEVELS = {"error": "Alarm", "warn": "Warning", "stale": "Not responding"}
 
 _DESCRIPTION = """\
-Print the present state of the run or the site in this ROS domain: levels, pump, rain and forecast,
-controller and alarms, in at most 15 lines, in the same words as the page of 'greenroof watch'. The
-command only subscribes, for 2 s after it has found a node, or for 5 s if values are missing or no
-graph is running.
+Print the current state of the run or the site in this ROS domain: levels, pump, rain and forecast,
+controller and alarms, in at most 15 lines with the same wording as the page of 'greenroof watch'.
+The command publishes nothing. It listens for 2 s after it has found a node, or for 5 s if values
+are missing or no graph is running.
 """
 _EPILOG = """\
 examples:
@@ -41,8 +42,8 @@ examples:
   ssh pi@roof greenroof status          from another machine
   greenroof status --namespace site1
 
-exit codes, as for monitoring plug-ins: 0 all is well, 1 warning, 2 alarm, 3 no graph is running, or
-the command failed or was used wrongly
+exit codes, as used by monitoring plug-ins: 0 all is well, 1 warning, 2 alarm, 3 no graph is
+running, the command failed, or bad usage
 """
 
 
@@ -72,7 +73,7 @@ def main() -> int:
 
 
 def _read_status(store: GraphStore) -> dict[str, Any]:
-    """Return the document once all values are known, or after the maximum time."""
+    """Return the document once all values are known, or once the time limit has passed."""
     began, first = time.monotonic(), None
     while True:
         time.sleep(_POLL_S)
@@ -94,8 +95,8 @@ def _judge(shown: Mapping[str, Any]) -> int:
     """Return the exit code, based on the alarms and on unknown values that no node reports.
 
     At a live site, an unknown value is an alarm, since a node that died before this command started
-    sends nothing, and a pump about which nothing is known may be running. A level out of its range
-    is not in itself an alarm, since a controller that waits for rain lets the roof dry.
+    sends nothing, and a pump in an unknown state may be running. A level outside its range is not
+    in itself an alarm, since a controller that is waiting for rain lets the roof dry out.
     """
     mode, tiles = shown["mode"], shown["tiles"]
     unknown = _find_unknown(shown) - {"rain"}

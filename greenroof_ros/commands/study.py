@@ -1,4 +1,4 @@
-"""Run many simulations from one grid: ``greenroof study``."""
+"""Run all simulations of a grid: ``greenroof study``."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ grid in parallel, and collect the results in one table, results.csv. Without a g
 runs the paper's 30 runs. If the command is interrupted or killed, run it again to continue.
 """
 _EPILOG = """\
-exit codes: 0 done, 1 a run failed (the others are in the table) or the workers are gone (run
-the same command to continue), 2 bad usage or configuration, 130 interrupted
+exit codes: 0 done, 1 a run failed (the other runs are in the table) or the workers were lost (run
+the same command again to continue), 2 bad usage or configuration, 130 interrupted
 
 examples:
   greenroof study                         the paper's 30 runs
@@ -87,27 +87,26 @@ def make_parser() -> Parser:
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
-        help="write the study to this directory, which may be new or hold a study that was begun "
-             "earlier (default: a directory in studies/ with the grid's name)",
+        help="write the study to this directory, which may be new or may contain a study that "
+        "was started earlier (default: a directory in studies/ with the grid's name)",
     )
     parser.add_argument(
         "--weather", type=Path, metavar="DIR",
-        help="directory in which to look for weather files that the grid names but that are not "
-        "next to the grid file, such as the record of several years for "
-        "config/studies/seasons.yaml",
+        help="look in this directory for weather files that are named in the grid but are not "
+        "next to the grid file, such as the multi-year record for config/studies/seasons.yaml",
     )
     add_worker_arguments(parser, "runs")
     trajectories = parser.add_mutually_exclusive_group()
     trajectories.add_argument(
         "--trajectory-every", type=make_number_type(0, 1e9), default=0.0, metavar="S",
         help="keep a sample of each run every S seconds, a whole number of ticks (default: every "
-        "tick). If all one-second ticks are kept, half a year takes a gigabyte of memory",
+        "tick). If all one-second ticks are kept, half a year takes up a gigabyte of memory",
     )
     trajectories.add_argument(
         "--no-trajectories", action="store_true",
-        help="keep only the table and the rain events, for studies of thousands of runs. Runs of "
-        "onoff with ticks of about a minute are then usually several times as fast, but a report "
-        "has no figures of weather, commands and volumes",
+        help="keep only the table and the rain events, for studies with thousands of runs. Runs "
+        "of onoff with ticks of about a minute are then usually several times as fast, but a "
+        "report contains no figures of weather, commands and volumes",
     )
     return parser
 
@@ -169,7 +168,7 @@ def _run(
     store: StudyStore, cases: Sequence[Case], bounds: Sequence[_Bound], workers: Workers,
     signals: Signals,
 ) -> None:
-    """Run some cases and compute some bounds; store each result as it arrives."""
+    """Run the given cases and compute the given bounds; store each result as it arrives."""
     names = Names(store.cases)
     groups = group_cases(cases, workers.slots, store.trajectory_every)
     # The longest first, or at the end one core may have a long run while the others are idle.
@@ -222,7 +221,7 @@ def _run(
 def _report_failure(
     store: StudyStore, names: Names, case: Case, error: Exception, *, is_run: bool
 ) -> None:
-    """Print the reason for a failed run or a missing bound; keep that of a run for the table."""
+    """Print the reason for a failed run or a missing bound; keep a run's reason for the table."""
     what, reason = "no bound", str(error) or type(error).__name__
     if is_run:  # a missing bound is no failure
         what, store.failures[case.identity] = "failed", reason
@@ -232,7 +231,7 @@ def _report_failure(
 
 
 def show(rows: Sequence[Mapping[str, Any]], directory: Path) -> None:
-    """Print mean deviations for each window, with cases as rows and initial states as columns.
+    """Print the mean deviations for each window, with cases as rows and initial states as columns.
 
     Args:
         rows: rows of the study's ``results.csv``, one for each run.

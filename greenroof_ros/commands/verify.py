@@ -1,4 +1,4 @@
-"""Compares forecasts with records: ``greenroof verify FORECASTS --weather FILE``."""
+"""Compare forecasts with records: ``greenroof verify FORECASTS --weather FILE``."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from greenroof_ros.model.site import read_site
 from greenroof_ros.weather.reading import find_files, read_weather
 
 _DESCRIPTION = """\
-Score rain forecasts against records, by lead time and by the number of hours over which rain is
-summed. Sums from a given amount on are also scored as events. FORECASTS is an archive: a file or a
-directory of files, as for --forecast of simulate.
+Score rain forecasts against records, by lead time and by the number of hours over which the rain is
+summed. Sums that reach a given amount are also scored as events. FORECASTS is an archive: a file or
+a directory of files, as for the option --forecast of simulate.
 """
 _EPILOG = """\
   bias   forecast rain divided by observed rain
@@ -43,8 +43,8 @@ _EPILOG = """\
   FAR    false alarm ratio: share of the forecast events that did not occur
   ETS    equitable threat score: 1 is perfect, 0 is no skill
   Brier  mean squared error of the event's probability
-  CRPS   error of the whole distribution (mm), in its fair form, comparable for
-         any number of members; for a single forecast, the mean error
+  CRPS error of the whole distribution (mm), in its fair form, comparable for
+         any number of members; for a single forecast, the mean absolute error
 
 For an ensemble, the first five scores use member 0, and the last two use all members.
 
@@ -67,25 +67,25 @@ def make_parser() -> Parser:
     parser.add_argument("forecasts", type=Path, metavar="FORECASTS", help="archive")
     parser.add_argument(
         "--weather", nargs="+", required=True, metavar="FILE",
-        help="records of rain: weather files as for simulate, or a glob pattern in quotes; missing "
+        help="rain records: weather files, as for simulate, or a glob pattern in quotes; missing "
         "hours are left out",
     )
-    add_site(parser, "take the place from this site file")
+    add_site(parser, "use the location in this site file")
     whole_hours = make_number_type(1, _MAX_HOURS, int)
     parser.add_argument(
         "--sums", type=whole_hours, nargs="+", metavar="H",
-        help="score sums of rain over these numbers of hours (default: 1, 6, 12 and 24, if they "
-             "divide --lead)",
+        help="score rain totals over these numbers of hours (default: those of 1, 6, 12 and 24 "
+        "that divide --lead)",
     )
     parser.add_argument(
         "--events", type=make_number_type(1e-3, 1e3), nargs="+", metavar="MM",
-        help="amount from which a sum counts as an event (mm), one for each of --sums (default: "
-             "1, 2, 3 and 5)",
+        help="amounts from which sums count as events (mm), one for each value of --sums "
+        "(default: 1, 2, 3 and 5)",
     )
     parser.add_argument(
         "--lead", type=whole_hours, default=24, metavar="H",
-        help="number of hours of lead time that are scored together, a multiple of every sum "
-        "(default: %(default)s, one day)",
+        help="length of the blocks of lead time that are scored together (h), a multiple of "
+        "every value of --sums (default: %(default)s, one day)",
     )
     parser.add_argument(
         "--horizon", type=whole_hours, default=120, metavar="H",
@@ -117,12 +117,12 @@ def main() -> None:
     with ProgressBar() as progress:
         tallies = tally_pairs(
             forecasts, weather.precipitation, arguments.lead, sums,
-            lambda done: progress.show(f"verifying: {done} of {count} issues", done / count),
+            lambda done: progress.show(f"verifying: {done} of {count} forecasts", done / count),
         )
     span = f"{to_people(weather.first)} to {to_people(weather.end)}"
     if not any(of_class.scores().n for of_class in tallies.values()):
         raise ConfigurationError(
-            f"have no complete sum in common with the records: the forecasts cover "
+            f"include no complete sum in the period of the records: the forecasts cover "
             f"{forecasts.span}, and the records cover {span}",
             file=arguments.forecasts, key="FORECASTS", value=str(arguments.forecasts),
         )
@@ -133,7 +133,7 @@ def main() -> None:
             arguments.output.write_text(_write_csv(tallies), encoding="utf-8")
     console = Console()
     console.print(_make_table(
-        f"{forecasts.name}: {count} issues, compared with {weather.source}", tallies
+        f"{forecasts.name}: {count} forecasts, compared with {weather.source}", tallies
     ))
     notes = [*filter(None, [weather.rain_note]), *weather.notes, *forecasts.notes]
     if len(notes) > _MAX_NOTES:
@@ -153,14 +153,14 @@ def _read_sums(arguments: argparse.Namespace) -> list[Sum]:
         raise ConfigurationError("must be used together", key="--sums and --events")
     if len(arguments.sums) != len(arguments.events):
         raise ConfigurationError(
-            f"must have as many values as --sums, {len(arguments.sums)}, not "
+            f"must have as many values as --sums ({len(arguments.sums)}), not "
             f"{len(arguments.events)}",
             key="--events",
         )
     for hours in arguments.sums:
         if arguments.lead % hours or arguments.sums.count(hours) > 1:
             raise ConfigurationError(
-                f"must each be a divisor of --lead, {arguments.lead} h, and appear only once",
+                f"must be a divisor of --lead ({arguments.lead} h), and be given only once",
                 key="--sums", value=hours,
             )
     return [Sum(*values) for values in zip(arguments.sums, arguments.events, strict=True)]
@@ -183,7 +183,7 @@ def _make_table(title: str, tallies: Mapping[Class, Tally]) -> Table:
 
 
 def _write_csv(tallies: Mapping[Class, Tally]) -> str:
-    """Return all scores as CSV, one line per class; a cell is empty if there is no score."""
+    """Return all scores as CSV, one line per class; leave a cell empty if there is no score."""
     stream = io.StringIO()
     rows = csv.writer(stream, lineterminator="\n")
     rows.writerow(

@@ -29,13 +29,14 @@ _NICENESS = 10
 _DESCRIPTION = """\
 Show the state of the roof on a page in a browser: levels, pump, rain, the controller's plan, alarms
 and advice. The page shows any graph in this ROS domain, either live or simulated at up to 60 times
-real time. Any number of watchers may start and stop at any time, since no run waits for them. The
-page can stop the pump, and can also release it with --allow-release. With --foxglove, there is no
-page: Foxglove or Lichtblick shows the graph instead.
+real time. Any number of watchers may be started and stopped at any time, since no run waits for
+them. The page can stop the pump, and can also release it with --allow-release. With --foxglove,
+there is no page: Foxglove or Lichtblick shows the graph instead.
 
-The page shows the last week of the values that it has itself received. The values of a live site
-are saved for the next start, every 10 minutes and at the end, in $XDG_STATE_HOME/greenroof_ros or
-~/.local/state/greenroof_ros. To show the bag of a run or a site, use greenroof report.
+The page shows the values that the watcher itself has received in the past week. The values of a
+live site are saved for the next start, every 10 minutes and when the command ends, in
+$XDG_STATE_HOME/greenroof_ros or ~/.local/state/greenroof_ros. To show the bag of a run or a site,
+use greenroof report.
 
 The command prints the page's address, which only this machine can reach. From another machine, use
 an ssh tunnel:
@@ -44,9 +45,9 @@ and open http://localhost:8080 there.
 """
 _EPILOG = """\
 examples:
-  greenroof watch                       the graph that runs here
+  greenroof watch                       the graph in this ROS domain
   greenroof watch --namespace site1 --port 8081
-  greenroof watch --host 0.0.0.0        for other machines: with a token
+  greenroof watch --host 0.0.0.0        for other machines, with a token
   greenroof watch --allow-release --port 8080 --token-file token
                                         with an address that can be bookmarked
   greenroof run --speed 60 --watch      a run, and its page alongside it
@@ -69,7 +70,7 @@ def make_parser() -> Parser:
     add_namespace(parser)
     add_foxglove(
         parser, "instead of the page, serve the graph to Foxglove or Lichtblick on this machine, "
-        "at the address that is printed.",
+        "at the address printed.",
     )
     parser.add_argument(
         "--allow-release", action="store_true",
@@ -80,7 +81,7 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--host", metavar="ADDRESS",
         help="serve the page at this address, where other machines can view the page and stop the "
-        "pump; 0.0.0.0 stands for all addresses. An address that other machines can reach requires "
+        "pump; 0.0.0.0 means all addresses. An address that other machines can reach requires "
         "a token, which is printed with the address; the connection is not encrypted "
         f"(default: {LOOPBACK})",
     )
@@ -93,14 +94,14 @@ def make_parser() -> Parser:
         "--token-file", type=Path, metavar="FILE",
         help="read the page's token from this file, so that the address stays the same; the page "
         "then always requires the token. If the file does not exist, it is created with a new "
-        "token. Only the owner of the file may have access to it (default: a new token at each "
-        "start, if the page requires a token)",
+        "token. The file must be accessible only to its owner (default: if the page requires a "
+        "token, a new token at each start)",
     )
     return parser
 
 
 def _refuse_wrong(arguments: argparse.Namespace) -> None:
-    """Reject options of the page if --foxglove is given, so that there is no page.
+    """Reject options of the page if --foxglove is given, since there is then no page.
 
     Raises:
         ConfigurationError: if --foxglove is used with an option of the page.
@@ -120,18 +121,18 @@ def _find_past_file(namespace: str) -> Path:
 
 
 def _print_address(url: str, host: str, port: int | None, *, release: bool) -> None:
-    """Print the page's address, and warnings about the actions that it allows to other people."""
+    """Print the page's address, and warnings about the actions that it allows other people."""
     if port is None and f":{PORTS[0]}/" not in url:
         print(f"port {PORTS[0]} is in use, perhaps by another watcher", file=sys.stderr)
     if not is_loopback(host):
         print(
-            "anyone who has the address with its token can view the page and stop the pump; the "
-            "connection is not encrypted", file=sys.stderr,
+            "anyone who has the address, including its token, can view the page and stop the "
+            "pump; the connection is not encrypted", file=sys.stderr,
         )
     if release:
         print(
-            "anyone who has the address with its token can release the pump, and request a dose "
-            "if the site file allows it", file=sys.stderr,
+            "anyone who has the address, including its token, can release the pump, and can "
+            "request a dose if the site file allows doses", file=sys.stderr,
         )
     print(url, flush=True)
 

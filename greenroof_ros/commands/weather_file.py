@@ -1,4 +1,4 @@
-"""Describes weather files, and writes them as one plain CSV: ``greenroof weather FILE``."""
+"""Describe weather files, and write them as one plain CSV: ``greenroof weather FILE``."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from greenroof_ros.weather.reading import complete_records, find_files, read_mea
 from greenroof_ros.weather.series import Weather
 
 _DESCRIPTION = """\
-Read weather files in the same way as simulate, and describe the weather: service, place, period,
-columns, sums of rain, gaps, suspicious values, and the method by which evapotranspiration would be
-computed. Several files are joined into one record. Your own file needs only the times and a column
-'rain [mm]' with the amount of rain in the interval that begins at the time of the row. The interval
-must be regular, and at most an hour. With a column 'temperature [degC]', evapotranspiration is
-computed with Hargreaves' equation. Without a temperature, the site's monthly means are used, and
-no frost is assumed.
+Read weather files in the same way as simulate, and describe the weather: service, location, period,
+columns, rainfall totals, gaps, suspicious values, and the method by which evapotranspiration would
+be computed. If more than one file is specified, the files are joined into one record. Your own file
+needs only the times and a column 'rain [mm]' with the amount of rain in the interval that begins at
+the time of the row. The intervals must be of equal length, at most one hour. If there is a column
+'temperature [degC]', evapotranspiration is computed with Hargreaves' equation. Otherwise, the
+site's monthly means are used, and it is assumed that there is no frost.
 """
 _EPILOG = """\
 your own file:
@@ -62,15 +62,16 @@ def make_parser() -> Parser:
     parser.add_argument(
         "files", nargs="+", metavar="FILE", help="weather files, or a glob pattern in quotes"
     )
-    add_site(parser, "take place, time zone and monthly means from this site file")
+    add_site(parser, "use the location, time zone and monthly means in this site file")
     parser.add_argument(
         "-o", "--output", type=Path, metavar="FILE.csv",
-        help="write the weather to this new CSV file in this project's format, with which a run "
-        "yields the same numbers",
+        help="write the weather to this new CSV file, in this project's format; a run with this "
+        "file yields the same numbers",
     )
     parser.add_argument(
         "--stamped", choices=STAMPS,
-        help="treat the time of a row in your own file as the start or the end of its interval "
+        help="treat the time of each row in your own file as the start or the end of the row's "
+        "interval "
         "(default: end if the file has the comment 'stamped: end', otherwise start)",
     )
     return parser
@@ -143,7 +144,7 @@ def _name_formats(measured: Records) -> str:
 
 
 def _describe_places(measured: Records, site: Site) -> Iterator[tuple[str, str, str]]:
-    """Yield a row for every place in the records, with its distance from the site if known."""
+    """Yield a row for every location in the records, with its distance from the site if known."""
     for place in dict.fromkeys(measured.places.values()):
         away = ""
         if site.latitude is not None and site.longitude is not None:
@@ -158,7 +159,7 @@ def _describe_places(measured: Records, site: Site) -> Iterator[tuple[str, str, 
 
 
 def _sum_rain(measured: Records) -> Iterator[tuple[str, str, str]]:
-    """Yield the rain by month (mm) on the records' clock, or by year for long records."""
+    """Yield the rain (mm) by month, or by year for long records, on the records' clock."""
     rain = measured.values[PRECIPITATION]
     first = np.datetime64(measured.first.replace(tzinfo=None), "h")
     months = (first + np.arange(len(rain))).astype("datetime64[M]")
@@ -175,7 +176,7 @@ def _sum_rain(measured: Records) -> Iterator[tuple[str, str, str]]:
 
 
 def _describe_evapotranspiration(weather: Weather, unknown: str) -> tuple[str, str, str]:
-    """Return the row of evapotranspiration: its method and mean, or why it is unknown."""
+    """Return the row for evapotranspiration, with its method and mean, or the reason if unknown."""
     if unknown:
         return "EVAPOTRANSPIRATION", "unknown", unknown
     known = weather.evapotranspiration[~np.isnan(weather.evapotranspiration)]
@@ -187,7 +188,7 @@ def _describe_evapotranspiration(weather: Weather, unknown: str) -> tuple[str, s
 
 
 def _average_months(weather: Weather, site: Site) -> Iterator[tuple[str, str, str]]:
-    """Yield the monthly means for reference grass, as in a site file, if all are known."""
+    """Yield the monthly means for reference grass, in the form of a site file, if all are known."""
     first = np.datetime64(weather.first.replace(tzinfo=None), "h")
     months = (first + np.arange(weather.hours)).astype("datetime64[M]").astype(int) % 12
     known = ~np.isnan(weather.evapotranspiration)
@@ -203,6 +204,6 @@ def _count_missing(separator: str, missing: int) -> str:
 
 
 def _shorten(texts: Sequence[str]) -> str:
-    """Return the first few of some texts, and the number of the others."""
+    """Join the first few texts, and state the number of the others."""
     more = len(texts) - _MAX_NAMED
     return "; ".join([*texts[:_MAX_NAMED], *([f"and {more} more"] if more > 0 else [])])

@@ -45,13 +45,14 @@ BROKEN: dict[str, tuple[list[tuple[str, str]], dict[str, str]]] = {
             "before the first tick": "1 commands arrived before any input",
             "finite and not negative": r"the command is -0\.\d+ with .* on /roof/level",
             "while frost is not finite": r"the command is 0\.9\d+ with nan on /weather/frost",
-            "awaits each input": "answers before /cistern/level of the tick has arrived",
-            "ends when": "still running 10 s after /clock lost its publisher",
+            "waits for all inputs":
+                "answers before it has received the tick's message on /cistern/level",
+            "ends when": "still running 10 s after the publisher of /clock disappeared",
         },
     ),
     "by_arrival": (  # takes the first message of a tick for the level of the cistern, and so on
         [(PUBLISH, f"        tick.update(dict(zip(INPUTS, tick.values())))\n{PUBLISH}")],
-        {"awaits each input": r"the command is .* if /cistern/level comes last, but 0\.9\d+ in"},
+        {"waits for all inputs": r"the command is .* if /cistern/level comes last, but 0\.9\d+ in"},
     ),
     "poisoned": (
         [(COMMAND, f'{COMMAND} + 0.0 * sum(tick["forecast/precipitation"][-10:])')],
@@ -74,9 +75,10 @@ BROKEN: dict[str, tuple[list[tuple[str, str]], dict[str, str]]] = {
             (", durability=DurabilityPolicy.TRANSIENT_LOCAL", ""),
             ('"weather/frost": Float64,', ""), ('tick["weather/frost"] != 0 or ', ""),
         ],
-        {"topics fit": "its publisher of /pump/command is volatile; it must be reliable, transient "
-                       "local, keep last 64, with a liveliness lease of 1 s; its subscription to "
-                       "/cistern/level is volatile.*node has no subscription to /weather/frost"},
+        {"topics match": "its publisher of /pump/command is volatile; it must be reliable, "
+                       "transient local, keep last 64, with a liveliness lease of 1 s; its "
+                       "subscription to /cistern/level is volatile.*node has no subscription to "
+                       "/weather/frost"},
     ),
 }
 # Good nodes: the example, and this package's lookahead, which has a memory and limits the starts.

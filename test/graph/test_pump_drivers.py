@@ -28,7 +28,7 @@ BROKEN = {
         ),
         (
             "    flow.data = 0.0\n", "    pass\n",
-            "has stopped after", r"first command after 1\.5 s of silence.*had not stopped",
+            "of the last command", r"first command after 1\.5 s of silence.*had not stopped",
         ),
         (
             "node.commanders > 1 or", "node.commanders > 9 or",
@@ -52,7 +52,7 @@ BROKEN = {
             "states = node.create_publisher(String, 'pump/state', qos)\n"
             "said = lambda: states.publish(String(data='{\"state\": \"running\"}'))\n"
             "watchdog = node.create_timer(SILENCE, lambda: (on_silence(), said()),",
-            "has stopped after", r"/pump/state reports 'running' at the end of the silence",
+            "of the last command", r"/pump/state reports 'running' at the end of the silence",
         ),
         (
             'state["weather/frost"] != 0', 'math.isnan(state["weather/frost"])',
@@ -61,7 +61,7 @@ BROKEN = {
         (
             "SUCTION  # an unknown level",
             'SUCTION + last[0]; last[0] += state["cistern/level"] <= SUCTION  #',
-            "runs again when the cistern has filled again",
+            "runs again once the cistern has refilled",
             r"m3/s after 12 s at command 0\.5",
         ),
         (
@@ -73,7 +73,7 @@ BROKEN = {
         (
             "QoSProfile(depth=64, durability=DurabilityPolicy.TRANSIENT_LOCAL)",
             "QoSProfile(depth=64)",
-            "its topics fit the interface",
+            "its topics match the interface",
             r"publisher of /pump/flow is volatile; it must be reliable",
         ),
     ],

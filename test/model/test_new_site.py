@@ -160,8 +160,11 @@ PLACE = "must be latitude,longitude in degrees with decimal points, such as 43.6
 
 @pytest.mark.parametrize(
     ("place", "message"), [
-        ("91,0", f"{PLACE}, from -60 to 79 and from -180 to 180, not 91,0"),
-        ("-79.40,43.63", "not -79.40,43.63; is it 43.63,-79.4?"),
+        (
+            "91,0",
+            f"{PLACE}, with a latitude from -60 to 79 and a longitude from -180 to 180, not 91,0",
+        ),
+        ("-79.40,43.63", "not -79.40,43.63; did you mean 43.63,-79.4?"),
         ("43,63,-79,40", f"{PLACE}, not 43,63,-79,40"), ("43.63", f"{PLACE}, not 43.63"),
         ("43.63,-181", "from -180 to 180, not 43.63,-181"), ("nan,0", ", not nan,0"),
         ("43.63;inf", ", not 43.63;inf"), ("Toronto", f"{PLACE}, not Toronto"),
@@ -190,8 +193,8 @@ def test_forms_of_places(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("options", "message"), [
-        (GIVEN[2:], "--roof: must be specified, because there is no terminal"),
-        (GIVEN[:2], "--catchment, --cistern, --place: must be specified, because there is no"),
+        (GIVEN[2:], "--roof: must be specified, since there is no terminal"),
+        (GIVEN[:2], "--catchment, --cistern, --place: must be specified, since there is no"),
         ((*GIVEN, "--roof", "12,5"), "--roof: must be a number from 0.1 to 1000000, with a d"),
         ((*GIVEN, "--roof", "nan"), "argument --roof: must be a number from 0.1 to 1000000, not n"),
         ((*GIVEN, "--cistern", "-5"), "argument --cistern: must be a number from 0.01 to 1000"),
@@ -202,7 +205,8 @@ def test_forms_of_places(tmp_path: Path) -> None:
         ((*GIVEN, "--emitter-flow", "2"), "error: --emitter-flow = 2.0: also needs --emitters"),
         (
             (*GIVEN, "--pump-flow", "9", "--irrigation-rate", "3"),
-            "error: --pump-flow and --irrigation-rate: all set the pump's flow: use only one",
+            "error: --pump-flow and --irrigation-rate: set the same quantity, the pump's flow: use "
+            "only one",
         ),
         ((*GIVEN, "--target", "108"), "z_veg = 0.108: must be below z_soil = 0.108 m"),
         ((*GIVEN, "--time-zone", "Mars"), "--time-zone: must be the IANA name of a time zone"),
@@ -242,7 +246,7 @@ def test_a_target_at_which_plants_lack_water_is_noted(tmp_path: Path) -> None:
     """Water stress begins at 35.1 mm, and cm were meant."""
     ended = new_site(tmp_path, *GIVEN, "--target", "5")
     assert ended.stderr == (
-        "note: plants lack water at the target of 5 mm; they begin to lack water at 35.1 mm\n"
+        "note: plants lack water at the target of 5 mm; water stress begins at 35.1 mm\n"
     )
 
 
@@ -308,7 +312,7 @@ def test_questions(tmp_path: Path) -> None:
     terminal.press("Area of the green roof", "120\r")
     terminal.press("Volume of the cistern up to its overflow (m3, usually 1 to 50): ", "5\r")
     terminal.press("such as 43.63,-79.40): ", "-79.40,43.63\r")
-    terminal.press("is it 43.63,-79.4?")
+    terminal.press("did you mean 43.63,-79.4?")
     terminal.press("such as 43.63,-79.40): ", "43.63, -79.40\r")
     assert terminal.end() == 0, terminal.shown
     assert "Area that drains" not in terminal.shown
@@ -319,7 +323,7 @@ def test_questions(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("key", "code", "end"), [
     ("\x03", 130, "interrupted"),
-    ("\x04", 2, "error: --cistern: is missing, because there was no answer"),
+    ("\x04", 2, "error: --cistern: is missing, since the question was not answered"),
 ])
 def test_an_end_at_a_question(tmp_path: Path, key: str, code: int, end: str) -> None:
     """By Ctrl-C or Ctrl-D: a line, and nothing is written."""

@@ -167,7 +167,7 @@ def test_beyond_loopback_and_to_release_it_needs_its_token(domain: int, tmp_path
             token = re.fullmatch(rf"http://[^/]+:{port}/#token=([\w-]{{32}})\n", url)
             assert token, url
             tokens.append(token[1])
-            said = f"anyone who has the address with its token {warning}"
+            said = f"anyone who has the address, including its token, {warning}"
             assert not warning or said in process.stderr()
             for headers, status in (({}, 401), ({"Authorization": f"Bearer {token[1]}"}, 200)):
                 assert request(

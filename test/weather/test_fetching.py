@@ -199,7 +199,7 @@ def test_what_came_before_the_end_is_not_requested_again(service, tmp_path, ende
     if ended_by == signal.SIGINT:
         assert process.returncode == 130
         assert "Traceback" not in errors
-        assert "2 of 4 parts are kept in out.csv.part; run the same command again" in errors
+        assert "2 of 4 parts have been saved in out.csv.part; run the same command again" in errors
     done = run(service, tmp_path, "--years", "2021-2024")
     assert done.returncode == 0, done.stderr
     starts = [query["start_date"][:4] for query in service.requests]
@@ -250,7 +250,7 @@ def test_a_full_disk_is_named_and_a_larger_one_goes_on(service, tmp_path):
         done = run(service, tmp_path / "disk", "--years", "2023-2024")
         assert done.returncode == 1
         assert "No space left on device" in done.stderr
-        assert "1 of 2 parts are kept" in done.stderr
+        assert "1 of 2 parts have been saved" in done.stderr
         assert not (tmp_path / "disk" / "out.csv").exists()
 
 

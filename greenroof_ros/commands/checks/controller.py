@@ -55,7 +55,7 @@ class ControllerCheck(NodeCheck):
     inputs: ClassVar[tuple[str, ...]] = (*_LEVELS, _FROST)
     optional: ClassVar[tuple[str, ...]] = _FORECASTS
     played: ClassVar[tuple[str, ...]] = (CLOCK, *inputs, *optional, *_WEATHER)
-    peers: ClassVar[str] = "plant and weather"
+    peers: ClassVar[str] = "the plant node and the weather node"
 
     def __init__(self, node: Node, controller: str, site: Site, *, horizon: float) -> None:
         """Prepare a check.
@@ -64,7 +64,7 @@ class ControllerCheck(NodeCheck):
             node: the node that plays the controller's peers.
             controller: name of the controller's node, without namespace.
             site: site from which the levels of the check are derived.
-            horizon: length of the forecasts (h), with steps of growing length; 0 for the next M
+            horizon: length of the forecasts (h), with steps of increasing length; 0 for the next M
                 ticks.
         """
         super().__init__(node, controller, site.tau, 0.0)
@@ -102,7 +102,7 @@ class ControllerCheck(NodeCheck):
             for topic in _FORECASTS:
                 for value in _NOT_FINITE:
                     self._valid_command({topic: value})
-        with self.check("awaits each input, and sends the same command for any order of inputs"):
+        with self.check("waits for all inputs, and sends the same command whatever their order"):
             require(not self.hindered, self.hindered)
             for topic in filter(self.endpoints, (*self.inputs, *self.optional)):
                 self._publish_last(topic)
@@ -125,7 +125,7 @@ class ControllerCheck(NodeCheck):
         """Find levels and forecasts at which the controller waters the roof.
 
         Forecasts without rain, dry roofs and full cisterns are tried first, because a controller
-        that has met rain may keep its plan for hours.
+        that has seen rain in a forecast may keep its plan for hours.
         """
 
         def dryness(trial: dict[str, float]) -> tuple[float, float, float]:
@@ -137,7 +137,7 @@ class ControllerCheck(NodeCheck):
                 self._usual.update(trial)
                 self.result = f"{command:.3g}{_with(trial)}"
                 return
-        self.hindered = "not tried: no command was above 0, so a command of 0 would prove nothing"
+        self.hindered = "not checked: no command was above 0, so a command of 0 would prove nothing"
         raise BrokenRuleError("the command is 0 at all levels and forecasts")
 
     def _trials(self) -> list[dict[str, float]]:
@@ -147,7 +147,7 @@ class ControllerCheck(NodeCheck):
         ]
 
     def _publish_last(self, topic: str) -> None:
-        """Publish one input last in a tick, and require that this does not change the command.
+        """Publish one input last in a tick, and require that the command stays the same.
 
         The command of a controller with a memory may lie between those of the ticks before and
         after.
@@ -158,7 +158,7 @@ class ControllerCheck(NodeCheck):
         require(
             min(before, after) - _EQUAL <= late <= max(before, after) + _EQUAL,
             f"the command is {late:g} if {topic} comes last, but {before:g} in the tick before and "
-            f"{after:g} in the tick after, although the inputs are equal",
+            f"{after:g} in the tick after, although the inputs are the same",
         )
 
     def _must_water(self) -> None:
@@ -182,7 +182,8 @@ class ControllerCheck(NodeCheck):
         while self.endpoints(self.output):
             require(
                 time.monotonic() <= until,
-                f"the node is still running {_END_S:g} s after {CLOCK} lost its publisher",
+                f"the node is still running {_END_S:g} s after the publisher of {CLOCK} "
+                "disappeared",
             )
             self.spin(0.1)
 
@@ -233,15 +234,15 @@ class ControllerCheck(NodeCheck):
             if not (share == 0 if unknown else share in SHARE) and not self._wrong_share:
                 self._wrong_share = f"the command to the valve is {share:g}{_with(overrides)}"
         self.count_answers(1)
-        require(not early, f"the node answers before {last} of the tick has arrived")
+        require(not early, f"the node answers before it has received the tick's message on {last}")
         return command
 
     def answered(self) -> bool:
-        """Return whether all commands of the tick, to pump and outlet valve, have arrived."""
+        """Return whether the commands to the pump and to any outlet valve have arrived."""
         return bool(self.answers) and len(self._shares) >= len(self.further)
 
     def count_answers(self, expected: int) -> None:
-        """Publish no more ticks once too many commands to the pump or the valve have arrived."""
+        """Stop publishing ticks once too many commands to the pump or the valve have arrived."""
         super().count_answers(expected)
         if len(self._shares) > expected and not self.surplus:
             self.surplus = (
@@ -250,7 +251,7 @@ class ControllerCheck(NodeCheck):
             )
         self._shares.clear()
         if self.surplus:
-            self.hindered = "not tried: the node sent more than one command for a tick"
+            self.hindered = "not checked: the node sent more than one command for a tick"
 
     def _value(self, topic: str, values: Mapping[str, float]) -> Any:
         """Return the content of a message; a forecast contains the same rate in all its steps."""

@@ -1,6 +1,7 @@
-"""Check of a running node through topics only; the check plays all other nodes of the graph.
+"""Check of a running node through topics only, in which the check plays all other nodes.
 
-The check requires no more of a node than a graph does, and works with a node in any language.
+The check requires no more of a node than a graph does, and works with nodes written in any
+language.
 """
 
 from __future__ import annotations
@@ -64,17 +65,17 @@ class NodeCheck(ABC):
         kind: kind of node in messages, such as ``driver``.
         answer: name of the node's answer in messages, such as ``flow``.
         output: topic on which the node answers a tick with a number.
-        further: other topics on which the node publishes a number in every tick.
+        further: additional topics on which the node publishes a number in every tick.
         inputs: topics to which the node must subscribe.
         optional: topics to which the node may subscribe, but only with the right quality of
             service.
         played: topics that the check publishes, in the order of a tick.
-        peers: nodes that the check plays, as messages name them.
-        answers: values received on ``output`` and not counted yet.
+        peers: nodes that the check plays, as named in messages.
+        answers: values received on ``output`` but not counted yet.
         surplus: message about the first tick with too many answers; empty if there is none.
         results: results of the checks so far.
         result: measurement of the current check, as text for the table; empty for none.
-        hindered: reason why no more ticks are published; empty if there is none.
+        hindered: reason why no more ticks can be published; empty if there is none.
         ticks: number of ticks published.
         live: whether the node belongs to a live graph.
     """
@@ -96,7 +97,7 @@ class NodeCheck(ABC):
             node: node that plays the peers.
             tested: name of the node under test, without namespace.
             tau: simulated time of a tick (s).
-            speed: ratio of simulated time to wall time; 0 for as fast as possible.
+            speed: ratio of simulated time to wall time; 0 to run as fast as possible.
         """
         self.node = node
         self.interface = read_topics()
@@ -114,7 +115,7 @@ class NodeCheck(ABC):
         self._publishers: dict[str, Callable[[Any], None]] = {}
 
     def run(self) -> list[CheckResult]:
-        """Run all checks, or only the first one if the topics do not fit; return their results.
+        """Run all checks, or only the first if the topics are wrong, and return the results.
 
         Raises:
             ConfigurationError: if the node under test is not found.
@@ -122,7 +123,7 @@ class NodeCheck(ABC):
         """
         self._wait_for_node()
         unfit = self._unfit()
-        self.results.append(CheckResult("its topics fit the interface", unfit))
+        self.results.append(CheckResult("its topics match the interface", unfit))
         if not unfit:
             self.join()
             self.run_checks()
@@ -130,7 +131,7 @@ class NodeCheck(ABC):
 
     @abstractmethod
     def run_checks(self) -> None:
-        """Run all checks except that of the topics."""
+        """Run all checks except the check of the topics."""
 
     @contextmanager
     def check(self, title: str) -> Iterator[None]:
@@ -178,8 +179,8 @@ class NodeCheck(ABC):
             if publishers:
                 raise OccupiedError(
                     f"{self._name(topic)} already has a publisher "
-                    f"({display_name(publishers[0].node_name)}): the check replaces {self.peers} "
-                    "itself, so end the graph first"
+                    f"({display_name(publishers[0].node_name)}): the check itself takes the "
+                    f"place of {self.peers}, so stop the graph first"
                 )
 
     def _absent(self) -> str:
@@ -189,13 +190,13 @@ class NodeCheck(ABC):
         }
         return (
             f"no node {self._tested} that publishes {self._name(self.output)} and subscribes to "
-            f"{', '.join(map(self._name, self.inputs))} was found within {ARRIVAL_S:g} s; there is "
+            f"{', '.join(map(self._name, self.inputs))} was found within {ARRIVAL_S:g} s; found: "
             f"{', '.join(sorted(names)) or 'no node'}. Start the {self.kind} first, with the same "
             "ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE"
         )
 
     def _unfit(self) -> str:
-        """Return a description of the faults of the node's endpoints; empty if there are none."""
+        """Return a description of the faults in the node's endpoints; empty if there are none."""
         problems = []
         for topic in (self.output, *self.further, *self.inputs, *self.optional):
             is_output = topic in (self.output, *self.further)
@@ -274,7 +275,7 @@ class NodeCheck(ABC):
         while not self.answered():
             remaining = until - time.monotonic()
             if remaining < 0:
-                self.hindered = f"not tried: the {self.kind} does not answer"
+                self.hindered = f"not checked: the {self.kind} does not answer"
                 return False
             self._executor.spin_once(timeout_sec=remaining)
         return True
@@ -284,7 +285,7 @@ class NodeCheck(ABC):
         return bool(self.answers)
 
     def count_answers(self, expected: int) -> None:
-        """Record a surplus of answers, and discard all answers, which could hide later ones."""
+        """Record any surplus answers, and discard all answers, which could hide later ones."""
         if len(self.answers) > expected and not self.surplus:
             self.surplus = (
                 f"{len(self.answers)} {self.answer}s instead of {expected} after tick "

@@ -54,7 +54,7 @@ _MIN_ABOVE_SUCTION, _DRY = 0.022, -0.001
 _REFILLED = 0.5
 # The states of /pump/state in which a pump is on.
 _ON = ("starting", "running")
-_NOT_RUNNING = "not tried: the pump does not run"
+_NOT_RUNNING = "not checked: the pump does not run"
 # Longest time from a command to its flow, and until that flow is steady (s).
 ANSWER_S, START_S = 5.0, 60.0
 # Longest time from a reason to stop until the flow is 0 (s): the longest ramp of a drive, and the
@@ -75,7 +75,7 @@ class PumpCheck(NodeCheck):
     played: ClassVar[tuple[str, ...]] = (
         "/clock", "/cistern/level", "/roof/level", "/weather/frost", _COMMAND,
     )
-    peers: ClassVar[str] = "plant, weather and controller"
+    peers: ClassVar[str] = "the plant node, the weather node and the controller"
 
     def __init__(
         self, node: Node, driver: str, site: Site, *, command: float, period: float, live: bool
@@ -86,7 +86,7 @@ class PumpCheck(NodeCheck):
             node: the node that plays the driver's peers.
             driver: name of the driver's node, without namespace.
             site: site from which the levels of the check are derived.
-            command: command with which the pump is made to run (share of its maximum flow).
+            command: command at which the pump is run (share of its maximum flow).
             period: minimum time between two commands (s).
             live: whether the driver publishes its flow at its own pace, not once per command.
         """
@@ -104,7 +104,7 @@ class PumpCheck(NodeCheck):
     def run_checks(self) -> None:
         """Run all checks in turn; after each stop except the last, the pump must run again."""
         site = self._site
-        with self.check("is off at start: no flow before the first command, and 0 at command 0"):
+        with self.check("is off at the start: no flow before the first command or at command 0"):
             early = next(iter(self.answers), 0.0)
             none = max(self.answers, default=0.0) <= 0 if self.live else not self.answers
             require(none, f"a flow of {early:g} m3/s arrived before any command")
@@ -126,14 +126,14 @@ class PumpCheck(NodeCheck):
             for value in _HOSTILE:
                 self._stop(f"command {value:g}", {_COMMAND: value})
         self._runs("again after rejected commands")
-        with self.check(f"has stopped after {SILENCE_S:g} s without a command"):
+        with self.check(f"stops within {SILENCE_S:g} s of the last command"):
             self._fall_silent()
-        self._runs("again when commands arrive again")
+        self._runs("again once commands resume")
         with self.check(f"stops while {_COMMAND} has a second publisher"):
             self._must_run()
             with self._intruder():
                 self._stop("a second publisher appeared", {})
-        self._runs("again when only one publisher is left")
+        self._runs("again once only one publisher is left")
         within = f"the flow falls to 0 within {STOP_S:g} s and stays there"
         for topic, value, when, after in _STOPS:
             with self.check(f"stops {when}: {within}"):
@@ -153,7 +153,7 @@ class PumpCheck(NodeCheck):
             self._stop("the cistern fell to the suction level", {})
             self.result += f", {above:.3f} m above the suction level"
         self._volumes[0] = (site.suction_level + _REFILLED) * site.a1
-        self._runs("again when the cistern has filled again")
+        self._runs("again once the cistern has refilled")
         with self.check("stops at command 0"):
             self._stop("command 0", {_COMMAND: 0.0})
         if not self.live:
@@ -216,7 +216,7 @@ class PumpCheck(NodeCheck):
         return flow > _NONE * self._steady
 
     def _stop(self, reason: str, overrides: Mapping[str, float]) -> None:
-        """Repeat a tick until the flow is 0, then ten more times, and record the time to stop.
+        """Repeat a tick until the flow is 0, then ten more times, and record the stopping time.
 
         Raises:
             BrokenRuleError: if the flow is not 0 within the limit or does not stay 0.
@@ -283,12 +283,13 @@ class PumpCheck(NodeCheck):
         )
         require(state not in _ON, f"/pump/state reports {state!r} at the end of the silence")
         self.result = (
-            f"{after:.3g} m3/s at the first command after the silence, {before:.3g} m3/s before it"
+            f"{after:.3g} m3/s at the first command after the silence, {before:.3g} m3/s before "
+            "the silence"
         )
 
     @contextmanager
     def _intruder(self) -> Iterator[None]:
-        """Add a second node with a publisher of the command, which publishes nothing."""
+        """Add a second node whose publisher of the command publishes nothing."""
         intruder = Node("check_pump_intruder", namespace=self.node.get_namespace())
         self.open_publisher(intruder, _COMMAND)
         try:

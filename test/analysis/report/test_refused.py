@@ -131,7 +131,7 @@ def test_command(tmp_path: Path) -> None:
     assert done.returncode == 2, done.stderr
     assert "Traceback" not in done.stderr and done.stdout == ""
     message = done.stderr.partition("error:")[2].strip()
-    assert "--output = 'mine': contains figures/mine.svg, which does not belong to a" in message
+    assert "--output = 'mine': contains figures/mine.svg, which is not part of a" in message
     assert "\n" not in message
     assert sorted(tmp_path.rglob("*")) == before
 

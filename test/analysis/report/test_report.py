@@ -155,7 +155,7 @@ def test_study(tmp_path: Path) -> None:
     done = command("study", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert str(report / "report.html") in done.stdout
-    assert "failed or did not run: 2" in done.stdout
+    assert "failed or were not started: 2" in done.stdout
     text = (report / "report.html").read_text()
     for words in ("solver: &lt;gave up&gt;", "2 of 3 runs failed", "<td>not run</td>"):
         assert words in text

@@ -181,13 +181,13 @@ def test_issues_that_are_shorter_than_the_horizon(tmp_path: Path) -> None:
 # --- wrong use ------------------------------------------------------------------------------------
 
 WRONG = {
-    "GEM --sums 1 --events 1 2": "--events: must have as many values as --sums, 1, not 2",
+    "GEM --sums 1 --events 1 2": "--events: must have as many values as --sums (1), not 2",
     "GEM --events 1 2": "--sums and --events: must be used together",
     "GEM --lead 6 --sums 12 --events 3":
-        "--sums = 12: must each be a divisor of --lead, 6 h, and appear only once",
+        "--sums = 12: must be a divisor of --lead (6 h), and be given only once",
     "GEM --lead 6 --sums 6 --events 2":
         f"--lead = 6: must be a multiple of 24 h, the finest lead time of {GEM} (Open-Meteo,",
-    "GEM": f"{GEM}: FORECASTS = '{GEM}': have no complete sum in common with the records: the",
+    "GEM": f"{GEM}: FORECASTS = '{GEM}': include no complete sum in the period of the records: the",
 }
 
 
