@@ -1,4 +1,4 @@
-"""``python -m greenroof_ros.bringup`` is ``greenroof run``."""
+"""``python -m greenroof_ros.bringup`` is equivalent to ``greenroof run``."""
 
 from greenroof_ros.bringup.simulated import main
 

@@ -28,7 +28,7 @@ _SHOWN_EVERY = 4
 
 
 class Composition:
-    """Plant, weather, controller and recorder of one run, as nodes of this process.
+    """The plant, weather, controller and recorder nodes of one run, in this process.
 
     The object is used in a ``with`` statement, in which :meth:`end` must be called regardless of
     how the run ends.
@@ -77,8 +77,8 @@ class Composition:
             failure: reason why the run failed; None if it did not fail.
 
         Returns:
-            The description of the first error, either the given one or an error while a node stops;
-            None if there was none.
+            The description of the first error, either the given failure or an error raised while a
+            node was stopping; None if there was no error.
         """
         return end_nodes(list(self._nodes.values()), failure)
 
@@ -154,7 +154,7 @@ class Composition:
 
     @property
     def parameter_changes(self) -> dict[str, Any]:
-        """The changes of the controller's parameters during the run, and their number."""
+        """The changes to the controller's parameters during the run, and their number."""
         controller = self._nodes.get(self._run.controller.name)
         return {} if controller is None else controller.progress()
 

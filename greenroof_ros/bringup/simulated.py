@@ -54,25 +54,25 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="greenroof run",
         usage="%(prog)s [options] [--ros-args ...]",
-        description="Run plant, weather, controller and recorder as ROS 2 nodes in one process, "
-        "in lockstep on simulated time. During the run, 'ros2 topic echo --qos-durability "
-        "volatile /roof/level' shows the level on the roof.\n\n"
+        description="Run the plant, weather, controller and recorder as ROS 2 nodes in one "
+        "process, in lockstep with simulated time. During the run, 'ros2 topic echo "
+        "--qos-durability volatile /roof/level' shows the level on the roof.\n\n"
         "For a real site with sensors, use 'greenroof live'.",
         epilog="examples:\n"
         "  greenroof run --controller lookahead --initial high-low --horizon 12\n"
         "  greenroof run --weather mine.csv --start 2024-06-01 --hours 24\n"
         "  greenroof run --namespace site1 --site site1.yaml\n"
         "  greenroof run --speed 60 --no-record\n"
-        "  greenroof run --controller external    # your node runs alongside it; its four rules "
-        "are in\n"
+        "  greenroof run --controller external    # your node runs alongside it; for the four "
+        "rules, see\n"
         "                                         # greenroof check-controller --help\n"
         "  greenroof run --ros-args -r plant:/roof/level:=/raw\n\n"
         "ROS arguments: -r FROM:=TO remaps a topic in all nodes of the run, and -r NODE:FROM:=TO "
         "in one node; -r __ns:=/NAME is the same as --namespace; -p NAME:=VALUE sets a parameter "
         "of the controller. Nodes cannot be renamed. Other commands, such as watch, do not "
         "recognize a remapped topic.\n\n"
-        "exit codes: 0 done, 1 a node failed, 2 bad usage, configuration or code of "
-        "a controller, 3 a graph is already running, 130 interrupted",
+        "exit codes: 0 done, 1 a node failed, 2 bad usage or configuration, or an error in a "
+        "controller's code, 3 a graph is already running, 130 interrupted",
     )
     add_run_arguments(parser)
     output = add_output_arguments(parser)
@@ -152,7 +152,7 @@ def run_graph(run: Run, arguments: argparse.Namespace, signals: Signals) -> int:
 def _end(
     run: Run, directory: Path, graph: Composition, status: str, reason: str, *, as_json: bool,
 ) -> None:
-    """Write the summary; print it if the run is done, or else the commands to open the bag."""
+    """Write the summary; print it if the run is done, or else print commands to open the bag."""
     notes: dict[str, Any] = {"refused": graph.refused, **graph.parameter_changes}
     if status == summary.DONE:
         result = summary.make_summary(run, **graph.results, **notes)

@@ -1,4 +1,4 @@
-"""Starting a graph of any kind, with the watchers that options request.
+"""Starting a graph of any kind, with the watchers requested by options.
 
 A watcher is a separate process; a run neither waits for it nor fails with it.
 """
@@ -32,7 +32,7 @@ def bring_up(
         stopped: exit code if a signal arrives before the first node is started, or after the run.
 
     Raises:
-        ConfigurationError: if the server for Foxglove cannot use the port.
+        ConfigurationError: if the Foxglove server cannot use the port.
     """
     watchers: dict[str, tuple[str, ...]] = {"watch": ()} if arguments.watch else {}
     if arguments.foxglove is not None:

@@ -1,4 +1,4 @@
-"""Watchdog that ends a run if a callback does not return, as in a hanging user's controller."""
+"""Watchdog that ends a run if a callback does not return, as when a user's controller hangs."""
 
 from __future__ import annotations
 

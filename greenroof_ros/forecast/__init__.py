@@ -1,1 +1,1 @@
-"""Forecasts: the information of a controller about the time ahead, in every tick."""
+"""Forecasts: the information that a controller has about the weather ahead, in every tick."""

@@ -33,31 +33,31 @@ class ForecastChoice:
 
     Attributes:
         model: one of :data:`MODELS`, or ``file``.
-        file: file of forecasts, or directory with files of forecasts; None for a model.
+        file: forecast file, or directory of forecast files; None for a model.
         skill: one of :data:`greenroof_ros.forecast.skill.SKILLS`, or the path of a file such as
             ``config/forecasts/skill.yaml``.
-        seed: seed of the errors.
+        seed: random seed of the forecast errors.
         members: number of members of the ensemble.
-        delay: time from the nominal time of an issue until it is available (h); None for the usual
-            delay of the kind of file or, with errors, of weather services.
+        delay: time from the nominal time of a forecast until the forecast is available (h); None
+            for the usual delay of the file format or, with errors, of weather services.
     """
 
     model: str = PERFECT
     file: Path | None = None
     skill: str = entry(
-        "skill of the forecasts that errors and ensemble generate: real for that of a weather "
-        "service; better or worse for the skill of real forecasts at half or twice the lead "
-        "time; or a FILE.yaml that states the skill", default=REAL,
+        "skill of the forecasts that errors and ensemble generate: real for the skill of a "
+        "weather service; better or worse for the skill of real forecasts at half or twice the "
+        "lead time; or a FILE.yaml that specifies the skill", default=REAL,
     )
     seed: int = entry(
         "random seed of the forecast errors, for errors and ensemble", 0, 2**31 - 1, default=0,
     )
     members: int = entry("number of members of an ensemble", 1, MAX_MEMBERS, default=10)
     delay: float | None = entry(
-        "for errors, ensemble and files: time from the nominal time of an issue until it is "
-        f"available; by default {SERVICE_DELAY_H:g} h for errors and ensemble, and the usual delay "
-        "of the kind of file (0 for this project's format, which states when an issue was "
-        "available)", 0.0, 48.0, unit="h",
+        "for errors, ensemble and files: time from the nominal time of a forecast until the "
+        f"forecast is available; by default {SERVICE_DELAY_H:g} h for errors and ensemble, and "
+        "the usual delay of the file format (0 for this project's format, which states when each "
+        "forecast became available)", 0.0, 48.0, unit="h",
         default=None,
     )
 

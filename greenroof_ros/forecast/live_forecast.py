@@ -23,24 +23,24 @@ _HOUR_S = 3600.0
 
 
 class NoForecastError(Exception):
-    """There is no forecast for the present; the message states the reason."""
+    """There is no forecast for the current time; the message states the reason."""
 
 
 class ForecastFile:
-    """A file of forecasts that is read again when it is replaced; an invalid file is ignored.
+    """A forecast file that is read again when it is replaced; an invalid file is ignored.
 
     Attributes:
-        issues: issues of the newest file that could be read, beginning with the issue that was the
-            newest at that time; empty before the first file.
+        issues: forecasts in the latest file that could be read, beginning with the forecast that
+            was the latest at that time; empty before the first file.
         problem: description of the fault in the current file; empty without a fault.
     """
 
     def __init__(self, path: Path) -> None:
-        """Prepare, without reading the file.
+        """Set the path, without reading the file yet.
 
         Args:
             path: path of the file; see :func:`greenroof_ros.formats.own_csv.read_forecasts`. The
-                file must have a column of evapotranspiration.
+                file must have an evapotranspiration column.
         """
         self.issues: list[IssuedForecast] = []
         self.problem = ""
@@ -74,21 +74,21 @@ class ForecastFile:
 
 
 class LiveForecast:
-    """Forecasts for the look-ahead at any time, from the newest issue.
+    """Forecasts for the look-ahead at any time, from the latest forecast issued.
 
     Attributes:
-        issues: the known issues, in order of issue, all with evapotranspiration.
+        issues: the known forecasts, in order of issue, all with evapotranspiration.
     """
 
     def __init__(self, site: Site, horizon: float, limit: float, all_members: bool) -> None:
-        """Prepare, without an issue.
+        """Set the site and the look-ahead, without any forecast yet.
 
         Args:
-            site: site with the tick, the look-ahead, and the area of the bed, which converts depths
-                to volumes.
+            site: site, which provides the tick, the look-ahead, and the bed area used to convert
+                depths to volumes.
             horizon: length of the forecast in growing steps (h); 0 for the next M ticks, one by
                 one.
-            limit: maximum age of the newest issue (s).
+            limit: maximum age of the latest forecast (s).
             all_members: whether to return the rain of all members of an ensemble, or of the first
                 member only.
         """
@@ -103,15 +103,16 @@ class LiveForecast:
     def at(self, now: datetime, observed_rain: float | None = None) -> Outlook:
         """Return the outlook at a given time.
 
-        After the end of the issue, rain is assumed to be 0, and evapotranspiration repeats its last
-        day, as in a simulation.
+        After the end of the forecast, rain is assumed to be 0, and the evapotranspiration of the
+        last day is repeated, as in a simulation.
 
         Args:
             now: the time.
             observed_rain: rain in the current hour from a gauge (m/s); None if there is no gauge.
 
         Raises:
-            NoForecastError: if there is no issue that is new enough and covers the current hour.
+            NoForecastError: if there is no forecast that is recent enough and covers the current
+                hour.
         """
         issue = self._newest(now)
         present = (now - issue.issued) // HOUR
@@ -140,7 +141,7 @@ class LiveForecast:
         return self._repeated
 
     def shortage(self, now: datetime) -> str:
-        """Return a note, with a remedy, if the newest issue is too short; otherwise an empty text.
+        """Return a note, with a remedy, if the latest forecast is too short; or an empty string.
 
         Raises:
             NoForecastError: if there is no forecast.
@@ -156,15 +157,16 @@ class LiveForecast:
         return (
             f"the forecast issued at {to_people(issue.issued)} ends at {to_people(end)}, before "
             f"the look-ahead of {duration(due.total_seconds())} does; the hours after the forecast "
-            "are treated as dry. To cover the look-ahead during all of its use, an issue must be "
-            f"{needed} h long, not {issue.hours} h{shorter}"
+            "are treated as dry. To cover the look-ahead for as long as it is in use, a "
+            f"forecast must be {needed} h long, not {issue.hours} h{shorter}"
         )
 
     def _newest(self, now: datetime) -> IssuedForecast:
-        """Return the newest issue at a given time.
+        """Return the latest forecast at a given time.
 
         Raises:
-            NoForecastError: if the newest issue is too old or has ended, or if there is no issue.
+            NoForecastError: if the latest forecast is too old or has ended, or if there is no
+                forecast.
         """
         issues = self.issues
         if not issues:
@@ -177,13 +179,13 @@ class LiveForecast:
         issue = issues[number - 1]
         if now - issue.issued > self._limit:
             raise NoForecastError(
-                f"the newest forecast, issued at {to_people(issue.issued)}, is older than "
+                f"the latest forecast, issued at {to_people(issue.issued)}, is older than "
                 f"{duration(self._limit.total_seconds())}"
             )
         end = issue.issued + issue.hours * HOUR
         if now >= end:
             raise NoForecastError(
-                f"the newest forecast, issued at {to_people(issue.issued)}, ended at "
+                f"the latest forecast, issued at {to_people(issue.issued)}, ended at "
                 f"{to_people(end)}, after {issue.hours} h"
             )
         return issue

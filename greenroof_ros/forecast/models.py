@@ -1,22 +1,24 @@
-"""Models of hourly forecasts: from records, exactly or with errors, and from an archive.
+"""Models of hourly forecasts, either from records, perfect or with errors, or from an archive.
 
 :mod:`greenroof_ros.formats.forecasts` describes when forecasts are issued; a perfect forecast has
-no issues, and a file states its own issues. The current hour is observed, not forecast;
-:class:`greenroof_ros.forecast.resampling.SteppedForecast` takes the current hour from the records.
+no time of issue, and a file states its own times of issue. The current hour is observed, not
+forecast; :class:`greenroof_ros.forecast.resampling.SteppedForecast` takes the current hour from the
+records.
 
 **Forecasts with errors** are wrong in the ways real forecasts are: missed rain, false alarms, wrong
-times and wrong amounts. The number z behind the records' rain (see
+times and wrong amounts. The normal variable z behind the recorded rain (see
 :mod:`greenroof_ros.forecast.skill`) is forecast as
 
     f_j = s z + sqrt(s - s^2) zeta + sqrt(1 - s) xi_j
 
-at each frequency, with the coherence s of that module. The first two terms are known to the
-forecasters; zeta is an error common to all members, and xi_j is the error of member j alone. Both
-zeta and xi_j have the spectrum of z, and so does f_j. It therefore rains in forecasts as often as
-in the records. Any two members have the coherence s with each other, and each member has the same
-coherence with the truth. The truth is therefore like an additional member, and the spread of the
-ensemble is reliable. Finally, f_j + wetness is turned into rain and multiplied by the amount. The
-wetness and the amount are a service's systematic errors.
+at each frequency, with the coherence s defined in :mod:`greenroof_ros.forecast.skill`. The first
+two terms are known to the forecasters; zeta is an error common to all members, and xi_j is the
+error of member j alone. Both zeta and xi_j have the spectrum of z, and so does f_j. It therefore
+rains in forecasts as often as in the records. Any two members have the coherence s with each other,
+and each member has the same coherence with the truth. The truth is therefore like an additional
+member, and the spread of the ensemble is reliable. Finally, f_j + wetness is converted to rain and
+multiplied by the amount. The wetness and the amount represent the systematic errors of a weather
+service.
 """
 
 from __future__ import annotations
@@ -77,7 +79,7 @@ _RECORDS = 6158359
 
 
 class ForecastModel(ABC):
-    """Hourly forecasts: the knowledge in an hour about the hours that follow."""
+    """Hourly forecasts: the information available in an hour about the hours that follow."""
 
     max_issue_h: int | None = None
     """length of the longest issue (h); None if forecasts have no end"""
@@ -90,7 +92,7 @@ class ForecastModel(ABC):
 
     @abstractmethod
     def forecast(self, hour: int, hours: int) -> tuple[Array, Array]:
-        """Return the forecast that is the newest in a given hour of the records.
+        """Return the latest forecast in a given hour of the records.
 
         Args:
             hour: index of the hour in the records.
@@ -105,11 +107,11 @@ class ForecastModel(ABC):
         """
 
     def issued(self, hour: int) -> datetime | None:
-        """Return the nominal time of an hour's newest issue; None if the model has no issues."""
+        """Return the nominal time of an hour's latest forecast; None if the model has none."""
         return None
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return the time from which the hours of a forecast are assumed; None if all are known.
+        """Return the time from which a forecast's values are assumed; None if all are known.
 
         The time is the end of the records if the hours extend past this end.
         """
@@ -130,11 +132,11 @@ class PerfectModel(ForecastModel):
 class FileModel(ForecastModel):
     """Forecasts from an archive; see :func:`greenroof_ros.formats.reading.read_archive`.
 
-    The newest forecast in an hour is the last one that was available at the start of the hour.
-    After the end of a forecast there is no rain, and evapotranspiration repeats the last day of the
-    forecast, or its last hour if the forecast is shorter than a day. Without a column of
-    evapotranspiration, the records' values are assumed to be known. If the rain in the records is
-    late (``rain_late``), forecasts of rain are equally late.
+    The latest forecast in an hour is the last forecast that was available at the start of the hour.
+    After the end of a forecast, no rain is assumed. The evapotranspiration of the forecast's last
+    day is then repeated, or that of its last hour if the forecast is shorter than a day. Without an
+    evapotranspiration column, the recorded values are assumed to be known in advance. If the rain
+    in the records is late (``rain_late``), forecasts of rain are equally late.
     """
 
     def __init__(self, archive: Archive, weather: Weather, all_members: bool) -> None:
@@ -161,7 +163,7 @@ class FileModel(ForecastModel):
             )) // HOUR)
             for issue in archive.issues
         ]
-        # An issue that arrives after a later one is of no use: only the newest counts.
+        # An issue that arrives after a later one is of no use: only the latest counts.
         self._available_from = np.minimum.accumulate(available_from[::-1])[::-1].tolist()
         self.members = archive.members if all_members else 1
 
@@ -181,11 +183,11 @@ class FileModel(ForecastModel):
         return rain, evapotranspiration
 
     def issued(self, hour: int) -> datetime:
-        """Return the time of the newest issue; see :class:`ForecastModel`."""
+        """Return the nominal time of the latest forecast; see :class:`ForecastModel`."""
         return self._newest(hour)[0].issued
 
     def repeats_from(self, hour: int, hours: int) -> datetime | None:
-        """Return the end of the issue or of its records, if the hours extend past this end."""
+        """Return the end of the forecast or of its records, if the hours extend past this end."""
         issue, lead = self._newest(hour)
         needed = issue.evapotranspiration is None
         end = issue.hours + self._late * needed  # evapotranspiration is not late
@@ -194,7 +196,7 @@ class FileModel(ForecastModel):
         return super().repeats_from(hour, hours) if needed else None
 
     def _newest(self, hour: int) -> tuple[IssuedForecast, int]:
-        """Return the newest issue in a given hour, and its age (h)."""
+        """Return the latest forecast in a given hour, and its age (h)."""
         number = bisect.bisect_right(self._available_from, hour) - 1
         if number < 0:
             known = self._weather.first + self._available_from[0] * HOUR
@@ -208,7 +210,7 @@ class FileModel(ForecastModel):
 
 
 class NormalRecords:
-    """The number z for every hour of the records.
+    """The normal variable z for every hour of the records.
 
     The rain of a wet hour determines its z. The z of a dry hour is only known to be at most c; it
     is drawn repeatedly from its distribution given its neighbours (Gibbs sampling; Geman and Geman,
@@ -288,14 +290,14 @@ def _draw_normal(climate: Climate, records: bytes, first: int) -> Array:
 class ErrorModel(ForecastModel):
     """Forecasts made from records, with errors; see the description of the module.
 
-    Errors are correlated from issue to issue: zeta and xi of an issue are sums over the white noise
-    of this issue and earlier ones, weighted by exp(-age / persistence). The noise depends only on
-    the seed, the member's number and the time of issue. The same seed therefore leads to the same
-    forecasts, in whatever order they are requested.
+    Errors are correlated from forecast to forecast: zeta and xi of a forecast are sums over the
+    white noise of this forecast and of earlier ones, weighted by exp(-age / persistence). The noise
+    depends only on the seed, the member's number and the time of issue. The same seed therefore
+    leads to the same forecasts, in whatever order they are requested.
 
-    The evapotranspiration of an issue is multiplied by exp(e g - e^2 / 2), whose mean is 1. The
-    error e grows from 0 to the constant of the skill in proportion to the unknown share of the
-    rain, and g is drawn like xi. Members differ only in their rain. Member 0 equals the single
+    The evapotranspiration of a forecast is multiplied by exp(e g - e^2 / 2), whose mean is 1. The
+    error e grows from 0 to the constant given by the skill in proportion to the unknown share of
+    the rain, and g is drawn like xi. Members differ only in their rain. Member 0 equals the single
     forecast with the same seed.
 
     Forecasts are limited to the ranges in :data:`greenroof_ros.formats.quantities.QUANTITIES`.
@@ -309,10 +311,10 @@ class ErrorModel(ForecastModel):
         Args:
             weather: the records.
             seed: seed of the errors.
-            skill: skill of the forecasts, whose leads count from the time of issue.
-            members: number of members in an issue.
-            delay: time from the nominal time of an issue until it is known (h), in which a service
-                computes the issue; this time adds to the age of the newest issue.
+            skill: skill of the forecasts; lead times count from the time of issue.
+            members: number of members in a forecast.
+            delay: time that a service needs to compute a forecast, from the nominal time until the
+                forecast is known (h); this time adds to the age of the latest forecast.
         """
         super().__init__(weather)
         self._delay = math.ceil(delay)  # an issue known within an hour counts from the next hour
@@ -350,21 +352,21 @@ class ErrorModel(ForecastModel):
         )
 
     def issued(self, hour: int) -> datetime:
-        """Return the time of the newest issue; see :class:`ForecastModel`."""
+        """Return the nominal time of the latest forecast; see :class:`ForecastModel`."""
         return from_epoch_ns(self._find_newest(hour) * 3600 * 10**9)
 
     def _find_newest(self, hour: int) -> int:
-        """Return the time (h since 1970) of the newest issue in a given hour of the records.
+        """Return the time (h since 1970) of the latest forecast in a given hour of the records.
 
-        An issue is the newest until the next one. If the records do not begin at a whole hour of
-        UTC, an issue counts from the first hour of the records that begins after the issue. An
-        issue from before the start of the records keeps its own time.
+        A forecast is the latest until the next one is issued. If the records do not begin at a
+        whole hour of UTC, a forecast counts from the first hour of the records that begins after
+        its issue. A forecast issued before the start of the records keeps its own time.
         """
         known = hours_since_1970(self._weather.first) + hour - self._delay
         return known // ISSUE_HOURS * ISSUE_HOURS
 
     def _make(self, issue: int, issued: int, leads: int) -> tuple[Array, Array]:
-        """Make the forecast of an issue.
+        """Make the forecast issued at a given time.
 
         Returns:
             Rain (mm/h), shape (members, leads), and the factor of evapotranspiration (1), shape
@@ -386,11 +388,11 @@ class ErrorModel(ForecastModel):
         )
 
     def _noise(self, issue: int, hours: int) -> tuple[Array, float]:
-        """Return the noise of an issue, which is correlated with the noise of the previous issue.
+        """Return the noise of a forecast, which is correlated with that of the previous forecast.
 
         Args:
             issue: time of the issue (h since 1970).
-            hours: length of the noise, which begins equally long before every issue.
+            hours: length of the noise, which begins the same number of hours before every issue.
 
         Returns:
             The common noise, then the noise of every member, shape (1 + members, hours); and the
@@ -407,7 +409,7 @@ class ErrorModel(ForecastModel):
         return rain, dry
 
     def _draw(self, issue: int, hours: int) -> tuple[Array, float]:
-        """Draw the noise of an issue, shape (1 + members, hours), and of evapotranspiration.
+        """Draw the noise of a forecast, shape (1 + members, hours), and of evapotranspiration.
 
         The first hours do not depend on the number of hours that are drawn.
         """
@@ -488,11 +490,11 @@ def make_model(
     Args:
         choice: choice of the model.
         weather: the records of the run.
-        site: site, whose place on earth must be near that of a file of forecasts.
+        site: site, whose location must be near the location in a forecast file.
         all_members: whether to use all members of an ensemble, or only member 0.
 
     Raises:
-        ConfigurationError: if the file of forecasts or of the skill is invalid.
+        ConfigurationError: if the forecast file or the skill file is invalid.
     """
     if choice.file is not None:
         archive = read_archive(choice.file, site, choice.delay)

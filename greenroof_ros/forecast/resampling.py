@@ -37,7 +37,7 @@ class Outlook:
         evapotranspiration: mean evapotranspiration of the whole bed (m3/s), shape (steps,).
         rain_now: current rain (m/s).
         evapotranspiration_now: current evapotranspiration of the whole bed (m3/s).
-        issued: nominal time of the issue; None if the forecast has no issue.
+        issued: nominal time of issue; None if the forecast has no time of issue.
         temperature: current air temperature (degC); NaN if unknown.
     """
 
@@ -52,9 +52,9 @@ class Outlook:
 class HourForecast:
     """A forecast from one hour on, with mean rates over steps that begin at any time in the hour.
 
-    While the end of every step stays within its hour, the means are linear in time. The lines are
-    always computed from the start of the hour, whenever they are first needed, so that a restarted
-    node yields bit-identical results.
+    While the end of every step stays within its hour, the means are linear in time. These linear
+    functions are always computed from the start of the hour, no matter when they are first needed,
+    so that a restarted node yields bit-identical results.
     """
 
     def __init__(
@@ -64,10 +64,10 @@ class HourForecast:
         """Set the forecast.
 
         Args:
-            issued: nominal time of the issue; see :class:`Outlook`.
+            issued: nominal time of issue; see :class:`Outlook`.
             rain: rain (mm/h), shape (members, hours), the current hour first.
             evapotranspiration: evapotranspiration (mm/day), shape (hours,).
-            area: area of the bed, to convert depths to volumes (m2).
+            area: area of the bed, used to convert depths to volumes (m2).
             ends: boundaries of the steps; see :func:`look_ahead_ends`.
             rain_now: rain in the current hour from a gauge (m/s); None if there is no gauge.
             temperature: air temperature; see :class:`Outlook`.
@@ -124,7 +124,7 @@ class PerfectForecast:
 
     Attributes:
         repeats_from: earliest time from which the values of the forecast are assumed.
-        max_issue_h: length of the longest issue (h); None if forecasts have no end.
+        max_issue_h: length of the longest forecast (h); None if forecasts have no end.
         notes: notes on the parts of a file's forecasts that could not be used unchanged.
     """
 
@@ -150,7 +150,7 @@ class PerfectForecast:
         return self._evapotranspiration[:]
 
     def issued(self, tick: int) -> None:
-        """Return None, because perfect knowledge has no issue."""
+        """Return None, because perfect knowledge has no time of issue."""
 
     def _update_window(self, tick: int) -> None:
         """Update the window from a tick on, if it differs from the previous window."""
@@ -164,7 +164,7 @@ class PerfectForecast:
 
 
 class SteppedForecast:
-    """Means of an hourly forecast over steps.
+    """Means of an hourly forecast over the steps of the look-ahead.
 
     The current hour is observed rather than forecast, so its rates come from the records.
 
@@ -182,13 +182,13 @@ class SteppedForecast:
 
         Args:
             model: model of the hourly forecasts.
-            weather: the records, which provide the current hour.
-            site: site with the tick, and the area of the bed, which converts depths to volumes.
+            weather: the records, which provide the weather in the current hour.
+            site: site, which provides the tick, and the bed area used to convert depths to volumes.
             start: time of tick 0.
             ends: boundaries of the steps; see :func:`look_ahead_ends`.
             steps: N of the run (ticks).
             all_members: whether to return the rain of all members, or of a single member.
-            rain_now: current rain in every tick (m/s), if the rain is known by the minute.
+            rain_now: current rain in every tick (m/s), if the rain is known minute by minute.
 
         Raises:
             ConfigurationError: if there is no forecast for a part of the run.
@@ -214,7 +214,7 @@ class SteppedForecast:
         return self._at(tick).evapotranspiration
 
     def issued(self, tick: int) -> datetime | None:
-        """Return the nominal time of the newest issue; None if the model has no issues."""
+        """Return the nominal time of the latest forecast; None if the model has no such time."""
         return self._at(tick).issued
 
     def _outlook(self, tick: int) -> Outlook:
@@ -228,7 +228,7 @@ class SteppedForecast:
         return outlook
 
     def _request_all(self) -> datetime | None:
-        """Request the forecasts of all hours; return the earliest time from which values repeat."""
+        """Request the forecasts of all hours; return the time from which values are assumed."""
         times = []
         for hour in range(int(self._offset // _HOUR_S), int(self._until // _HOUR_S) + 1):
             hours = self._hours(hour)
@@ -244,7 +244,7 @@ class SteppedForecast:
         return math.ceil((last_tick + float(self._ends[-1])) / _HOUR_S) - hour
 
     def _make_hour_forecast(self, hour: int) -> HourForecast:
-        """Return the newest forecast in an hour, with the observed values for that hour."""
+        """Return the latest forecast in an hour, with the observed values for that hour."""
         rain, evapotranspiration = self._model.forecast(hour, self._hours(hour))
         present = min(hour, len(self._weather.precipitation) - 1)
         rain[:, 0] = self._weather.precipitation[present]
@@ -273,7 +273,7 @@ def make_forecast(
     Args:
         weather: hourly records.
         series: the weather, tick by tick.
-        site: site with the tick and the look-ahead.
+        site: site, which provides the tick and the look-ahead.
         start: time of tick 0.
         horizon: length of the forecast in growing steps (h); 0 for the next M ticks, one by one.
         choice: choice of the forecasts.
@@ -282,7 +282,7 @@ def make_forecast(
         outlet_horizon: look-ahead of the plan of the outlet valve (h); 0 without such a plan.
 
     Raises:
-        ConfigurationError: if a file of forecasts is invalid, or if there is no forecast for a part
+        ConfigurationError: if a forecast file is invalid, or if there is no forecast for a part
             of the run.
     """
     model = make_model(choice, weather, site, all_members)

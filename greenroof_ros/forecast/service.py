@@ -1,16 +1,17 @@
-"""Forecasts from Open-Meteo over the internet, which are requested, checked and passed on.
+"""Forecasts from Open-Meteo that are requested over the internet, checked and passed on.
 
 The service has two interfaces for the same variables: *forecast*, with one series for each
 variable, and *ensemble*, with one series for each member (``precipitation``,
 ``precipitation_member01``, ...). The responses are read like files from the service
 (:mod:`greenroof_ros.formats.open_meteo`). A response does not state the model run from which it
 comes. A forecast is assumed to be issued in the hour of its arrival, and to be available from its
-arrival on, so that nothing is known too early. Open-Meteo's data are licensed under CC BY 4.0.
+arrival on, so that no information is used too early. Open-Meteo's data are licensed under CC BY
+4.0.
 
 The service allows 600 requests a minute and 10,000 a day; a request for an ensemble of many
 variables counts as several requests. One request an hour is far below these limits. The wait before
 a new attempt doubles with every failure, from a minute to at most an hour; a status such as 429 can
-ask for a longer wait (``Retry-After``).
+request a longer wait (``Retry-After``).
 """
 
 from __future__ import annotations
@@ -73,24 +74,24 @@ _STORED_NAME, _MAX_STORED = re.compile(r"\d{14}\.csv"), 2_000_000_000
 
 
 class Service:
-    """The service, from which forecasts are requested one after another."""
+    """Client of the service, which requests one forecast after another."""
 
     def __init__(
         self, site: Site, *, ensemble: bool = False, model: str = "", days: int = 7, url: str = ""
     ) -> None:
-        """Prepare, without a request.
+        """Set up the requests, without sending one yet.
 
         Args:
-            site: site with its place on earth.
+            site: site, including its location.
             ensemble: whether to request all members of an ensemble, or only one series.
             model: name of the weather model in the service, such as ``icon_seamless``; if empty,
                 the service chooses a model.
             days: length of the forecast, from the first hour of today in UTC (days).
-            url: URL of the interface; if empty, that of the service.
+            url: URL of the interface; if empty, the service's own URL.
 
         Raises:
-            ConfigurationError: if the site file lacks the place, its elevation or its offset from
-                UTC, or if the URL does not begin with http or https.
+            ConfigurationError: if the site file lacks the location, its elevation or its offset
+                from UTC, or if the URL does not begin with http or https.
         """
         for name in ("latitude", "longitude", "elevation", "utc_offset"):
             if getattr(site, name) is None:
@@ -109,7 +110,7 @@ class Service:
         )
 
     def fetch(self, now: datetime) -> IssuedForecast:
-        """Return the newest forecast, issued in the current hour, with evapotranspiration.
+        """Return the latest forecast, issued in the current hour, with evapotranspiration.
 
         Args:
             now: the current time, with its offset from UTC.
@@ -133,8 +134,8 @@ class Service:
 def _read_issue(answer: bytes, site: Site, hour: datetime) -> IssuedForecast:
     """Convert a response to a forecast that was issued in a given hour.
 
-    If evapotranspiration cannot be computed for an hour, it is set to the mean at that time of day
-    in the days around the hour, or else to the site's monthly mean. The forecast ends before the
+    If evapotranspiration cannot be computed for an hour, it is set to the mean for that time of day
+    over the surrounding days, or else to the site's monthly mean. The forecast ends before the
     first hour that lacks a value.
 
     Raises:
@@ -191,12 +192,12 @@ class ForecastFiles:
     """Files in which forecasts are kept."""
 
     def __init__(self, newest: Path, archive: Path | None) -> None:
-        """Prepare, without writing a file.
+        """Set the files, without writing one yet.
 
         Args:
-            newest: file of the newest forecast, which every new forecast replaces; any live site
-                can read the file.
-            archive: directory for all forecasts with new values, of which the newest 2 GB are kept;
+            newest: file of the latest forecast, which is replaced by every new forecast; any live
+                site can read the file.
+            archive: directory for all forecasts with new values, of which the latest 2 GB are kept;
                 None for no archive.
         """
         self._newest, self._archive = newest, archive
@@ -223,17 +224,17 @@ class Fetcher:
 
     Attributes:
         problem: reason why the last attempt failed; empty if the attempt succeeded.
-        newest: last forecast that arrived; None before the first forecast.
+        newest: last forecast received; None before the first forecast.
     """
 
     def __init__(
         self, service: Service, write: Callable[[IssuedForecast], None], every: float
     ) -> None:
-        """Prepare, without fetching a forecast.
+        """Set the service and the output, without fetching a forecast yet.
 
         Args:
             service: service from which forecasts are requested.
-            write: function that keeps a forecast; if this function raises an error, the attempt has
+            write: function that saves a forecast; if it raises an error, the attempt counts as
                 failed.
             every: time between two forecasts (s).
         """
@@ -275,7 +276,7 @@ class Fetcher:
 
 
 def _remove_oldest(archive: Path) -> None:
-    """Remove the oldest kept forecasts beyond the limit, and never any other file."""
+    """Remove the oldest archived forecasts beyond the limit, but never any other file."""
     stored = sorted(file for file in archive.iterdir() if _STORED_NAME.fullmatch(file.name))
     size = 0
     for file in reversed(stored):

@@ -1,6 +1,6 @@
-"""The skill of forecasts: constants for the rain of a place and for the errors of its forecasts.
+"""The skill of forecasts: constants for the rain at a location and for the errors of its forecasts.
 
-**Climate.** The rain r of an hour (mm) is a transformed standard normal number z. The hour is dry
+**Climate.** The rain r of an hour (mm) is a transformed standard normal variable z. The hour is dry
 if z is at most a threshold c; above c,
 
     r = k (exp(b (z - c)) - 1)
@@ -8,9 +8,9 @@ if z is at most a threshold c; above c,
 so that small amounts are the most frequent, and large amounts become rarer as in a lognormal
 distribution. From hour to hour, z is a first-order autoregression, with the correlation exp(-h / T)
 between values h hours apart. Rain therefore comes in spells, and the errors of an hour's forecast
-can be described by correlated normal numbers. A censored Gaussian process of this kind is a common
-model of rain: Sigrist, Kuensch and Stahel, Annals of Applied Statistics 6(4):1452 (2012); Bardossy
-and Plate, Water Resources Research 28(5):1247 (1992).
+can be described by correlated normal variables. A censored Gaussian process of this kind is a
+common model of rain: Sigrist, Kuensch and Stahel, Annals of Applied Statistics 6(4):1452 (2012);
+Bardossy and Plate, Water Resources Research 28(5):1247 (1992).
 
 **Skill.** Each frequency f (1/h) of the weather is known at a lead l (h) with the coherence
 
@@ -50,7 +50,7 @@ _NO_REACH = 1e-6
 
 @dataclass(frozen=True)
 class Climate:
-    """The rain of a place, hour by hour.
+    """Model of the hourly rain at a location.
 
     ``config/forecasts/skill.yaml`` contains the constants for Toronto City Centre, May to October
     of 2015 to 2025.
@@ -83,7 +83,7 @@ class Climate:
         return normal
 
     def spectrum(self, hours: int) -> Array:
-        """Return the power of z at every frequency of a circle of ``hours`` hours.
+        """Return the power of z at every frequency of a periodic series of ``hours`` hours.
 
         The power has shape (hours // 2 + 1,), and its mean over all frequencies is 1, the variance
         of z.
@@ -95,7 +95,7 @@ class Climate:
 
 @dataclass(frozen=True)
 class Errors:
-    """The errors of forecasts, and their growth with the lead.
+    """The errors of forecasts, and the growth of these errors with lead time.
 
     ``wetness``, ``amount`` and ``evapotranspiration`` have their full effect if nothing is known.
     Otherwise, their effect is proportional to the unknown part of z (a standard deviation), which
@@ -137,11 +137,11 @@ class Skill:
         errors: errors of the forecasts.
     """
 
-    climate: Climate = entry("climate of the rain at a place")
-    errors: Errors = entry("errors of the forecasts for this place")
+    climate: Climate = entry("climate of the rain at a location")
+    errors: Errors = entry("errors of the forecasts for this location")
 
     def times_lead(self, factor: float) -> Skill:
-        """Return a skill that has at any lead the present errors at ``factor`` times this lead.
+        """Return a skill that has at lead time l the errors of this skill at ``factor`` times l.
 
         With an infinite factor, only the climate is known from the next hour on, and it rains at
         random times, as often as in the climate.
