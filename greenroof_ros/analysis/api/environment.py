@@ -47,7 +47,7 @@ class _Commanded:
 
 
 def _read_share(outlet: Any) -> float:
-    """Return a command to the valve as a number.
+    """Return a valve command as a number.
 
     Raises:
         ConfigurationError: if it is not a number from 0 to 1.

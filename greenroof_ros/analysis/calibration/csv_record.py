@@ -84,7 +84,7 @@ def read_csv_record(file: Path, site: Site, months: str | None = None) -> StepRe
     # A roof drains within hours, so longer sums show no more than the rain does.
     if step_s > DAY_S:
         raise rows.table.refuse(
-            f"the rows are {name_time(step_s)} apart; they may be at most a day apart"
+            f"the rows are {name_time(step_s)} apart; they must be no more than a day apart"
         )
     step_h, steps = step_s / HOUR_S, int(rows.steps.steps[-1]) + 1
     series = {}

@@ -365,7 +365,7 @@ def _judge(parameter: FitRange, share: float, half: float, why: str) -> FittedPa
     low, high = (parameter.value(max(0.0, min(1.0, end))) for end in (share - half, share + half))
     reason = ""
     if not _END < share < 1 - _END:
-        reason = f"at the end of its range ({parameter.low:.3g} to {parameter.high:.3g})"
+        reason = f"at the limit of its range ({parameter.low:.3g} to {parameter.high:.3g})"
     elif high - low > _HARDLY * 2 * abs(value) or half > _HARDLY:
         reason = "the data hardly constrain this parameter"
     return FittedParameter(parameter.name, value, low, high, reason)

@@ -38,11 +38,11 @@ _RESULTS = {
     ),
     "drainage_kept_m3": _Result("drainage from the roof (m³)"),
     "frost_hours": _Result("frost (h)", ".2f"),
-    "frost_pumped_m3": _Result("pumped in frost (m³)", max_possible=0),
-    "cistern_change_m3": _Result("change in the cistern (m³)"),
-    "cistern_residual_m3": _Result("unexplained change in the cistern (m³)", ".1e"),
-    "roof_change_m3": _Result("change on the roof (m³)"),
-    "roof_residual_m3": _Result("unexplained change on the roof (m³)", ".1e"),
+    "frost_pumped_m3": _Result("pumped during frost (m³)", max_possible=0),
+    "cistern_change_m3": _Result("change in cistern storage (m³)"),
+    "cistern_residual_m3": _Result("unexplained change in cistern storage (m³)", ".1e"),
+    "roof_change_m3": _Result("change in roof storage (m³)"),
+    "roof_residual_m3": _Result("unexplained change in roof storage (m³)", ".1e"),
 }
 # The results in every table; a page has room for a dozen columns.
 _TABLES = {

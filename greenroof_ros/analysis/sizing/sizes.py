@@ -217,7 +217,7 @@ class Sizes:
             return "the site file has a valve on the low outlet."
         if self.outlet == NONE and not self.site.low_outlet_valve:
             return "the site file has no valve."
-        return "this is the first of the outlets that were compared."
+        return "this is the first outlet of those compared."
 
     def describe_knee(self) -> str:
         """Return a sentence with the reason why this cistern is recommended."""
@@ -230,15 +230,15 @@ class Sizes:
                 f"{self.prices.yearly_cistern_price:.4g} a year"
             )
         if len(self.volumes) == 1:
-            return "this is the only size that was compared."
+            return "this is the only size compared."
         if self.find_knee(self.recommended.target, self.outlet) is None:
             return (
-                f"this is the largest of the sizes. There is no size beyond which {amount} "
+                f"this is the largest size compared. There is no size beyond which {amount} "
                 f"({what}), so larger sizes are worth trying."
             )
         if self.recommended.volume == self.volumes[0]:
             return (
-                f"this is the smallest of the sizes. Beyond it, {amount} ({what}), so smaller "
+                f"this is the smallest size compared. Beyond it, {amount} ({what}), so smaller "
                 "sizes are worth trying."
             )
         return f"beyond this size, {amount} ({what})."

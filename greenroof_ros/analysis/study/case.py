@@ -25,7 +25,7 @@ _DIGESTS = {"file": "forecast_file", "skill": "skill_file"}
 
 @dataclass(frozen=True)
 class InputFile:
-    """An input file of runs, whose content is sent to every worker once and not with every case."""
+    """An input file of runs; its content is sent to each worker once, not with every case."""
 
     name: str
     """name that is unique in the study"""
@@ -105,7 +105,7 @@ class Case:
 
     @property
     def bound_identity(self) -> str:
-        """Identity of the inputs without those of the controller, followed by the time block."""
+        """Identity of the inputs except those of the controller, followed by the time block."""
         return f"{self.plain.identity}-{format_exactly(self.bound_block)}"
 
     @property

@@ -1,4 +1,4 @@
-"""The input files of tasks, which every worker receives once and not with every task."""
+"""The input files of tasks, which each worker receives once rather than with every task."""
 
 from __future__ import annotations
 

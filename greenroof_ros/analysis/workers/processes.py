@@ -26,7 +26,7 @@ from greenroof_ros.common.processes import end_worker_with_command, scratch_dire
 
 
 class WorkersLostError(BrokenExecutor):
-    """The workers cannot continue; the message states what was lost."""
+    """Raised when the workers cannot continue; the message states what was lost."""
 
 
 class Workers(NamedTuple):

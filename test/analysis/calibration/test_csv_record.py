@@ -154,7 +154,7 @@ def test_wrong_files_are_refused(name: str, file: Path) -> None:
     ("minutes", "message"),
     [
         (2 * 1440 * np.arange(120),
-         "line 1: the rows are 2 days apart; they may be at most a day apart"),
+         "line 1: the rows are 2 days apart; they must be no more than a day apart"),
         (np.cumsum(np.resize([5, 5, 7], 200)),
          "line 4: time = '2021-06-01T00:17': must be 300 s after the previous row, or a multiple "
          "of this step, not 420 s; 66 of 200 rows are irregular"),
