@@ -219,7 +219,7 @@ def test_a_knee_at_the_ends_of_the_volumes(sizes: Sizes) -> None:
     """No cistern saves a million m3 for each m3, and each saves at least none."""
     never, always = (replace(sizes, knee_m3=amount) for amount in (1e6, 0.0))
     assert never.recommended.volume == 2
-    assert never.describe_knee().startswith("this is the smallest size compared. Beyond it, another")
+    assert never.describe_knee().startswith("this is the smallest size compared. Beyond it, ")
     assert never.format_knee(never.targets[0], "plan") == "at most 2 m³"
     assert always.recommended.volume == 10
     assert always.describe_knee().startswith("this is the largest size compared")
