@@ -1,4 +1,4 @@
-"""Checks of the size of the pumps, relative to the roof and to the duration of a tick."""
+"""Checks of the pump size, relative to the roof and to the duration of a tick."""
 
 from __future__ import annotations
 
@@ -16,24 +16,26 @@ _MAX_SHARE = 0.1
 
 
 def note_pumps(site: Site) -> Iterator[str]:
-    """Yield a sentence if the pumps are too large for the roof, or for the duration of a tick.
+    """Yield a warning if the pumps are too large for the roof or for the duration of a tick.
 
-    The size relative to the roof is checked only for a field-capacity soil. On Table I's soil, Eq.
-    (4), water stays on the surface until it drains at 0.28 mm/h, so no pump would pass this check.
+    The size relative to the roof is checked only for a field-capacity soil. On the soil of Table I,
+    Eq. (4), water stays on the surface until it drains at 0.28 mm/h, so every pump would fail this
+    check.
     """
     flow = maximum_pump_flow(site, site.a1 * site.z_o)
     depth = flow / site.a2 / LITRES_PER_HOUR
     if site.field_capacity is not None and depth > _TAKEN_UP:
         yield (
             f"the pumps can deliver {1000 * flow:.3g} l/s, or {depth:.0f} mm/h on "
-            f"{site.a2:g} m2 of roof. A substrate is assumed to absorb {_TAKEN_UP:g} mm/h; more "
-            "water runs off the surface, which is not simulated. Is the pump's curve or flow right?"
+            f"{site.a2:g} m2 of roof. A substrate is assumed to absorb {_TAKEN_UP:g} mm/h; the "
+            "excess runs off the surface, which is not simulated. Is the pump curve or the pump "
+            "flow correct?"
         )
     share = site.tau * flow / site.x2_star
     if share > _MAX_SHARE:
         yield (
-            f"in a tick of {site.tau:g} s the pumps can deliver {share:.0%} of the target volume: "
-            "simulated pumps stop at the target within the tick, as with a float switch, and real "
-            "pumps need such a switch; alternatively, use ticks of at most "
+            f"in a tick of {site.tau:g} s the pumps can deliver {share:.0%} of the target "
+            "volume. Simulated pumps stop at the target within the tick, as with a float switch. "
+            "Real pumps need such a switch, or ticks of at most "
             f"{_MAX_SHARE * site.x2_star / flow:.3g} s"
         )

@@ -1,10 +1,10 @@
 """Conversion between pump flow and speed with the affinity laws and the site's pump curve.
 
-If a pump has the flow y and the head phi(y) at its rated speed, it has the flow s y and the head
-s^2 phi(y) at the share s of this speed (affinity laws, e.g. White, Fluid Mechanics, Sec. 11.3).
-Therefore Eq. (3b) becomes phi_s(q) = s^2 c_hat + a_hat q^2. This head equals the head loss L(q) of
-Eq. (3c) if s^2 c_hat = (pipe_resistance - a_hat) q^2 + d - x1/a1. The curve represents all pumps of
-the site together, which run at the same speed.
+A pump that delivers the flow y at the head phi(y) and at its rated speed delivers the flow s y at
+the head s^2 phi(y) and at the share s of this speed (affinity laws, e.g. White, Fluid Mechanics,
+Sec. 11.3). Therefore Eq. (3b) becomes phi_s(q) = s^2 c_hat + a_hat q^2. This head equals the head
+loss L(q) of Eq. (3c) if s^2 c_hat = (pipe_resistance - a_hat) q^2 + d - x1/a1. The curve represents
+all pumps of the site together, which run at the same speed.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ STANDSTILL = 0.02
 
 
 def flow_at(site: Site, speed: float, cistern_level: float) -> float:
-    """Return the flow (m3/s) of pumps at a speed; 0 if no water reaches the roof.
+    """Return the flow (m3/s) of the pumps at a given speed; 0 if no water reaches the roof.
 
     Stopped pumps deliver nothing, even from a cistern above the roof, because a check valve is
-    assumed. At speed 1 the result has the same bits as
+    assumed. At speed 1, the result is bit-identical to that of
     :func:`greenroof_ros.model.plant.maximum_pump_flow`.
 
     Args:
@@ -34,11 +34,12 @@ def flow_at(site: Site, speed: float, cistern_level: float) -> float:
 
 
 def speed_for(site: Site, share: float, cistern_level: float) -> float:
-    """Return the speed (share of the rated speed) for a share of the maximum flow at a level.
+    """Return the speed (share of the rated speed) that yields a share of the maximum flow.
 
-    The speed is 0 for the share 0, and if the pumps cannot lift water to the roof at rated speed.
-    If the cistern is above the roof, even a slow pump exceeds a small share. The speed is then the
-    smallest positive number, so that a positive share never stops the pumps.
+    The speed is 0 if the share is 0, or if the pumps cannot lift water to the roof at their rated
+    speed. If the cistern is above the roof, even a slow pump delivers more than a small share. For
+    such a share, the speed is the smallest positive number, so that a positive share never stops
+    the pumps.
 
     Args:
         site: site with the pump curve.

@@ -22,10 +22,10 @@ _INTERVAL = re.compile(
 
 
 class QuietHours:
-    """Intervals of the day in a time zone, including daylight saving time.
+    """Intervals of the day in a time zone, with daylight saving time taken into account.
 
     A minute is quiet if the local clock shows a time within an interval. Therefore an interval in
-    the hour that the clock skips in spring does not occur on this day, and an interval in the hour
+    the hour that the clock skips in spring does not occur on that day, and an interval in the hour
     that the clock repeats in autumn occurs twice.
     """
 
@@ -50,12 +50,12 @@ class QuietHours:
             raise ValueError("the intervals leave no time for pumping")
 
     def quiet_at(self, time_ns: int) -> bool:
-        """Return whether a time (ns since 1970) is in quiet hours."""
+        """Return whether a time (ns since 1970) is within the quiet hours."""
         day, minute = divmod(time_ns // _MINUTE_NS, _DAY_MINUTES)
         return bool(self._by_clock[_clock(day, self._zone)[minute]])
 
     def end_after(self, time_ns: int) -> datetime:
-        """Return the end of the quiet hours around a time (ns since 1970), in the time zone."""
+        """Return the local time at which the quiet hours around a time (ns since 1970) end."""
         day, minute = divmod(time_ns // _MINUTE_NS, _DAY_MINUTES)
         while self._day(day)[minute:].all():
             day, minute = day + 1, 0
@@ -63,11 +63,11 @@ class QuietHours:
         return datetime.fromtimestamp(day * _DAY_S + minute * 60, self._zone)
 
     def pumping_shares(self, time_ns: int, edges: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the share of every step in which the pump may run (1).
+        """Return the share of every step during which the pump may run (1).
 
         Args:
             time_ns: start of the first step (ns since 1970).
-            edges: ends of the steps (s from ``time_ns``), beginning with 0, shape (n + 1,).
+            edges: boundaries of the steps (s from ``time_ns``), starting with 0, shape (n + 1,).
         """
         first, since_midnight = divmod(time_ns, _DAY_S * _SECOND_NS)
         ends = since_midnight / _SECOND_NS + edges
@@ -78,13 +78,13 @@ class QuietHours:
         return np.minimum(np.diff(pumped) / np.diff(edges), 1.0)
 
     def _day(self, day: int) -> NDArray[np.bool_]:
-        """Return a mask of the quiet minutes of a day in UTC (counted since 1970)."""
+        """Return a mask of the quiet minutes of a UTC day (counted in days since 1970)."""
         return self._by_clock[_clock(day, self._zone)]
 
 
 @functools.lru_cache(_MAX_DAYS)
 def _clock(day: int, zone: tzinfo) -> NDArray[np.intp]:
-    """Return the local time of every minute of a day in UTC, in minutes of the day."""
+    """Return the local time of every minute of a UTC day, in minutes since midnight."""
     times = (
         datetime.fromtimestamp(day * _DAY_S + 60 * minute, zone) for minute in range(_DAY_MINUTES)
     )
@@ -92,7 +92,7 @@ def _clock(day: int, zone: tzinfo) -> NDArray[np.intp]:
 
 
 def _minutes(interval: str) -> tuple[int, int]:
-    """Return the beginning and the end of an interval, in minutes of the day.
+    """Return the start and the end of an interval, in minutes since midnight.
 
     Raises:
         ValueError: if the interval is invalid.

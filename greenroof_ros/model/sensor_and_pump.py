@@ -25,18 +25,19 @@ class SensorAndPump:
     """Imperfections of the level sensor and the pumps; by default, there are none."""
 
     roof_noise: float = entry(
-        "standard deviation of the noise of the roof's level sensor, which is independent in each "
-        "tick", 0.0, 1.0, unit="m",
+        "standard deviation of the noise of the roof's level sensor; the noise of every tick is "
+        "independent", 0.0, 1.0, unit="m",
         default=0.0,
     )
     roof_offset: float = entry(
-        "amount by which the roof sensor reads above the true level", -1.0, 1.0, unit="m",
+        "amount by which the reading of the roof's level sensor exceeds the true "
+        "level", -1.0, 1.0, unit="m",
         default=0.0,
     )
     noise_seed: int = entry("random seed of the noise", 0, 2**31 - 1, default=0)
     pump_min_on: float = entry(
-        "minimum time for which the pumps stay on, except during frost or if the roof is full or "
-        "the cistern is empty", 0.0, 86_400.0, unit="s", default=0.0,
+        "minimum time for which the pumps stay on, except during frost or quiet hours, or if the "
+        "roof is full or the cistern is empty", 0.0, 86_400.0, unit="s", default=0.0,
     )
     pump_min_off: float = entry(
         "minimum time for which the pumps stay off", 0.0, 86_400.0, unit="s", default=0.0
@@ -57,7 +58,7 @@ class SensorAndPump:
         return asdict(self)
 
     def refuse_external_pump(self) -> None:
-        """Reject minimum times if a driver controls the pump, which has its own settings.
+        """Reject minimum times if the pump is controlled by a driver, which has its own settings.
 
         Raises:
             ConfigurationError: if minimum times are set.
@@ -83,7 +84,7 @@ class RoofSensor:
         self._errors = [sensor.roof_offset] * _BLOCK
 
     def reading(self, tick: int, level: float) -> float:
-        """Return the reading (m, at least 0) at a tick and a true level (m)."""
+        """Return the reading (m, at least 0) in a tick for a true level (m)."""
         block, index = divmod(tick, _BLOCK)
         if block != self._block and self._model.roof_noise:
             drawn = np.random.default_rng([self._model.noise_seed, block]).standard_normal(_BLOCK)
@@ -95,14 +96,15 @@ class RoofSensor:
 class Pump:
     """The pumps, and the switch that protects them.
 
-    After a start, the pumps stay on for at least ``pump_min_on``; while the command is 0, they run
-    at the last positive command. After a stop, the pumps stay off for at least ``pump_min_off``,
-    independent of the command. At the start of a run, the pumps have been off for long enough. The
-    switch monitors the delivered flow instead of the command. If Eq. (3a) stops the flow because of
-    the true levels, the on-time ends even if it is too short, and an off-time begins, as with a
-    float switch. Otherwise, the pumps would start again whenever a drop evaporates from a full
-    roof. Frost switches the pumps off immediately, because a burst pipe is worse than a short
-    on-time. Quiet hours also switch the pumps off immediately, as on a real site.
+    After a start, the pumps stay on for at least ``pump_min_on``; if the command becomes 0 earlier,
+    they continue to run at the last positive command. After a stop, the pumps stay off for at least
+    ``pump_min_off``, independent of the command. At the start of a run, the pumps are assumed to
+    have been off for long enough. The switch monitors the delivered flow instead of the command. If
+    Eq. (3a) stops the flow because of the true levels, the on-time ends even if it is too short,
+    and an off-time begins, as with a float switch. Otherwise, the pumps would restart whenever a
+    drop evaporated from a full roof. Frost switches the pumps off immediately, because a burst pipe
+    is worse than a short on-time. Quiet hours also switch the pumps off immediately, as at a real
+    site.
     """
 
     def __init__(self, pump: SensorAndPump, tau: float) -> None:
@@ -128,7 +130,7 @@ class Pump:
         return command
 
     def observe(self, flow: float) -> None:
-        """Count the current tick, in which the pumps deliver a flow (m3/s)."""
+        """Record the flow (m3/s) that the pumps deliver in the current tick."""
         if (flow > 0) != self._on:
             self._on = flow > 0
             self._ticks = 0

@@ -1,4 +1,4 @@
-"""The parameters of a site: Table I of the paper, and its location, read from YAML and checked."""
+"""The parameters of a site (Table I, location and options), read from YAML and checked."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ _FOLLOW = {
 _OF_CLOCK: dict[str, tuple[Callable[[Any], object], str]] = {
     "quiet_hours": (
         lambda intervals: QuietHours(intervals, timezone.utc),
-        'must be a list of times of day, such as ["22:00-06:00", "12:00-13:30"], and must leave '
-        "some time for pumping",
+        'must be a list of intervals of the day, such as ["22:00-06:00", "12:00-13:30"], and must '
+        "leave some time for pumping",
     ),
     "time_zone": (
         ZoneInfo,
-        "must be the IANA name of a time zone that this machine knows (package tzdata), such as "
+        "must be the IANA name of a time zone known to this computer (package tzdata), such as "
         "America/Toronto",
     ),
 }
@@ -86,8 +86,8 @@ class Site:
 
     a1: float = entry("area of the cistern's base", *_POSITIVE, unit="m2")
     a_in: float = entry(
-        "catchment area from which rain flows into the cistern; in Table I, only the cistern's "
-        "inlet", *_POSITIVE,
+        "catchment area from which rain flows into the cistern; in Table I, only the area of the "
+        "cistern's inlet", *_POSITIVE,
         unit="m2",
     )
     z_o: float = entry("elevation of the cistern's overflow above its base", *_POSITIVE, unit="m")
@@ -164,7 +164,8 @@ class Site:
         unit="s", default=None,
     )
     mains_level: float | None = entry(
-        "level of the cistern below which a valve adds mains water; if omitted, the cistern has "
+        "water level in the cistern below which a float valve adds mains water; if omitted, the "
+        "cistern has "
         "no mains supply",
         0.01, 100.0, unit="m", default=None,
     )
@@ -172,8 +173,8 @@ class Site:
         "flow of mains water into the cistern", 1e-6, 1.0, unit="m3/s", default=None,
     )
     low_outlet_level: float | None = entry(
-        "elevation of the low outlet above the cistern's base; this throttled second outlet "
-        "below the overflow empties the detention volume between storms; if omitted, the cistern "
+        "elevation above the cistern's base of the low outlet, a throttled second outlet below "
+        "the overflow that empties the detention volume between storms; if omitted, the cistern "
         "has no low outlet", 0.001,
         100.0,
         unit="m", default=None,
@@ -186,9 +187,8 @@ class Site:
         "low outlet is always open", default=False,
     )
     valve_closed_in_frost: bool = entry(
-        "true for a valve that could freeze while it is open, and therefore stays closed during "
-        "frost; false for a valve below the frost line, which also works during "
-        "frost", default=False,
+        "true if the valve stays closed during frost, because it could freeze while open; false "
+        "for a valve below the frost line, which works even during frost", default=False,
     )
     drainage_to_cistern: float = entry(
         "share of the roof's drainage that flows into the cistern; the rest flows to the sewer",
@@ -249,7 +249,7 @@ class Site:
     )
     wind_height: float = entry(
         "height above the ground at which the wind was measured, for records in this project's "
-        "format; other formats contain the wind at 10 m", 0.5, 100.0, unit="m",
+        "format; other formats contain the wind speed at 10 m", 0.5, 100.0, unit="m",
         default=10.0,
     )
     crop_coefficient: float = entry(
@@ -257,18 +257,20 @@ class Site:
         unit="1", default=1.0,
     )
     monthly_evapotranspiration: tuple[float, ...] | None = entry(
-        "mean reference evapotranspiration of each month, January to December, in brackets; used "
-        "at a live site without a forecast, and for weather without temperature", 0.0, 20.0,
+        "mean reference evapotranspiration of each month, from January to December, as a list in "
+        "brackets; used at a live site without a forecast, and with weather data that lack "
+        "temperature", 0.0, 20.0,
         unit="mm/day", default=None,
     )
     quiet_hours: tuple[str, ...] | None = entry(
-        "times of day at which the pump stays off, on the clock of time_zone, such as "
+        "intervals of the day during which the pump stays off, in the local time of time_zone, "
+        "such as "
         '["22:00-06:00", "12:00-13:30"]; if omitted, the pump may run at any time', default=None,
     )
     time_zone: str | None = entry(
         "IANA name of the time zone of quiet_hours and of the web page, such as America/Toronto; "
-        "the zone includes daylight saving time, and its standard time must be "
-        "utc_offset", default=None,
+        "daylight saving time is taken into account, and the standard UTC offset of the zone "
+        "must equal utc_offset", default=None,
     )
     max_dose: float | None = entry(
         "maximum volume of a dose that a person may request; if omitted, doses cannot be requested",
@@ -343,7 +345,7 @@ class Site:
 
     @cached_property
     def stress_onset(self) -> float:
-        """Share of available water below which plants evaporate less: 1 - p, FAO-56 Eq. 84 (1)."""
+        """Share of available water below which stress begins: 1 - p, FAO-56 Eq. 84 (1)."""
         return 1 - (self.depletion_fraction or 0.0)
 
     @cached_property
@@ -353,12 +355,12 @@ class Site:
 
     @property
     def max_cistern_level(self) -> float:
-        """Maximum plausible level of the cistern, three times the level of its overflow (m)."""
+        """Maximum plausible water level in the cistern: three times the overflow's level (m)."""
         return 3 * self.z_o
 
     @property
     def max_roof_level(self) -> float:
-        """Maximum plausible level of the roof, twice the depth of its soil (m)."""
+        """Maximum plausible water level on the roof: twice the depth of its soil (m)."""
         return 2 * self.z_soil
 
     @property
@@ -368,7 +370,7 @@ class Site:
         return solar if self.utc_offset is None else self.utc_offset
 
     def of_weather(self) -> Site:
-        """Return a site with only the parameters that affect weather; all others are 0.
+        """Return a site that keeps only the parameters that affect the weather; others are 0.
 
         Weather that is read for the returned site is the same for all sites that share these
         parameters.
@@ -390,8 +392,8 @@ class Site:
     def roof_level(self, x2: float) -> float:
         """Return the depth (m) of a water volume x2 (m3) on the roof.
 
-        On a field-capacity soil, x2 is the water in the substrate, without that in the drainage
-        layer.
+        On a field-capacity soil, x2 is the water in the substrate, excluding the water in the
+        drainage layer.
         """
         return x2 / self.a2
 
@@ -411,9 +413,9 @@ def _product(name: str, site: Site) -> float:
 
 
 def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, str]]:
-    """Yield name, volume and maximum of each store, ``cistern`` or ``roof``, that is too full.
+    """Yield each store (``cistern`` or ``roof``) that cannot hold its volume, and a message.
 
-    No rain can lead to such a volume, so it indicates a wrong unit.
+    A volume that exceeds what any rain could produce indicates a wrong unit.
 
     Args:
         site: the site.
@@ -423,8 +425,8 @@ def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, 
     full = site.roof_level(site.z_cap)
     cistern = f"its overflow is at {site.z_o:g} m, and the roof is {site.d:g} m above its base"
     roof = (
-        f"the soil holds {site.z_cap:g} m3 ({full:g} m), and up to {_MAX_PONDED:g} m can stand "
-        "on the soil"
+        f"the soil holds {site.z_cap:g} m3 ({full:g} m), and up to {_MAX_PONDED:g} m of water "
+        "can stand on its surface"
     )
     for name, volume, area, level, why in (
         ("cistern", x1, site.a1, max(site.d, _ABOVE_OUTLET * site.z_o), cistern),
@@ -432,14 +434,14 @@ def find_unheld(site: Site, x1: float, x2: float) -> Iterator[tuple[str, float, 
     ):
         if volume > level * area:
             yield name, volume, (
-                f"must be at most {level * area:g} m3, a level of {level:g} m ({why}); is the "
-                f"unit wrong? The value is a volume in m3; a level of {volume:g} mm is "
-                f"{volume / 1000 * area:g} m3"
+                f"must be at most {level * area:g} m3, which is a level of {level:g} m ({why}); "
+                f"is the unit wrong? The value must be a volume in m3; a level of {volume:g} mm "
+                f"corresponds to {volume / 1000 * area:g} m3"
             )
 
 
 def site_parameters() -> list[Parameter]:
-    """Return all parameters of a site: those of Table I in its order, then the optional ones.
+    """Return all parameters of a site, those of Table I first and in the order of this table.
 
     A parameter that has no default value is listed with the default None.
     """
@@ -451,7 +453,7 @@ SITE_KEYS = (*(parameter.name for parameter in site_parameters()), *PLAIN)
 
 
 def format_site(site: Site, notes: Mapping[str, str] | None = None) -> str:
-    """Return the text of a complete site file, from which :func:`read_site` reads this site.
+    """Return the text of a complete site file that :func:`read_site` reads as the same site.
 
     Args:
         site: the site.
@@ -504,20 +506,20 @@ def read_site(path: Path, changes: Mapping[str, Any] | None = None) -> Site:
     Args:
         path: path of the file.
         changes: values of parameters or plain keys that replace those in the file. Volumes that
-            depend on the changed parameters are adapted: the products x2_star and z_cap, and the
+            depend on the changed parameters are adjusted: the products x2_star and z_cap, and the
             initial volumes (the filled share of the cistern and the level on the roof stay the
             same).
 
     Raises:
         ConfigurationError: if a parameter is missing, unknown, not a number, outside its range, or
-            inconsistent with another parameter; the message names file, line, key and value.
+            inconsistent with another parameter; the message names the file, line, key and value.
     """
     file = SiteFile(path)
     return file.change(changes) if changes else file.site
 
 
 class SiteFile:
-    """A site file that is read once, and can provide many sites with some values changed.
+    """A site file that is read once, and from which sites with changed values can be derived.
 
     Attributes:
         site: site with the values in the file.
@@ -564,7 +566,7 @@ def merge_site_file(path: Path, changes: Mapping[str, Any]) -> str:
 
 
 def check_site(site: Site) -> Site:
-    """Check a site that a program created, and return it with its numbers as Python numbers.
+    """Check a site that a program created, and return it with its values as Python numbers.
 
     Raises:
         ConfigurationError: if a value is wrong, as in :func:`read_site`; the message names the key
@@ -575,7 +577,7 @@ def check_site(site: Site) -> Site:
 
 
 def _site_of(entries: Mapping[str, Entry], path: Path | None = None) -> Site:
-    """Return the site with these entries after checking them; the path is None without a file."""
+    """Check entries, and return the site that they describe; the path is None without a file."""
     return _check(*_record_of(entries, path), path)
 
 
@@ -622,7 +624,7 @@ def _add_place_to_errors(entries: Mapping[str, Entry], path: Path | None) -> Ite
         if name not in entries:
             expected += (
                 "; add it, or begin the file with 'extends: site.yaml' to use the paper's values "
-                "for all keys that are missing"
+                "for all missing keys"
             )
         raise ConfigurationError(
             expected, file=given.file, line=given.line, value=error.value,
@@ -648,8 +650,8 @@ def _other_zone(zone: str, utc_offset: float, offsets: list[float]) -> str:
     """Return the reason for rejecting a time zone with a different standard offset."""
     found = " or ".join(f"{offset:+g} h" for offset in offsets)
     expected = (
-        f"must be a zone whose standard time is utc_offset, {utc_offset:+g} h, but the standard "
-        f"time of {zone} is {found}"
+        f"must be a time zone whose standard UTC offset is utc_offset = {utc_offset:+g} h, but "
+        f"the standard offset of {zone} is {found}"
     )
     if zone.startswith("Etc/GMT"):
         expected += "; in names that begin with Etc/ the sign is reversed: Etc/GMT+5 is UTC-05:00"
@@ -673,7 +675,7 @@ def _contradictions(site: Site, entries: Collection[str]) -> Iterator[tuple[str,
         except (OSError, ValueError, KeyError):
             yield name, expected
     if site.monthly_evapotranspiration and len(site.monthly_evapotranspiration) != 12:
-        yield "monthly_evapotranspiration", "must be twelve numbers, January to December"
+        yield "monthly_evapotranspiration", "must be a list of twelve numbers, January to December"
     for name, topic in (("z_o", "/cistern/level"), ("z_veg", "/roof/level")):
         high = read_topics()[topic].high
         if _ABOVE_OUTLET * getattr(site, name) > high:

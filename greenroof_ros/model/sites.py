@@ -1,8 +1,8 @@
 """The parameters of many sites as arrays, with one entry per :class:`.site.Site`.
 
-Functions that only compute with the parameters of a site broadcast over the arrays. A device that a
-site does not have is represented by values without effect, such as a float valve without flow, or a
-low outlet without area at the level of the upper outlet.
+Functions that only perform arithmetic on a site's parameters also accept these arrays. A device
+that a site does not have is represented by values without effect, such as a float valve without
+flow, or a low outlet without area at the level of the upper outlet.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class Sites:
     """Parameters of n sites, each of shape (n,), as described in :class:`.site.Site`.
 
     Attributes:
-        above_target: volume by which rain can exceed the roof's target (m3), see :mod:`.soil`.
+        above_target: volume by which rain can raise the water above the roof's target (m3), see
+            :mod:`.soil`.
         stress_volume: volume on the roof below which plants lack water (m3), see :mod:`.soil`.
         overdraws: whether Eq. (4) would drain too much in a tick, see :mod:`.soil`.
         has_field_capacity: whether the soil is a field-capacity soil.
@@ -87,7 +88,7 @@ class Sites:
 
     @classmethod
     def of(cls, sites: Sequence[Site]) -> Sites:
-        """Return the parameters of some sites as arrays."""
+        """Return the parameters of the given sites as arrays."""
         return cls(**{
             field.name: np.array([
                 _FROM_SITE[field.name](site) if field.name in _FROM_SITE
@@ -96,7 +97,7 @@ class Sites:
         })
 
     def take(self, rows: NDArray[np.intp] | Flags) -> Sites:
-        """Return the parameters of a selection of the sites."""
+        """Return the parameters of the selected sites."""
         return Sites(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def __len__(self) -> int:

@@ -36,7 +36,7 @@ _MIN_LASTING = 1e-3
 
 
 class SoilSlopes(NamedTuple):
-    """The response of the soil to water at a volume x2, and its derivatives with x2 (per m3)."""
+    """The response of the soil to water at a volume x2, and its derivatives in x2 (per m3)."""
 
     retained: float
     """share of the arriving water that stays in the soil (1)"""
@@ -90,11 +90,11 @@ class PaperSoil:
         return min(drainage, above / seconds + arriving) if self.overdraws else drainage
 
     def retained_share(self, x2: float) -> float:
-        """Return the share of the arriving water that stays (1) in a soil with x2 (m3)."""
+        """Return the share of the arriving water that a soil with x2 (m3) retains (1)."""
         return 1.0
 
     def water_stress(self, x2: float) -> float:
-        """Return the share of the potential evapotranspiration at a volume x2 (m3) (1)."""
+        """Return the ratio of actual to potential evapotranspiration at a volume x2 in m3 (1)."""
         return 1.0
 
     def tick(
@@ -123,7 +123,7 @@ class PaperSoil:
         return drainage, potential, False
 
     def max_fall_rate(self, level: float) -> float:
-        """Return the maximum rate at which drainage lowers a level (m), in m/s.
+        """Return the maximum rate (m/s) at which drainage lowers the water from a level (m).
 
         The rate is that of Eq. (4), even below the capacity.
         """
@@ -148,8 +148,8 @@ class PaperSoil:
 
         Args:
             x2: volume on the roof before the step (m3).
-            arriving: rain and pumped water in the step (m3); its shape must broadcast with x2,
-                potential and seconds.
+            arriving: rain and pumped water in the step (m3); its shape must be broadcastable with
+                those of x2, potential and seconds.
             potential: potential evapotranspiration (m3).
             seconds: length of the step (s).
         """
@@ -160,7 +160,7 @@ class PaperSoil:
         return np.maximum(remaining, 0.0)
 
     def water_to_fill(self, x2: Any) -> Any:
-        """Return the volume of water that fills an empty roof to x2 (m3), in any shape."""
+        """Return the volume of water that fills an empty roof to x2 (m3, of any shape)."""
         return x2
 
     def water_to_raise(self, x2: float, to: float) -> float:
@@ -168,13 +168,13 @@ class PaperSoil:
         return to - x2
 
     def fill_empty(self, arrived: Values) -> Values:
-        """Return the volume on an initially empty roof (m3) after a volume has arrived (m3)."""
+        """Return the volume (m3) on an initially empty roof that has received a volume (m3)."""
         return arrived
 
     def predict_changes(
         self, x2: float, rain: Values, potential: Values, lengths: Values
     ) -> Values:
-        """Predict the changes of the roof's volume in steps without pumping (m3).
+        """Predict the changes in the volume on the roof in steps without pumping (m3).
 
         Args:
             x2: volume on the roof at the beginning (m3).
@@ -184,12 +184,12 @@ class PaperSoil:
             lengths: lengths of the steps (s), shape (n,).
 
         Returns:
-            Changes of shape (n,).
+            The changes, shape (n,).
         """
         return np.asarray((rain * self._site.a2 - potential) * lengths)
 
     def predict_lasting_share(self, x2: float, changes: Values, *weather: Values) -> Values:
-        """Predict the share of water added now that remains on the roof in later steps (1): 1.
+        """Predict the share of water added now that remains on the roof in later steps: always 1.
 
         Args:
             x2: volume on the roof at the beginning (m3).
@@ -197,7 +197,7 @@ class PaperSoil:
             weather: arguments rain, potential and lengths of :meth:`predict_changes`.
 
         Returns:
-            The mean in every step, shape (n,).
+            The mean share in every step, shape (n,).
         """
         return np.ones_like(changes)
 
@@ -205,7 +205,7 @@ class PaperSoil:
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values, durations: Values,
     ) -> tuple[Values, Values]:
-        """Compute the quantities of a roof with known volumes that are not measured.
+        """Compute the quantities that are not measured for a roof with known volumes.
 
         Args:
             layer: initial volume in the drainage layer (m3).
@@ -255,21 +255,21 @@ class FieldCapacitySoil:
     def filled_share(self, x2: float) -> float:
         """Return S (1): the filled share of the available water capacity at x2 (m3).
 
-        S is 0 up to the wilting point, and 1 from field capacity on.
+        S is 0 at and below the wilting point, and 1 at and above field capacity.
         """
         if x2 >= self._capacity:
             return 1.0
         return max(0.0, (x2 - self._wilting) / self._available)
 
     def drained(self, x2: float, arriving: float, seconds: float) -> float:
-        """Return the mean percolation out of the substrate in a tick of any length (m3/s).
+        """Return the mean percolation from the substrate in a tick of any length (m3/s).
 
         The share of water that percolates increases as the substrate fills. The solution of dS/dt =
         (1 - S^2) i / TAW for a constant i is
 
             S(t) = (S + g) / (1 + S g),  g = tanh(i t / TAW).
 
-        Up to the wilting point, all water stays in the substrate. Water above field capacity
+        Below the wilting point, all water stays in the substrate. Water above field capacity
         percolates within the tick.
 
         Args:
@@ -286,14 +286,14 @@ class FieldCapacitySoil:
         return max(0.0, arriving - retained / seconds)
 
     def retained_share(self, x2: float) -> float:
-        """Return 1 - S^2; the other water bypasses the soil to the drainage layer."""
+        """Return 1 - S^2; the rest of the water bypasses the soil and enters the drainage layer."""
         filled = self.filled_share(x2)
         return 1 - filled * filled
 
     def water_stress(self, x2: float) -> float:
         """Return K_s = (TAW - D_r) / ((1 - p) TAW), at most 1, FAO-56 Eq. 84.
 
-        TAW is the water that plants can take up at field capacity, and D_r is the missing part of
+        TAW is the water that plants can take up at field capacity, and D_r is the depleted part of
         this water.
         """
         return min(1.0, self.filled_share(x2) / self._onset)
@@ -302,8 +302,8 @@ class FieldCapacitySoil:
         """Return the mean flow from the drainage layer off the roof during a tick (m3/s).
 
         The layer's volume V follows dV/dt = i - k V^2 with k = 1 / (a2 drainage_storage
-        drainage_time), solved exactly for a constant inflow i, so that a tick of any length is
-        stable:
+        drainage_time), solved exactly for a constant inflow i, so that the result is stable for
+        ticks of any length:
 
             V(t) = (V + i g) / (1 + k V g),  g = tanh(t sqrt(i k)) / sqrt(i k), or t where i = 0.
 
@@ -327,7 +327,7 @@ class FieldCapacitySoil:
     def tick(
         self, x2: float, layer: float, available: float, arriving: float, potential: float
     ) -> Losses:
-        """Return drainage and evapotranspiration; there is always enough water to percolate."""
+        """Return the drainage and the evapotranspiration; percolation is never limited by water."""
         percolated = self.drained(x2, arriving, self._tau)
         evaporated, remaining = potential * self.water_stress(x2), available - percolated
         limited = evaporated > remaining
@@ -340,7 +340,7 @@ class FieldCapacitySoil:
         return max(0.0, level - self._site.roof_level(self._capacity)) / self._tau
 
     def linearise(self, x2: float, q_drain: Drainage) -> SoilSlopes:
-        """Return the slopes of the soil without smoothing, because it is continuous.
+        """Return the slopes without smoothing, because the soil's response is continuous.
 
         At the wilting point, the onset of stress and field capacity, the slopes are one-sided.
         """
@@ -357,7 +357,7 @@ class FieldCapacitySoil:
         self, x2: Values, arriving: Values | float, potential: Values | float,
         seconds: Values | float,
     ) -> Values:
-        """Solve dS/dt = (1 - S^2) i, and then the decay of volume below the onset of stress."""
+        """Solve dS/dt = (1 - S^2) i, and then the decay of the volume below the onset of stress."""
         wilting, available, drying = self._wilting, self._available, self._drying
         water = x2
         if np.any(arriving):
@@ -372,7 +372,7 @@ class FieldCapacitySoil:
         return np.asarray(water + np.maximum(water - wilting, 0.0) * decay)
 
     def water_to_fill(self, x2: Any) -> Any:
-        """Solve dS/dt = (1 - S^2) i / TAW; up to the wilting point, all water stays."""
+        """Solve dS/dt = (1 - S^2) i / TAW; below the wilting point, all water is retained."""
         share = np.clip((x2 - self._wilting) / self._available, 0.0, ALMOST_FULL)
         return np.minimum(x2, self._wilting) + self._available * np.arctanh(share)
 
@@ -422,10 +422,10 @@ class FieldCapacitySoil:
         """Predict the share of water added now that remains on the roof in later steps (1).
 
         Two roofs are simulated with :meth:`predict_changes`: a roof without pumping, and a roof
-        that is filled to its target now. The share is the ratio of the difference between their
-        volumes to its initial value, and at least 0.001. The share decreases, because more rain
-        percolates through the fuller substrate, and because plants that lack water take up more
-        from it. After a storm that fills both roofs, there is no difference.
+        that is filled to its target now. The share is the difference between their volumes, divided
+        by its initial value, but at least 0.001. The share decreases, because more rain percolates
+        through the fuller substrate, and because plants that lack water take up more from a fuller
+        substrate. After a storm that fills both roofs, the difference vanishes.
         """
         added = max(self._site.x2_star - x2, _MIN_ADDED * self._available)
         fades = self.predict_changes(x2 + added, *weather) - changes
@@ -436,7 +436,7 @@ class FieldCapacitySoil:
         self, layer: float, x2: Values, rain: Values, pump: Values, potential: Values,
         drainage: Values, durations: Values,
     ) -> tuple[Values, Values]:
-        """Compute evapotranspiration and volumes of the layer; ``drainage`` is not used."""
+        """Compute evapotranspiration and the drainage layer's volumes; ``drainage`` is not used."""
         samples = np.nan_to_num(x2), rain * self._a2 + pump, potential, durations
         evaporated, layers = array("d"), array("d")
         for volume, arriving, demand, seconds in zip(
@@ -460,7 +460,7 @@ def soil_of(site: Site) -> Soil:
 
 
 def roof_after_tick(soil: Soil, tau: float, x2: float, arriving: float, potential: float) -> float:
-    """Return the volume on a roof (m3) at the end of a tick; below 0 if the roof would dry out.
+    """Return the volume on a roof (m3) at the end of a tick; negative if the roof would dry out.
 
     Args:
         soil: soil of the roof.

@@ -1,4 +1,4 @@
-"""The soils of many roofs, as in :mod:`.soil`: either paper soils or field-capacity soils."""
+"""The soils of many roofs, as in :mod:`.soil`: the paper's soils or field-capacity soils."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class PaperSoils:
 
         Args:
             potential: potential evapotranspiration of each bed in a tick (m3).
-            raining: whether rain falls on any roof.
+            raining: whether it rains on any roof.
         """
         self._potential, self._raining = potential, raining
 
@@ -40,7 +40,7 @@ class PaperSoils:
             evaporated: array to which the evapotranspiration is written (m3).
 
         Returns:
-            Whether there is no rain, and all soils are below their capacity and can yield the
+            Whether there is no rain, all soils are below their capacity, and all can yield the
             evapotranspiration.
         """
         evaporated[:], self._x2 = self._potential, x2
@@ -57,7 +57,7 @@ class PaperSoils:
         return np.zeros_like(x2)
 
     def water_to_raise(self, to: Values, rows: Rows) -> Values:
-        """Return the volume of water that fills some soils to a higher volume in the tick (m3).
+        """Return the volume of water that fills selected soils to higher volumes in the tick (m3).
 
         Args:
             to: volumes to which the soils are filled (m3).
@@ -66,7 +66,7 @@ class PaperSoils:
         return to - self._x2[rows]
 
     def percolate(self, arrived: Values, rows: Rows) -> Values:
-        """Return the volume that percolates through some soils in the tick (m3).
+        """Return the volume that percolates through selected soils in the tick (m3).
 
         The result holds only for soils below their capacity.
 
@@ -77,12 +77,12 @@ class PaperSoils:
         return np.zeros_like(arrived)
 
     def lose(self, evaporated: Values, arrived: Values) -> tuple[Values, Values, Flags]:
-        """Return percolation and evapotranspiration (m3), and a mask of limited soils.
+        """Return percolation and evapotranspiration (m3), and a mask of soils short of water.
 
         The result is valid in any tick, even with rain or with soils at their capacity.
 
         Args:
-            evaporated: evapotranspiration that :meth:`begin` has written (m3).
+            evaporated: evapotranspiration written by :meth:`begin` (m3).
             arrived: rain and pumped water in the tick (m3).
         """
         sites, tau, x2, above = self._sites, self._tau, self._x2, self._x2 - self._sites.z_cap
@@ -138,7 +138,7 @@ class FieldCapacitySoils:
         return share
 
     def water_to_raise(self, to: Values, rows: Rows) -> Values:
-        """Return the water that fills some soils to higher volumes; see :class:`PaperSoils`."""
+        """Return the water that fills selected soils to higher volumes; see :class:`PaperSoils`."""
         wilting, available = self._sites.wilting_volume[rows], self._sites.available_volume[rows]
         filled, reached = self._filled[rows], to - wilting
         np.divide(reached, available, out=reached)
@@ -154,7 +154,7 @@ class FieldCapacitySoils:
         return np.asarray(water)
 
     def percolate(self, arrived: Values, rows: Rows) -> Values:
-        """Return the volume that percolates through some soils; see :class:`PaperSoils`."""
+        """Return the volume that percolates through selected soils; see :class:`PaperSoils`."""
         available, filled = self._sites.available_volume[rows], self._filled[rows]
         if not self._settled:  # the soil keeps the water that raises it to the wilting point
             wilting = self._sites.wilting_volume[rows]

@@ -1,29 +1,29 @@
-"""Storm water that reaches the sewer during and after rain, and its rain events.
+"""Storm water that reaches the sewer during and after rain, and the rain events of a run.
 
-All results are computed from sums over intervals of a minute, or of whole ticks if ticks are
-longer. Within an interval, rain and discharge are taken as constant. Flows before and after a run
-are unknown, and count as 0.
+All results are computed from sums over intervals of one minute, rounded up to a whole number of
+ticks. Within an interval, rain and discharge are assumed to be constant. Flows before and after a
+run are unknown, and are assumed to be 0.
 
-**Peaks** are maxima of the moving mean, whose window may begin at any time. Fixed intervals of five
+**Peaks** are maxima of a moving mean, whose window may begin at any time. Fixed intervals of five
 minutes would underestimate the peak of a storm by an eighth on average (Weiss 1964, Ratio of true
 to fixed-interval maximum rainfall, Journal of the Hydraulics Division 90(1), 77-82: 1.14).
 
-**Wet weather** is any time with rain, if at least 0.1 mm falls within 60 minutes around this time,
-and also the period ``wet_after`` after the rain, during which the sewer still carries storm water.
-Water that is released later reaches a sewer with free capacity.
+**Wet weather** is any time with rain that is part of an hour with at least 0.1 mm of rain, and also
+the period ``wet_after`` after this rain, during which the sewer still carries storm water. Water
+that is released later reaches a sewer with free capacity.
 
 **The reference** is the same area without a green roof and a cistern, from which all rain runs off
 immediately: the whole area of the roof, and the area of the catchment times its runoff coefficient,
-like A_u in DWA-A 117 and DWA-A 138. Therefore the runoff of the reference in mm/h equals the rain,
-as in Johannessen, Muthanna and Braskerud (2018, Water 10, 671), who compare the five-minute peaks
-of rain and runoff.
+which corresponds to A_u in DWA-A 117 and DWA-A 138. Therefore the runoff of the reference in mm/h
+equals the rain, as in Johannessen, Muthanna and Braskerud (2018, Water 10, 671), who compare the
+five-minute peaks of rain and runoff.
 
 **Events** are separated by a period ``event_separation`` without rain. The default is six hours,
-which is usual for green roofs and for the separation time in SWMM's statistics (Rossman 2015, SWMM
-User's Manual Version 5.1, EPA-600/R-14/413b, Statistics Report). Water that reaches the sewer
-before the end of this period belongs to the event. The volume and the peak in wet weather are
-compared with the reference, because the purpose of a valve is to release water some hours after
-rain.
+which is usual in studies of green roofs, and for the separation time in SWMM's statistics (Rossman
+2015, SWMM User's Manual Version 5.1, EPA-600/R-14/413b, Statistics Report). Water that reaches the
+sewer before the end of this dry period belongs to the event. Only the volume and the peak in wet
+weather are compared with the reference, because the purpose of a valve is to release water some
+hours after rain.
 """
 
 from __future__ import annotations
@@ -69,18 +69,21 @@ class Event(NamedTuple):
 
     Attributes:
         start_h: time of the first rain, relative to the start of the run (h).
-        hours: time from the first rain to the last rain (h).
-        rain_mm: depth of the rain.
-        max_rain_5min_mm_h: mean rain of the wettest five minutes, which is the peak of the
+        hours: time from the first to the last rain (h).
+        rain_mm: depth of the rain (mm).
+        max_rain_5min_mm_h: mean rain rate of the wettest five minutes, which equals the peak of the
             reference.
-        max_rain_60min_mm_h: mean rain of the wettest 60 minutes.
-        discharge_m3: water that reached the sewer before the end of the dry hours after the rain.
+        max_rain_60min_mm_h: mean rain rate of the wettest 60 minutes.
+        discharge_m3: water that reached the sewer from the first rain until the end of the dry
+            hours that follow.
         wet_discharge_m3: part of the discharge that reached the sewer in wet weather.
-        peak_l_s: maximum mean of the discharge in wet weather over five minutes.
+        peak_l_s: maximum five-minute mean of the discharge in wet weather.
         peak_mm_h: the peak ``peak_l_s`` divided by the connected area.
-        volume_reduction: relative reduction of the volume in wet weather below the reference (1).
-        peak_reduction: relative reduction of the peak below the peak of the reference (1).
-        peak_delay_min: delay of the peak relative to the reference's peak; None without discharge.
+        volume_reduction: relative reduction of the volume in wet weather compared with the
+            reference (1).
+        peak_reduction: relative reduction of the peak compared with the reference (1).
+        peak_delay_min: delay of the peak relative to the reference's peak; None if there was no
+            discharge in wet weather.
         complete: whether the run covers the whole event, including the dry hours after it.
     """
 
@@ -151,7 +154,7 @@ def _find_maximum(values: Values, seconds: float, minutes: float) -> tuple[float
 
 
 def find_events(site: Site, intervals: Intervals) -> list[Event]:
-    """Return the rain events of a run in chronological order, except traces below 0.1 mm."""
+    """Return the rain events of a run in chronological order, excluding traces below 0.1 mm."""
     seconds, rain, area = intervals.seconds, intervals.rain, connected_area(site)
     dry = max(1, round(site.event_separation * _HOUR_S / seconds))
     rains = np.flatnonzero(rain > 0)

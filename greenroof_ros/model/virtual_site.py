@@ -1,8 +1,8 @@
 """A site that is simulated tick by tick; all simulations use this module to compute a tick.
 
-The run in one process, the plans of the bound and the plant node of the graph all use a
-:class:`VirtualSite`. In every tick, a controller reads the levels and decides on a command, and the
-site executes the command and proceeds to the next tick.
+Simulations in a single process, the plans of the bound and the plant node of the ROS graph all use
+a :class:`VirtualSite`. In every tick, a controller reads the levels and decides on a command, and
+the site executes the command and proceeds to the next tick.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ class VirtualSite:
     """A cistern and a roof with level sensors, the pumps, and the metrics of the run.
 
     Attributes:
-        plant: the true state of cistern and roof.
+        plant: the true state of the cistern and the roof.
         metrics: metrics of all previous ticks, as if the run ended with the current tick.
         tick: number of the current tick.
         frost: 0 without frost in the current tick; other values, including NaN, denote frost. The
             caller sets this attribute.
-        quiet: whether the current tick is in the site's quiet hours.
+        quiet: whether the current tick is within the site's quiet hours.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class VirtualSite:
         return self._start_ns + self.tick * self._tick_ns
 
     def observe(self) -> tuple[float, float]:
-        """Return the readings of the level sensors of cistern and roof in the current tick (m)."""
+        """Return the readings of the cistern's and the roof's sensors in the current tick (m)."""
         cistern, roof = self.plant.levels()
         if self._sensor is not None:
             roof = self._sensor.reading(self.tick, roof)
@@ -64,7 +64,7 @@ class VirtualSite:
         self, precipitation: float, evapotranspiration: float, command: float,
         pumped: float | None = None, outlet: float = 1.0,
     ) -> Flows:
-        """Return the flows in the current tick; must be called once in every tick.
+        """Return the flows in the current tick; must be called exactly once per tick.
 
         Args:
             precipitation: rain rate (m/s).

@@ -1,1 +1,1 @@
-"""Weather records: their files, their evapotranspiration, and their values for every tick."""
+"""Weather records: files, evapotranspiration, and values for every tick."""

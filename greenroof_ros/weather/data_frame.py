@@ -27,14 +27,14 @@ def is_frame(value: Any) -> bool:
 
 
 def read_frame(frame: Any, site: Site) -> Records:
-    """Return the records in a data frame, read like a file with the same columns.
+    """Return the records in a data frame, which is read like a file with the same columns.
 
     Args:
         frame: data frame with a column ``time`` or, in pandas, an index of times.
         site: site whose clock applies to times without an offset.
 
     Raises:
-        ConfigurationError: if a column or a value is wrong; the message states the row, counted
+        ConfigurationError: if a column or a value is invalid; the message states the row, counted
             from 0.
     """
     file = TextInMemory(_NAME)
@@ -49,7 +49,7 @@ def read_frame(frame: Any, site: Site) -> Records:
 
 
 def find_zone(frame: Any) -> tzinfo | None:
-    """Return the time zone of a data frame's times; None if they have no zone, or are text."""
+    """Return the time zone of a data frame's times; None if the times have no zone or are text."""
     times = frame["time"] if "time" in frame.columns else getattr(frame, "index", ())
     zone: Any = getattr(next(iter(times), None), "tzinfo", None)
     return ZoneInfo(zone.zone) if hasattr(zone, "zone") else zone  # from pytz, as in older pandas

@@ -42,7 +42,7 @@ _METRES_PER_SECOND = 1 / 3.6  # per km/h
 
 
 def saturation_vapour_pressure(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return e0 (kPa) at a temperature (degC), Eq. 11; at the dew point, the actual pressure."""
+    """Return e0 (kPa) at a temperature (degC), Eq. 11; at the dew point, the vapour pressure."""
     return 0.6108 * np.exp(17.27 * temperature / (temperature + 237.3))
 
 
@@ -52,13 +52,13 @@ def compute_hourly(
     """Return the reference evapotranspiration of consecutive hours, Eq. 53 (mm/h), shape (hours,).
 
     Net radiation is computed with Eqs. 37-40 from solar radiation. If solar radiation was not
-    measured, it is computed with Eq. 50, ``k_Rs sqrt(Tmax - Tmin) Ra``, from the extremes of the
-    day, and distributed over the hours in proportion to the extraterrestrial radiation Ra. At
-    night, the ratio Rs/Rso, a measure of cloudiness, keeps its value from two to three hours before
-    sunset. Negative results (dew) are set to 0. Where FAO-56 leaves a choice, that of the package
-    is used: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), hours with sunrise or sunset count with their
-    sunlit part, and the soil heat flux is 0.1 Rn (daytime) if Rn > 0, and otherwise 0.5 Rn
-    (nighttime).
+    measured, it is computed with Eq. 50, ``k_Rs sqrt(Tmax - Tmin) Ra``, from the temperature
+    extremes of the day, and distributed over the hours in proportion to the extraterrestrial
+    radiation Ra. At night, the ratio Rs/Rso, a measure of cloudiness, keeps the value that it had
+    two to three hours before sunset. Negative results (dew) are set to 0. Where FAO-56 leaves a
+    choice, this function follows the package: Rs/Rso is at least 0.3 (ASCE-EWRI 2005), only the
+    sunlit part of an hour with sunrise or sunset counts, and the soil heat flux is 0.1 Rn (daytime)
+    if Rn > 0, and otherwise 0.5 Rn (nighttime).
 
     Args:
         site: site with its location, elevation, UTC offset, albedo, k_Rs and height of the wind
@@ -108,20 +108,20 @@ def compute_hourly(
 def compute_fao56(records: Records, site: Site) -> NDArray[np.float64]:
     """Return the evapotranspiration of the vegetation in every hour (mm/day), shape (hours,).
 
-    The result is the site's crop coefficient times the reference evapotranspiration, and NaN if
-    records are missing. If solar radiation was not measured in an hour, the records must cover the
-    whole day, 0 to 24 h of local standard time. The height of the wind sensor is that stated by the
-    records, or else that of the site.
+    The result is the site's crop coefficient times the reference evapotranspiration; it is NaN
+    where records are missing. If solar radiation was not measured in an hour, the records must
+    cover the whole day, 0 to 24 h of local standard time. The height of the wind sensor is taken
+    from the records if they state it, and otherwise from the site.
 
     Raises:
-        ConfigurationError: if the file lacks a quantity, if the site file lacks the location, or if
-            the site is beyond a polar circle.
+        ConfigurationError: if the file lacks a required quantity, if the site file lacks the
+            location, or if the site is beyond a polar circle.
     """
     lacking = [name for name in FOR_EVAPOTRANSPIRATION if name not in records.values]
     if lacking:
         raise ConfigurationError(
             f"has no column '{EVAPOTRANSPIRATION} [{QUANTITIES[EVAPOTRANSPIRATION].unit}]', and "
-            f"no {', '.join(lacking)}, which {FAO56} requires", file=records.source,
+            f"lacks {', '.join(lacking)}, which {FAO56} requires", file=records.source,
         )
     check_place(site, FAO56, _PLACE)
     site = _complete_place(site, records)
@@ -145,7 +145,8 @@ def _compute_stretches(
 ) -> NDArray[np.float64]:
     """Apply :func:`compute_hourly` to every period without gaps; the result is NaN in gaps.
 
-    The periods are separate, because the cloudiness of a night is that of the previous evening.
+    Each period is computed separately, because the cloudiness at night is that of the previous
+    evening.
     """
     unknown = np.isnan(sum(values.values()))  # a sum that includes a NaN is NaN
     result = np.full(records.hours, np.nan)
@@ -156,7 +157,7 @@ def _compute_stretches(
 
 
 def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
-    """Reject a site that lacks a part of its location, or is beyond a polar circle.
+    """Reject a site whose location is incomplete or beyond a polar circle.
 
     Raises:
         ConfigurationError: if the site lacks a parameter, or is beyond a polar circle.
@@ -178,8 +179,8 @@ def check_place(site: Site, method: str, needed: Sequence[str]) -> None:
 def _complete_place(site: Site, records: Records) -> Site:
     """Return a site with a UTC offset and an elevation, derived if the site file omits them.
 
-    The derived UTC offset is the whole hour closest to solar time, and only determines the start of
-    days. The elevation is derived from the mean pressure (FAO-56 Eq. 7).
+    The derived UTC offset is the whole hour closest to solar time, and is used only to determine
+    when days begin. The elevation is derived from the mean pressure (FAO-56 Eq. 7).
     """
     site = replace(site, utc_offset=site.clock_offset)
     pressure = records.values.get(PRESSURE)
@@ -195,7 +196,7 @@ def is_polar(site: Site) -> bool:
 
 
 def repeat_monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
-    """Return the site's mean evapotranspiration (mm/day) in every hour; None if unknown."""
+    """Return the site's monthly mean evapotranspiration (mm/day) for every hour, if known."""
     if site.monthly_evapotranspiration is None:
         return None
     first = np.datetime64(records.first.replace(tzinfo=None), "h")
@@ -204,14 +205,14 @@ def repeat_monthly(records: Records, site: Site) -> NDArray[np.float64] | None:
 
 
 def _find_local_seconds(records: Records, site: Site) -> NDArray[np.int64]:
-    """Return the start of every hour in local standard time (s since its 1970)."""
+    """Return the start of every hour in local standard time (s since 1970 on this clock)."""
     assert site.utc_offset is not None
     first = round(records.first.timestamp() + 3600 * site.utc_offset)
     return first + 3600 * np.arange(records.hours)
 
 
 def explain_missing(records: Records, hours: NDArray[np.int64]) -> str:
-    """Return the reason for missing computed values in some hours.
+    """Return the reason why computed values are missing in some hours.
 
     Args:
         records: the records passed to :func:`compute_fao56` or :func:`compute_hargreaves`.
@@ -240,9 +241,9 @@ _ENOUGH, _MAX_GAP_DAYS, _FOR_EVER = 0.75, 3, 10**6
 
 
 def hargreaves(latitude: float, days: Days, minimum: Values, maximum: Values) -> Values:
-    """Return the reference evapotranspiration of days (mm/day), FAO-56 Eq. 52, shape (days,).
+    """Return the reference evapotranspiration of each day (mm/day), FAO-56 Eq. 52, shape (days,).
 
-    ET0 = 0.0023 (Tmean + 17.8) sqrt(Tmax - Tmin) Ra, with Ra in mm/day, and Tmean as the mean of
+    ET0 = 0.0023 (Tmean + 17.8) sqrt(Tmax - Tmin) Ra, where Ra is in mm/day and Tmean is the mean of
     the extremes; negative results are set to 0. The equation requires no humidity, wind or
     radiation, but is less accurate than Eq. 6, against which FAO recommends checking it where
     possible.
@@ -284,7 +285,8 @@ def spread_over_day(
 ) -> Values:
     """Distribute daily evapotranspiration over steps in proportion to the sun's elevation.
 
-    The daily totals are preserved. A step across midnight belongs to the day in which it begins.
+    The daily totals are preserved. A step that spans midnight belongs to the day in which it
+    begins.
 
     Args:
         daily: evapotranspiration of every day (mm), shape (days,).
@@ -316,14 +318,14 @@ def find_extremes(
 ) -> Values:
     """Return the minimum and maximum temperature of every day (degC), shape (2, days).
 
-    The result is NaN for a day that lacks more than a given share of its values.
+    The result is NaN for a day with less than a minimum share of its values.
 
     Args:
         day: index of the day of every value.
         minimum: temperatures that include every day's minimum; NaN if missing.
         maximum: temperatures that include every day's maximum; NaN if missing.
         complete: number of values of a complete day.
-        min_share: minimum share of the values of a complete day.
+        min_share: minimum share of the values of a complete day that must be known (1).
     """
     extremes = np.full((2, day.max() + 1), np.nan)
     for of_days, extreme, values in zip(
@@ -343,7 +345,7 @@ class DailyTemperatures(NamedTuple):
     """minimum and maximum temperatures (degC), shape (2, days); NaN if unknown"""
 
     def far(self, days: Days) -> NDArray[np.bool_]:
-        """Return a mask of the days that are more than three days from any day with extremes."""
+        """Return a mask of days that are more than three days from any day with extremes."""
         known = self.dates[~np.isnan(self.extremes).any(axis=0)].astype(np.int64)
         apart = np.abs(days.astype(np.int64)[:, None] - known)
         return np.asarray(np.min(apart, axis=1, initial=_FOR_EVER) > _MAX_GAP_DAYS)
@@ -351,7 +353,7 @@ class DailyTemperatures(NamedTuple):
     def evapotranspiration(
         self, site: Site, seconds: NDArray[np.int64], step_s: float, offset_s: float
     ) -> Values:
-        """Return the reference evapotranspiration (mm) of steps by Hargreaves, shape (steps,).
+        """Return every step's reference evapotranspiration (mm) after Hargreaves, shape (steps,).
 
         Every step receives a share of the evapotranspiration of the day in which it begins. On days
         without extremes, the extremes are interpolated.
@@ -360,7 +362,7 @@ class DailyTemperatures(NamedTuple):
             site: site with its location.
             seconds: start of every step, in local standard time.
             step_s: duration of a step (s).
-            offset_s: UTC offset of this clock (s).
+            offset_s: UTC offset of local standard time (s).
         """
         assert site.latitude is not None
         assert site.longitude is not None
@@ -376,12 +378,12 @@ class DailyTemperatures(NamedTuple):
 
 
 def compute_hargreaves(records: Records, site: Site) -> Values:
-    """Return the hourly evapotranspiration of the vegetation by Hargreaves (mm/day).
+    """Return the hourly evapotranspiration of the vegetation after Hargreaves (mm/day).
 
     The result, shape (hours,), is the site's crop coefficient times the reference
     evapotranspiration, computed from the minimum and maximum temperature of every day in local
     standard time. The result is NaN on a day that is more than three days from a day with at least
-    18 hours of temperature.
+    18 hours of temperature data.
 
     Raises:
         ConfigurationError: if the file contains no temperature, if the site file lacks the

@@ -1,14 +1,14 @@
-"""Fetch years of past weather from a service in blocks, which are checked, stored and joined.
+"""Download of past weather from a service, in blocks that are checked, stored and joined.
 
 **Open-Meteo**'s Historical Weather API provides reanalyses (ERA5, ECMWF IFS) for any place, from
-1940 to a few days ago. The service answers one request at a time. Open-Meteo allows 600 requests a
-minute, 5,000 an hour and 10,000 a day, and a request for more than two weeks counts as more than
-one. If the service rejects a request, the required wait is stated only in the text of the response,
-not in a header. The data are licensed under CC BY 4.0, and the service is free for non-commercial
-use.
+1940 to a few days ago. The service answers one request at a time, and allows 600 requests per
+minute, 5,000 per hour and 10,000 per day; a request for more than two weeks counts as more than one
+request. If the service rejects a request, the required wait is stated only in the text of the
+response, not in a header. The data are licensed under CC BY 4.0, and the service is free for
+non-commercial use.
 
 **ECCC**, the climate archive of Environment and Climate Change Canada, provides bulk files with the
-observations of a station, one file per month. Hours without observations also have rows; for a
+observations of a station, one file per month. Hours without observations have rows as well; for a
 month in which the station did not exist, the file contains only a header. The data are licensed
 under the Open Government Licence - Canada.
 
@@ -65,7 +65,7 @@ _REQUEST = "request.txt"
 
 @dataclass(frozen=True)
 class Block:
-    """A block: the part of the period that one request returns.
+    """A block, which is the part of the period that a single request returns.
 
     Attributes:
         first: first day of the block.
@@ -92,7 +92,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Source:
-    """A service, and the requests to it.
+    """A weather service, and the requests sent to it.
 
     Attributes:
         about: description and licence of the data, as lines for the head of a file.
@@ -114,8 +114,8 @@ class Source:
 def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> Source:
     """Return Open-Meteo's archive as a source for a site, with one block per year.
 
-    Years are on the site's clock, but blocks are in UTC, so the blocks include one more day at each
-    end.
+    Years follow the site's clock, but blocks are in UTC, so the blocks include an additional day at
+    each end.
 
     Args:
         site: site with a latitude and a longitude.
@@ -124,8 +124,8 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
         url: URL of the API; if empty, the service's own URL.
 
     Raises:
-        ConfigurationError: if the place is missing from the site file, if the years extend into the
-            future, or if the URL is not a web address.
+        ConfigurationError: if the location is missing from the site file, if the years extend into
+            the future, or if the URL is not a web address.
     """
     for name in ("latitude", "longitude"):
         if getattr(site, name) is None:
@@ -136,7 +136,8 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
     newest = today - _DELAY
     if newest.year < years[-1]:
         raise ConfigurationError(
-            f"must end with {newest.year}: the archive ends {_DELAY.days} days before today",
+            f"must end with {newest.year} or earlier, because the archive ends {_DELAY.days} "
+            "days before today",
             key="years", value=years[-1],
         )
     end = min(date(years[-1] + 1, 1, 1), newest)
@@ -150,7 +151,7 @@ def open_meteo_archive(site: Site, years: range, today: date, url: str = "") -> 
     return Source(
         "Reanalysis weather from Open-Meteo.com, Historical Weather API (ERA5, ECMWF IFS): "
         "https://open-meteo.com\n"
-        "Licence: CC BY 4.0, name the source. The service is free for non-commercial use.",
+        "Licence: CC BY 4.0 (credit the source). The service is free for non-commercial use.",
         check_url(url or _OPEN_METEO_URL, [*parameters, "start_date", "end_date"]), parameters, [
             Block(first, last, ".json", {"start_date": f"{first}", "end_date": f"{last}"})
             for first, last in zip(starts, ends, strict=True)
@@ -191,7 +192,7 @@ def eccc_station(
     return Source(
         "Observations from Environment and Climate Change Canada, Historical Data, hourly bulk "
         f"files of stationID {station}: https://climate.weather.gc.ca\n"
-        "Licence: Open Government Licence - Canada, name the source.",
+        "Licence: Open Government Licence - Canada (credit the source).",
         check_url(url or _ECCC_URL, [*parameters, "Year", "Month"]), parameters, [
             Block(
                 date(year, month, 1),
@@ -208,7 +209,7 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
     try:
         content = json.loads(body)
     except (ValueError, RecursionError):
-        raise ServiceError(f"sent no JSON, or incomplete JSON: {read_reason(body)}") from None
+        raise ServiceError(f"sent invalid or incomplete JSON: {read_reason(body)}") from None
     hourly = content.get("hourly") if isinstance(content, dict) else None
     if not isinstance(hourly, dict):
         raise ServiceError(f"sent no hourly values: {read_reason(body)}")
@@ -218,12 +219,12 @@ def _check_open_meteo(body: bytes, block: Block) -> None:
     times = hourly.get("time")
     if not isinstance(times, list) or len(times) != block.hours:
         hours = len(times) if isinstance(times, list) else 0
-        raise ServiceError(f"sent {hours} hours of {block.hours}")
+        raise ServiceError(f"sent {hours} hours instead of {block.hours}")
     if str(times[0])[:10] != str(block.first):
-        raise ServiceError(f"sent hours from {times[0]} on instead of {block.first}")
+        raise ServiceError(f"sent hours that start at {times[0]} instead of {block.first}")
     rain = hourly[VARIABLES[PRECIPITATION]]
     if isinstance(rain, list) and all(value is None for value in rain):
-        raise ServiceError("sent no value of precipitation", is_passing=False)
+        raise ServiceError("sent no precipitation values", is_passing=False)
 
 
 def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
@@ -233,13 +234,13 @@ def _check_eccc(body: bytes, block: Block, *, is_over: bool) -> None:
     hours = len(lines) - 1
     is_cut = not body.endswith(b"\n") and lines[-1].count(b",") < lines[0].count(b",")
     if is_cut or (is_over and 0 < hours < block.hours):
-        raise ServiceError(f"broke off after {hours} hours of {block.hours}")
+        raise ServiceError(f"broke off after {hours} of {block.hours} hours")
     if hours and str(block.first).encode() not in lines[1]:
         raise ServiceError(f"sent a different month: {read_reason(lines[1])}")
 
 
 def prepare_directory(directory: Path, source: Source) -> None:
-    """Create the directory that stores the blocks of a source until all have arrived.
+    """Create the directory that stores the blocks of a source until all blocks have arrived.
 
     Raises:
         ConfigurationError: if the directory contains blocks from a different request, for instance
@@ -274,9 +275,9 @@ def fetch(
         progress: progress bar that shows the current block, and the reasons for repeated requests.
 
     Raises:
-        ServiceError: if a block could not be fetched in eight attempts, or if another attempt is
-            useless.
-        ConfigurationError: if an answer does not match the site.
+        ServiceError: if a block could not be fetched in eight attempts, or if another attempt would
+            be useless.
+        ConfigurationError: if a response does not match the site.
         OSError: if a block cannot be stored.
     """
     pause_s = source.pause_s if pause_s is None else pause_s
@@ -317,7 +318,7 @@ def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
 
     Raises:
         ServiceError: if the service does not send the whole block.
-        ConfigurationError: if the answer does not match the site.
+        ConfigurationError: if the response does not match the site.
         OSError: if the block cannot be stored.
     """
     body = request(source.url, {**source.parameters, **block.parameters}).body
@@ -334,13 +335,13 @@ def _fetch_block(source: Source, site: Site, block: Block, file: Path) -> None:
 
 
 def _find_wait(error: ServiceError) -> float:
-    """Return the wait for which a service asks (s); 0 if it asks for none."""
+    """Return the waiting time that a service requests (s); 0 if it requests none."""
     asked = [seconds for words, seconds in _ASKED_S.items() if words in str(error)]
     return max([error.wait or 0.0, *asked])
 
 
 def _is_empty(file: Path) -> bool:
-    """Return whether a block contains no hours, as before a station existed."""
+    """Return whether a block contains no hours, as in a month before the station existed."""
     return file.suffix == ".csv" and len(file.read_bytes().splitlines()) < 2
 
 

@@ -1,4 +1,4 @@
-"""Functions that find weather files and join them into one record."""
+"""Functions that find weather files and join them into one set of records."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def read_measured(
 
     Args:
         files: one or more files.
-        site: site with its place and clock.
-        stamped: position of the time stamp in the interval of a row in this project's format, one
-            of :data:`.comments.STAMPS`; by default, the statement in the file.
+        site: site with its location and clock.
+        stamped: position of the time stamp in the interval that a row of this project's format
+            covers, one of :data:`.comments.STAMPS`; by default, as stated in the file.
 
     Raises:
         ConfigurationError: if a file cannot be parsed, or if two files contradict each other.
@@ -78,7 +78,8 @@ def read_measured(
     joined = join_records([read_records(file, site, stamped) for file in files])
     if PRECIPITATION not in joined.values:
         raise ConfigurationError(
-            f"has no {PRECIPITATION}, as in a column 'precipitation [mm/h]' or 'rain [mm]'; add "
+            f"contains no {PRECIPITATION}, such as a column 'precipitation [mm/h]' or 'rain "
+            "[mm]'; add "
             "the file that contains the precipitation", file=joined.source,
         )
     return drop_empty(_drop_partial_hours(joined))
@@ -92,7 +93,7 @@ def read_weather(
 
     Gaps of up to :data:`MAX_GAP_H` hours, within a file or between two files, are filled and noted
     in the records. :class:`greenroof_ros.weather.series.WeatherSeries` rejects a run that needs an
-    hour of a longer gap, unless long gaps are also filled.
+    hour in a longer gap, unless long gaps are also filled.
 
     Args:
         files: one or more files.
@@ -145,14 +146,14 @@ def complete_records(
     else:
         own = f", or {records.method} from the column of the file" if records.method else ""
         raise ConfigurationError(
-            f"must be {', '.join(COMPUTED)}{own}: {records.source} contains no other "
+            f"must be one of {', '.join(COMPUTED)}{own}: {records.source} contains no other "
             "evapotranspiration", key="evapotranspiration", value=method,
         )
     return Weather(**{**vars(records), "method": method, "left_out": left_out}, gaps=gaps)
 
 
 def drop_empty(records: Records) -> Records:
-    """Remove the quantities that have no values from records, and add a note about each of them.
+    """Remove quantities without values from records, and add a note about each quantity.
 
     Raises:
         ConfigurationError: if precipitation has no values.
@@ -222,13 +223,13 @@ def compute_evapotranspiration(
     if not computed.any():
         return series, chosen, []
     return series, chosen, [
-        f"solar radiation is missing in {np.count_nonzero(computed)} hours, and is computed from "
-        "the day's temperatures in these hours (FAO-56 Eq. 50)"
+        f"solar radiation is missing in {np.count_nonzero(computed)} hours, for which it is "
+        "computed from the day's temperatures (FAO-56 Eq. 50)"
     ]
 
 
 def _drop_partial_hours(records: Records) -> Records:
-    """Drop the first and last hour if they lack minutes of rain, or quantities after a shift.
+    """Drop the first or last hour if it lacks minutes of rain, or quantities because of a shift.
 
     Hours must be dropped after joining, because a file may complete the last hour of the previous
     file.
@@ -251,7 +252,7 @@ def _drop_partial_hours(records: Records) -> Records:
 
 
 def find_files(names: Iterable[str], key: str) -> list[Path]:
-    """Find the files with given names or patterns (``data/2021_*.csv``), without repetitions.
+    """Find the files with given names or patterns (``data/2021_*.csv``), without duplicates.
 
     A name that contains ``*``, ``?`` or ``[`` is a pattern, unless a file with this name exists.
 

@@ -1,8 +1,8 @@
 """The weather of a run: hourly records, and their values for every tick.
 
 A run may last for years, so the arrays do not have an entry per tick. The value of a tick is looked
-up in its hour, or in its minute for rain with a resolution of minutes. Only if a minute is not a
-multiple of a tick is the rain stored as the mean over each tick.
+up in its hour or, for rain with a resolution of one minute, in its minute. Only if a minute is not
+a multiple of a tick is the rain stored as the mean over each tick.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Weather(Records):
 
     @property
     def frost(self) -> NDArray[np.bool_] | None:
-        """Mask of hours with air at or below 0 degC, shape (hours,); None without temperature."""
+        """Mask of hours with frost (at most 0 degC), shape (hours,); None without temperature."""
         temperature = self.values.get(TEMPERATURE)
         return None if temperature is None else temperature <= _FREEZING
 
@@ -75,7 +75,7 @@ class Weather(Records):
 
 
 class _Clock(NamedTuple):
-    """The hour (or other step) of the records for every tick; the last hour beyond their end."""
+    """The hour (or other step) of every tick in the records; at most their last hour."""
 
     offset_ns: int
     """time of tick 0 relative to hour 0 (ns)"""
@@ -100,7 +100,7 @@ class _Clock(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PerTick(Sequence[float]):
-    """A value for every tick, from values per hour or other step; a slice is an array."""
+    """A value for every tick, looked up in values per hour or other step; slices are arrays."""
 
     values: NDArray[np.float64]
     """values for all steps of the clock"""
@@ -224,7 +224,7 @@ class WeatherSeries:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences about the values of the weather for readers of the results."""
+        """Sentences about filled and implausible weather values, for readers of the results."""
         return [
             *(
                 f"{quantity} is missing at {', '.join(hours)} and was filled"
@@ -235,7 +235,7 @@ class WeatherSeries:
         ]
 
     def at(self, tick: int) -> Hour:
-        """Return the weather of a tick, and the tick until which it stays the same."""
+        """Return the weather of a tick, and the tick until which it remains constant."""
         hour = self._clock.step(tick)
         until = self._clock.first_tick(hour + 1)
         if self._rain_changes is not None:
@@ -321,15 +321,15 @@ def select_records(
 
 
 def align_to_hours(issues: Sequence[IssuedForecast], weather: Weather) -> list[IssuedForecast]:
-    """Shift issues to hours that begin at the same minute as those of the records.
+    """Shift forecasts to hours that begin at the same minute as those of the records.
 
-    If the UTC offset of a place includes half an hour, the hours of its records begin between the
-    hours of UTC. An issue then begins with the next hour of the records, and every hour is the
-    weighted mean of the two hours of the issue that it overlaps. An issue of only one hour is left
-    out.
+    If the UTC offset of a location includes half an hour, the hours of its records begin between
+    the hours of UTC. A forecast is then shifted to the next hour of the records, and each of its
+    new hours is the weighted mean of the two original hours that it overlaps. A forecast of only
+    one hour is left out.
 
     Raises:
-        ConfigurationError: if no issue is left.
+        ConfigurationError: if no forecast is left.
     """
     resampled = []
     for issue in issues:
@@ -350,8 +350,8 @@ def align_to_hours(issues: Sequence[IssuedForecast], weather: Weather) -> list[I
             resampled.append(issue)
     if not resampled:
         raise ConfigurationError(
-            "must contain more than one hour, or begin a whole number of hours from "
-            f"{to_minutes(weather.first)}, at which {weather.source} begins",
+            "must contain more than one hour, or begin a whole number of hours before or after "
+            f"{to_minutes(weather.first)}, when {weather.source} begins",
             file=issues[0].file, line=issues[0].line, key="issued",
             value=to_minutes(issues[0].issued),
         )

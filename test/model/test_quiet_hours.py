@@ -107,10 +107,10 @@ def test_of_a_site(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "expected"),
     [
-        ("quiet_hours", "22:00-06:00", "must be a list (times of day at which the pump stays off"),
-        ("quiet_hours", '["22"]', "must be a list of times of day"),
-        ("quiet_hours", '["24:00-06:00"]', "must be a list of times of day"),
-        ("quiet_hours", '["06:00-06:00"]', "must be a list of times of day"),
+        ("quiet_hours", "22:00-06:00", "must be a list (intervals of the day during which the"),
+        ("quiet_hours", '["22"]', "must be a list of intervals"),
+        ("quiet_hours", '["24:00-06:00"]', "must be a list of intervals"),
+        ("quiet_hours", '["06:00-06:00"]', "must be a list of intervals"),
         ("quiet_hours", '["00:00-12:00", "12:00-24:00"]', "and must leave some time for pumping"),
         ("time_zone", "America/Tornto", "must be the IANA name of a time zone"),
         ("time_zone", "../secret", "must be the IANA name of a time zone"),
@@ -141,5 +141,5 @@ def test_a_zone_of_the_sites_standard_time(tmp_path: Path, zone: str, utc_offset
     site = read_site(written(tmp_path, f"time_zone: {zone}", f"utc_offset: {utc_offset}"))
     assert site.zone == ZoneInfo(zone)
     wrong = written(tmp_path, f"time_zone: {zone}", f"utc_offset: {utc_offset + 1.25}")
-    with pytest.raises(ConfigurationError, match="the standard time of"):
+    with pytest.raises(ConfigurationError, match="the standard offset of"):
         read_site(wrong)

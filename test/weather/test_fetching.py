@@ -79,7 +79,7 @@ def test_two_years_come_in_spite_of_all_that_services_send(service, tmp_path):
     done = run(service, tmp_path, "--years", "2023-2024")
     assert (done.returncode, [*tmp_path.iterdir()]) == (0, [tmp_path / "out.csv"]), done.stderr
     for reason in ("maintenance", "broke off after", "429 Too Many Requests", "503", "went wrong",
-                   "sent 8784 hours of 8808", "next attempt in 1 s"):
+                   "sent 8784 hours instead of 8808", "next attempt in 1 s"):
         assert reason in done.stderr
     # Each year until it came; years are of the site's clock, so there is a day more at both ends.
     asked = [(query["start_date"], query["end_date"]) for query in service.requests]
@@ -226,7 +226,7 @@ def test_a_part_without_rain_is_not_kept(service, tmp_path):
     service.faults = ["dry"]
     done = run(service, tmp_path, "--years", "2023")
     assert done.returncode == 1
-    assert "sent no value of precipitation" in done.stderr
+    assert "sent no precipitation values" in done.stderr
     done = run(service, tmp_path, "--years", "2023")
     assert done.returncode == 0, done.stderr
     assert len(service.requests) == 2
@@ -355,12 +355,12 @@ def failure(service: WeatherService, directory: Path, source: Source) -> str:
     ("refusal", 1, "400 Bad Request: .*out of allowed range"),
     ("fewer", 1, "sent no shortwave_radiation"),
     ("tomorrow", 1, "Daily API request limit exceeded"),
-    ("html", 8, "sent no JSON, or incomplete JSON: <!DOCTYPE html>"),
+    ("html", 8, "sent invalid or incomplete JSON: <!DOCTYPE html>"),
     ("half", 8, "broke off after"),
-    ("short", 8, "sent 8808 hours of 8832"),
-    ("odd", 8, "sent 0 hours of 8832"),
-    ("other", 8, "sent hours from 2009-12-31T00:00 on instead of 2019-12-31"),
-    ("deep", 8, "sent no JSON, or incomplete JSON"),
+    ("short", 8, "sent 8808 hours instead of 8832"),
+    ("odd", 8, "sent 0 hours instead of 8832"),
+    ("other", 8, "sent hours that start at 2009-12-31T00:00 instead of 2019-12-31"),
+    ("deep", 8, "sent invalid or incomplete JSON"),
 ])
 def test_what_does_not_pass_is_tried_once_and_what_may_pass_eight_times(
     service, tmp_path, fault, requests, reason
