@@ -115,7 +115,8 @@ def test_refused(tmp_path: Path) -> None:
         assert refusal(read_weather, [path], TORONTO).startswith(f"{path}, {reason}")
     nowhere = replace(TORONTO, utc_offset=None)
     refusal(read_weather, [JULY], nowhere, match="the site file must state the UTC offset")
-    wrong = "evapotranspiration = 'published': must be one of fao56"  # which is of the authors' 72 hours
+    wrong = "evapotranspiration = 'published': must be one of fao56"
+    # 'published' is a method of the authors' 72 hours.
     refusal(read_weather, [JULY], TORONTO, "published", match=wrong)
 
 
