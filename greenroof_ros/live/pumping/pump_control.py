@@ -40,7 +40,7 @@ class Decision:
     Attributes:
         speed: requested speed, share of the rated speed; None means off.
         state: off, starting, running, stopping, fault, held, or unknown, if the pump is commanded
-            off, but may still turn.
+            off, but may still be turning.
         why: reason for the state, in words.
         interlocks: the active interlocks by code, in the order of their table.
         flow: best present estimate of the flow (m3/s).
