@@ -1,7 +1,7 @@
 """Simulations of many sites together, under on/off control and outlet policies.
 
 Ticks, metrics and forecasts are the same as in :class:`.closed_loop.Simulation` for a single site,
-but on arrays. :mod:`greenroof_ros.model.plants` states how closely the results agree.
+but are computed on arrays. :mod:`greenroof_ros.model.plants` states how closely the results agree.
 """
 
 from __future__ import annotations
@@ -178,7 +178,8 @@ class BatchResult:
         hydrograph: discharge of each group's sites to the sewer in each interval of
             :func:`greenroof_ros.model.storm_water.interval_seconds` (m3), shape (groups,
             intervals); None without groups.
-        low_outlet: part of the hydrograph that leaves through low outlets (m3), in the same form.
+        low_outlet: part of the hydrograph that leaves through low outlets (m3), as an array of the
+            same shape.
     """
 
     metrics: dict[str, Values]
@@ -193,11 +194,12 @@ def simulate_batch(
 
     Args:
         batch: batch to simulate.
-        groups: number of each site's group, counted from 0; None for no hydrograph.
+        groups: index of each site's group; None for no hydrograph.
         progress: callback that regularly receives the share of the work that is done (1).
 
     Raises:
-        ConfigurationError: if a parameter is invalid, or the sites differ in tau or in their steps.
+        ConfigurationError: if a parameter is invalid, or the sites differ in tau or in their number
+            of steps.
     """
     count = len(batch.sites)
     shape = (
@@ -228,7 +230,8 @@ def simulate_parts(
         progress: callback that regularly receives the share of the work that is done (1).
 
     Raises:
-        ConfigurationError: if a parameter is invalid, or the sites differ in tau or in their steps.
+        ConfigurationError: if a parameter is invalid, or the sites differ in tau or in their number
+            of steps.
     """
     if len({site.tau for site in batch.sites}) > 1 or len({
         weather.steps for weather in batch.weather
@@ -354,7 +357,8 @@ class Part:
         """Simulate, and regularly yield the number of ticks since the previous yield.
 
         Args:
-            observe: callback that receives the number of every tick after the tick.
+            observe: callback that receives the number of every tick once the tick has been
+                simulated.
         """
         plants, outlets = self.plants, self._outlets
         for tick in range(self._steps):

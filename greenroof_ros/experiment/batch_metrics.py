@@ -1,4 +1,4 @@
-"""The metrics of :mod:`greenroof_ros.model.metrics` for many runs together, on arrays.
+"""The metrics of :mod:`greenroof_ros.model.metrics`, computed on arrays for many runs together.
 
 The metrics are added up tick by tick, and discharges in blocks, so that the memory needed does not
 grow with the length of a run.
@@ -54,11 +54,11 @@ class BatchMetrics:
             per_interval: ticks in an interval of :mod:`greenroof_ros.model.storm_water`.
             wet: groups of rows, and whether their weather is wet in each interval.
             clocks: groups of runs with the same clock; every row is in one group.
-            groups: number of each row's group; None without a hydrograph.
+            groups: index of each row's group; None without a hydrograph.
             hydrograph: array to which each group's discharge is added (m3), shape (groups,
                 intervals).
-            low_outlet: array to which the part of the discharge through low outlets is added, in
-                the same form.
+            low_outlet: array to which the part of the discharge through low outlets is added, of
+                the same shape.
         """
         self._plants, self._sites = plants, (sites := plants.sites)
         self._tau, self._per_interval, n = float(sites.tau[0]), per_interval, len(sites)
@@ -153,7 +153,8 @@ class BatchMetrics:
     def _find_peaks(self, flows: Values) -> None:
         """Update the peaks (m3) from the windows that end within the given intervals.
 
-        The mean over constant pieces is largest where the window begins or ends with a piece.
+        The flow is piecewise constant, so its mean over a window is largest if the window begins or
+        ends with a piece.
         """
         highest = np.multiply.outer(self._windows, flows.max(axis=0))
         rows = np.flatnonzero((highest > self._peaks).any(axis=0))
@@ -248,6 +249,6 @@ def _find_midnights(clocks: Sequence[Clock], tau: float, ticks: int) -> dict[int
 
 
 def _share_without(part: Values, whole: Values) -> Values:
-    """Return the share of a whole outside a part, at least 0; NaN if the whole is zero."""
+    """Return the share of a whole that is not in a part, at least 0; NaN if the whole is zero."""
     share = np.divide(part, whole, out=np.full_like(whole, np.nan), where=whole > 0)
     return np.asarray(np.maximum(1 - share, 0.0))

@@ -1,4 +1,4 @@
-"""A lower bound of the total deviation that any controller can reach, by a linear program."""
+"""A lower bound on the total deviation of any controller, computed with a linear program."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ def clairvoyant_bound(run: Run, block_s: float, max_command: float = 1.0) -> flo
     The bound is the optimum of a linear program in the roof's volume x2 alone. Every run that the
     plant allows satisfies its constraints, so the bound is at most the deviation of the best run:
 
-    - In a tick, the volume changes at most by tau (r a2 - e - q_drain) plus the volume that the
+    - In a tick, the change in volume is at most tau (r a2 - e - q_drain) plus the volume that the
       pumps can lift. This volume is tau times the maximum command times the full flow, Eq. (3e), at
       the initial cistern volume plus all rain until then, since outflow and pumping only lower the
-      cistern. It is 0 in frost and quiet hours, below the pumps' suction level, and if even the
-      roof's minimum volume reaches a2 z_veg. A roof that runs dry loses all the water that it held,
-      which is at least its minimum volume.
-    - In a tick, the volume changes at least by tau (r a2 - e - q_drain). The range of q_drain, Eq.
-      (4), covers the volumes that the roof can have; q_drain is 0 if they are all below z_cap.
+      cistern. The pumped volume is 0 in frost and quiet hours, below the pumps' suction level, and
+      if even the roof's minimum volume reaches a2 z_veg. A roof that runs dry loses all the water
+      that it held, which is at least its minimum volume.
+    - In a tick, the change in volume is at least tau (r a2 - e - q_drain). The range of q_drain,
+      Eq. (4), covers the volumes that the roof can have; q_drain is 0 if they are all below z_cap.
     - The volumes that the roof can have are found by following both ends of their range with the
-      same balance. Pumping stops at z_veg, so it lifts the upper end above z_veg by at most one
-      tick's flow.
-    - All water pumped before a tick is at most the initial volume plus all rain until then, minus
-      the volume below the suction level, plus one tick's flow, because the last tick with pumping
-      began at the suction level or above. The water pumped is also at most all water that the
-      cistern ever held.
+      same balance. Pumping stops at z_veg, so it raises the upper end of the range above z_veg by
+      at most one tick's flow.
+    - The total volume pumped before a tick is at most the initial volume plus all rain until then,
+      minus the volume below the suction level, plus one tick's flow, because the last tick with
+      pumping began at the suction level or above. The total volume pumped is also at most the
+      volume of all water that the cistern has ever held.
 
     On a field-capacity soil, the limits apply to the volume after a tick minus a slope times the
     volume before it. The drainage layer does not matter. The proof is in doc/explanation/bound.md.

@@ -1,10 +1,10 @@
-"""The minimum discharge in wet weather for a given volume of mains water, in known weather.
+"""The minimum wet-weather discharge for a given volume of mains water, if the weather is known.
 
 HiGHS solves a linear program over the hours of a run. The roof receives the water that the run
-pumps, while the valve of the low outlet and the mains are free. Each weight of mains water, from
-small to large, yields a point of the frontier. With the same irrigation and as little mains water
-as at this point, no control of the valve can discharge less in wet weather. The proof is in
-doc/explanation/bound.md.
+pumps, while the valve of the low outlet and the mains can be controlled freely. Each weight of
+mains water, from small to large, yields a point of the frontier. With the same irrigation and as
+little mains water as at this point, no control of the valve can discharge less in wet weather. The
+proof is in doc/explanation/bound.md.
 """
 
 from __future__ import annotations

@@ -72,9 +72,9 @@ class RunInputs:
         "length of the run; by default, N of the site", 1e-9, 1e9, unit="h", default=None
     )
     initial: str | None = entry(
-        "initial levels of cistern and roof: the name of a state from Table II of the paper, or "
-        "'site' for the levels in the site file (default: site, or low-low if the file contains no "
-        "levels)",
+        "initial levels in the cistern and on the roof: the name of a state from Table II of the "
+        "paper, or 'site' for the levels in the site file (default: site, or low-low if the file "
+        "contains no levels)",
         default=None,
     )
     cistern: float | None = entry(
@@ -89,13 +89,14 @@ class RunInputs:
     evapotranspiration: str | None = entry(
         "source of evapotranspiration. fao56: FAO-56 Penman-Monteith; hargreaves: FAO-56 Eq. 52, "
         "from temperature alone; monthly: the site's monthly_evapotranspiration; or the name of a "
-        "column of the weather file, for example published (default: the column of the file, "
-        "otherwise the first of these three methods for which the data suffice)", default=None,
+        "column of the weather file, for example published (default: the column of the weather "
+        "file, if any; otherwise the first of these three methods for which the data suffice)",
+        default=None,
     )
     gaps: str = entry(
-        "treatment of hours that are missing from the weather if the gap is not short. refuse: "
-        "stop and list the hours; fill: treat missing rain as no rain, and replace other values "
-        "with the mean at that time of day over the three days before and after",
+        "treatment of missing hours in the weather, except in short gaps. refuse: stop and list "
+        "the hours; fill: treat missing rain as no rain, and replace other values with the "
+        "mean for that time of day over the three days before and after",
         choices=GAPS,
         default=REFUSE,
     )
@@ -180,7 +181,7 @@ class RunInputs:
 
 
 def find_needs(controller: ControllerChoice, parameters: Mapping[str, Any]) -> tuple[bool, float]:
-    """Return whether forecasts have all members, and the look-ahead of an outlet's plan (h)."""
+    """Return whether forecasts include all members, and the look-ahead of an outlet's plan (h)."""
     outlet_horizon = find_horizon(parameters)
     return controller.ensemble or outlet_horizon > 0, outlet_horizon
 
@@ -192,14 +193,14 @@ INPUTS: dict[str, Parameter] = {
             "weather", None, meaning="weather files, which are joined in chronological order, or a "
             "pattern such as 'weather/2021_*.csv'. The files can be CSV in this project's format, "
             "hourly bulk files from Environment and Climate Change Canada, or hourly CSV from "
-            "Open-Meteo's archive, whose rain and radiation are moved from the end of their hour "
-            "to its start (default: config/weather/toronto_2021-07.csv)",
+            "Open-Meteo's archive, in which rain and radiation are moved from the end of their "
+            "hour to its start (default: config/weather/toronto_2021-07.csv)",
         ),
         *parameters_of(RunInputs),
         Parameter(
-            "forecast", PERFECT, meaning="knowledge of the controller about the coming weather. "
-            "perfect: all of it; errors: a forecast with errors, by default as large as those of "
-            "real forecasts; ensemble: an ensemble of such forecasts; path of a file or a "
+            "forecast", PERFECT, meaning="the controller's knowledge of the weather ahead. "
+            "perfect: complete knowledge; errors: a forecast with errors, by default as large as "
+            "those of real forecasts; ensemble: an ensemble of such forecasts; path of a file or a "
             "directory of files: archived forecasts in this project's CSV format, or CSV or JSON "
             "from Open-Meteo. errors and ensemble are issued every 6 hours, and archived forecasts "
             "at their own times",
@@ -270,7 +271,8 @@ def _read_volumes(initial: Any) -> dict[str, Any]:
         cistern, roof = initial
     except (TypeError, ValueError) as error:
         raise ConfigurationError(
-            f"must be one of {', '.join(INITIAL_STATES)}, or the volumes in cistern and roof (m3)",
+            f"must be one of {', '.join(INITIAL_STATES)}, or the volumes in the cistern and on "
+            "the roof (m3)",
             key="initial", value=initial,
         ) from error
     return {"cistern": cistern, "roof": roof}
@@ -302,7 +304,7 @@ def _find_weather(weather: Any) -> Any:
 
 
 def _refuse_what_nodes_refuse(site: Site, series: WeatherSeries, x1: float, x2: float) -> None:
-    """Reject values that the graph's nodes would reject, so that both produce the same numbers."""
+    """Reject values that the nodes would reject, so that runs with and without ROS agree."""
     topics = read_topics()
     for name, value in (
         ("/cistern/level", site.cistern_level(x1)),
@@ -313,6 +315,6 @@ def _refuse_what_nodes_refuse(site: Site, series: WeatherSeries, x1: float, x2: 
         topic = topics[name]
         if value > topic.high:
             raise ConfigurationError(
-                f"the run contains {value:g} {topic.unit} on {name}, but at most {topic.high:g} is "
-                "accepted (msg_defs/topics.yaml); is a unit wrong?"
+                f"{name} would reach {value:g} {topic.unit} in the run, but at most {topic.high:g} "
+                "is accepted (msg_defs/topics.yaml); is a unit wrong?"
             )

@@ -29,7 +29,7 @@ from greenroof_ros.model.initial_state import INITIAL_STATES
 def add_run_arguments(
     parser: Parser, arguments: Sequence[str] | None = None
 ) -> None:
-    """Add the options that determine a run's results, the same for ``simulate`` and ``run``.
+    """Add the options that determine a run's results, for both ``simulate`` and ``run``.
 
     Args:
         parser: parser of the command.

@@ -90,8 +90,8 @@ def simulate_plan(run: Run, max_command: float = 1.0) -> PlanResult:
     """Carry out a plan for a whole run, with an exact sensor and a perfect forecast.
 
     :class:`~greenroof_ros.controllers.order_up_to.OrderUpTo` plans the run in steps of five
-    minutes, or of a ten-thousandth of a long run. The time after the run does not count, and the
-    soil is not simplified. For every site, the total deviation of the plan is an upper bound of the
+    minutes, or of a ten-thousandth of a long run. The time after the run is not considered, and the
+    soil is not simplified. For every site, the total deviation of the plan is an upper bound on the
     minimum possible total deviation.
 
     Args:

@@ -89,7 +89,7 @@ def _limits_of_tick(
         low: minimum volume before the tick (m3).
         high: maximum volume before the tick (m3).
         rain: rain on the roof (m3/s).
-        potential: evapotranspiration of plants that lack no water (m3/s).
+        potential: evapotranspiration of plants without water stress (m3/s).
         max_pumped: maximum volume that the pumps can lift in the tick (m3).
         short: whether the tick is short, so that the pumps can fill the roof above its target.
 
@@ -143,7 +143,7 @@ def _ends(
         low: minimum volume before the tick (m3).
         high: maximum volume before the tick (m3).
         arriving: rain and pumped water (m3/s).
-        potential: evapotranspiration of plants that lack no water (m3/s).
+        potential: evapotranspiration of plants without water stress (m3/s).
         line: slope of the line, by which the volume before the tick is multiplied.
     """
     if not soil.has_field_capacity:

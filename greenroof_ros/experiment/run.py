@@ -69,7 +69,7 @@ class Run:
     records: Records | None = None
 
     def __deepcopy__(self, _: object) -> Run:
-        """Return the run itself, which never changes and whose weather can be large."""
+        """Return the run itself, because it never changes and its weather can be large."""
         return self
 
     def time_ns(self, tick: int) -> int:
@@ -77,7 +77,7 @@ class Run:
         return epoch_ns(self.start) + tick * round(self.site.tau * 1e9)
 
     def count_ticks_between(self, every_s: float) -> int:
-        """Return the interval of the kept ticks (ticks) for a time between them (s), rounded."""
+        """Return the interval between kept ticks (ticks) for a given time (s), rounded."""
         return max(1, round(every_s / self.site.tau))
 
     @property
@@ -101,8 +101,8 @@ class Run:
             end = self.start + timedelta(seconds=length)
             yield (
                 f"the run of {duration(length)} is shorter than the look-ahead of "
-                f"{duration(self.look_ahead_s)}, so the controller also plans for the time after "
-                f"its end, {to_minutes(end)}"
+                f"{duration(self.look_ahead_s)}, so the controller also plans beyond the end of "
+                f"the run at {to_minutes(end)}"
             )
 
     def make_controller(self) -> Controller:
@@ -119,7 +119,7 @@ class Run:
 
 
 def _note_far(weather: Weather, site: Site) -> Iterator[str]:
-    """Yield a note for every weather file whose place is far from the site."""
+    """Yield a note for every weather file whose location is far from the site."""
     if site.latitude is None or site.longitude is None:
         return
     for file, place in weather.places.items():

@@ -77,7 +77,7 @@ def write_configuration(
     Args:
         directory: directory of the run.
         run: the run.
-        nodes: parameters of the plant that the run does not set; peer_limit is also for the
+        nodes: parameters of the plant that the run does not set; peer_limit also applies to the
             recorder.
 
     Returns:

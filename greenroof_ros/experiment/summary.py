@@ -81,8 +81,8 @@ def make_unfinished_summary(
         reason: reason for the end of the run.
         last_tick: last tick reported by the plant.
         refused: number of values rejected so far, by topic.
-        parameter_changes: latest changes of parameters so far, with their ticks.
-        parameter_change_count: number of all changes of parameters.
+        parameter_changes: latest parameter changes so far, with their ticks.
+        parameter_change_count: total number of parameter changes.
     """
     repeats_from = run.forecast.repeats_from
     choice = run.forecast_choice
@@ -114,7 +114,7 @@ def make_unfinished_summary(
 
 
 def describe_setting(run: Run) -> dict[str, Any]:
-    """Return the place and time of a run, and the notes that precede its results."""
+    """Return the location and time of a run, and the notes that precede its results."""
     weather = run.weather
     layer = {} if run.site.drainage_storage is None else {"layer_m3": run.site.initial_layer}
     return {
@@ -137,9 +137,9 @@ def describe_setting(run: Run) -> dict[str, Any]:
 def write(summary: Mapping[str, Any], directory: Path) -> None:
     """Write a summary to the directory of its run, atomically if possible.
 
-    The table of events is written together with the summary of a completed run. If the disk is so
-    full that there is no room for a second file, the old file is overwritten, so that the end of
-    the run is still recorded.
+    The table of events is written together with the summary of a completed run. If the disk is too
+    full for a second file, the old file is overwritten, so that the end of the run is still
+    recorded.
 
     Raises:
         OSError: if the summary cannot be written.
@@ -169,7 +169,7 @@ def find_site_file(run: Path) -> Path:
 def versions() -> dict[str, str]:
     """Return the versions of the software that determines the results of a run.
 
-    ``source`` is a hash of this package's source files and not a commit, because an installed
+    ``source`` is a hash of this package's source files rather than a commit, because an installed
     package does not know its commit, and edited files do not belong to any commit.
     """
     result = {
@@ -193,7 +193,7 @@ def format_versions(by_name: Mapping[str, str]) -> str:
 
 @functools.cache
 def _source() -> str:
-    """Return twelve digits that identify this package's code, as a version has many commits."""
+    """Return twelve digits that identify this package's code; a version covers many commits."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parent.parent
     for file in sorted(package.rglob("*.py")):

@@ -31,7 +31,7 @@ _COLLECTED = 0.1
 
 
 def _metric_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield the metrics, without those that are 0 as expected, and in capitals above a limit."""
+    """Yield the metrics except those that are 0 as expected; capitals mark excess of a limit."""
     left_out = _IN_FILES if _collects_storm_water(summary) else _IN_FILES | _STORM_WATER
     for metric in METRICS:
         value = summary.get(metric.name, 0)
@@ -55,8 +55,8 @@ def _event_rows(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     if events and _collects_storm_water(summary):
         largest = max(events, key=lambda event: float(event["rain_mm"]))
         yield "rain events", str(len(events)), (
-            f"the largest of {largest['rain_mm']:.1f} mm, {largest['volume_reduction']:.0%} of its "
-            f"volume and {largest['peak_reduction']:.0%} of its peak kept from the sewer"
+            f"the largest: {largest['rain_mm']:.1f} mm, with {largest['volume_reduction']:.0%} of "
+            f"its volume and {largest['peak_reduction']:.0%} of its peak kept out of the sewer"
         )
 
 

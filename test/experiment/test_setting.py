@@ -58,7 +58,7 @@ def test_a_run_shorter_than_the_look_ahead_reports_it(
     (note,) = paper_run(*options).notes()
     assert note == (
         f"the run of {length} is shorter than the look-ahead of {ahead}, so the controller also "
-        f"plans for the time after its end, {end}"
+        f"plans beyond the end of the run at {end}"
     )
 
 

@@ -369,7 +369,7 @@ def test_sites(tmp_path: Path) -> None:
     ({"weather": 3}, "weather: must be a file name, .*, not an object of type builtins.int"),
     ({"forecast": 3}, "forecast = 3: must be the name of a forecast model, or a path"),
     ({"gaps": "drop"}, "gaps = 'drop': must be one of refuse, fill"),
-    ({"initial": (60.0,)}, "initial = .*: must be one of low-low.* or the volumes in cistern"),
+    ({"initial": (60.0,)}, "initial = .*: must be one of low-low.* or the volumes in the cistern"),
     ({"initial": (math.nan, 2.0)}, "cistern = nan: must be a number from 0"),
     ({"controller": 3}, "controller = 3: must be a name, a class, an instance, or a function"),
     ({"controller": object}, "is not a controller: it lacks parameters, command"),
